@@ -1,0 +1,50 @@
+"""The typed description of an experiment, and its way to and from TOML.
+
+Every constant of the paper, and every one that it leaves out, is a default here and nowhere else.
+`Experiment()` is the recommended experiment.
+"""
+
+from posegsa.config.experiment import (
+    CostConfig,
+    Experiment,
+    FilterConfig,
+    GsaConfig,
+    RunConfig,
+    SearchConfig,
+)
+from posegsa.config.files import from_dict, load, override, to_toml
+from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
+from posegsa.config.schedule import (
+    INPUT_RANGE,
+    PARAMETERS,
+    TERMS,
+    FuzzyConfig,
+    GainConfig,
+    ParametersConfig,
+    triangles,
+)
+
+__all__ = [
+    "INPUT_RANGE",
+    "PARAMETERS",
+    "TERMS",
+    "CostConfig",
+    "Experiment",
+    "FilterConfig",
+    "FuzzyConfig",
+    "GainConfig",
+    "GsaConfig",
+    "Landmark",
+    "ParametersConfig",
+    "Profile",
+    "RunConfig",
+    "ScenarioConfig",
+    "SearchConfig",
+    "Sine",
+    "Vector",
+    "from_dict",
+    "load",
+    "override",
+    "to_toml",
+    "triangles",
+]

@@ -1,0 +1,130 @@
+"""The whole experiment, and the sections that are about running, filtering and searching."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.config.problems import Problem
+from posegsa.config.scenario import ScenarioConfig
+from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
+
+Window = tuple[Index, Index]
+"""First and last sample, both included."""
+
+
+class RunConfig(Section):
+    """[run]: randomness, precision and the number of noise draws."""
+
+    seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1)] = 0
+    """Seed of everything that is drawn at random: noise, first agents, search."""
+    dtype: Literal["float32", "float64"] = "float32"
+    """Precision of the simulation."""
+    training_scenarios: Count = 8
+    """Number of noise draws that the cost is averaged over in the search."""
+    held_out_scenarios: Count = 64
+    """Number of other noise draws that the result is judged on."""
+
+
+class FilterConfig(Section):
+    """[filter]: the observer."""
+
+    law: Literal["gradient", "printed"] = "gradient"
+    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
+    gamma: NonNegative | tuple[NonNegative, NonNegative] = 5.0
+    """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
+    substeps: Count = 2
+    """Inner steps per sample in which the innovation acts, the measurement held."""
+    gain_limit: Positive | Literal["off"] = 1.5
+    """Largest step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
+    steps above 2 are unstable. "off" applies every gain as it is."""
+
+
+class CostConfig(Section):
+    """[cost]: what a schedule is judged by, the sum over windows of attitude and position error."""
+
+    transient_weight: NonNegative = 0.3
+    """Weight of the transient window's sum, no unit."""
+    steady_weight: NonNegative = 1.0
+    """Weight of the steady window's sum, no unit."""
+    position_weight: NonNegative = 0.2
+    """Weight of the position error [m] beside the attitude error (0 to 1, no unit) [1/m]."""
+    transient_window: Window = (0, 100)
+    """First and last sample of the transient, both included (the paper: 0 to 1 s)."""
+    steady_window: Window = (400, 1400)
+    """First and last sample of the steady state, both included (the paper: 4 to 14 s)."""
+
+    def _conflicts(self) -> Iterator[Problem]:
+        for key in ("transient_window", "steady_window"):
+            first, last = window = getattr(self, key)
+            if first > last:
+                yield Problem(key, "allowed: a first sample that is not after the last", window)
+
+
+class SearchConfig(Section):
+    """[search]: the optimiser and its size."""
+
+    optimiser: Literal["gsa", "random_search"] = "gsa"
+    """The gravitational search algorithm, or points drawn at random to compare it with."""
+    agents: Annotated[int, Field(strict=True, ge=2)] = 100
+    """Number of agents N: parameter vectors that are evaluated at once."""
+    iterations: Count = 250
+    """Number of iterations T."""
+
+
+class GsaConfig(Section):
+    """[gsa]: the gravitational search algorithm (Rashedi 2009); agents move in the unit box."""
+
+    g0: Positive = 100.0
+    """Gravitational constant at the start, G0, relative to the width of the box."""
+    alpha: NonNegative = 20.0
+    """Decay of the gravitational constant, G = G0 exp(-alpha it / T), no unit."""
+    force_power: Positive = 1.0
+    """Power p of the distance in the force, M / (R^p + eps); the paper prints 2."""
+    random: Literal["dimension", "agent"] = "dimension"
+    """Whether random factors are drawn per dimension, or one per agent, as the paper prints."""
+    bounds: Literal["redraw", "clip", "reflect"] = "redraw"
+    """What happens to a coordinate that leaves the box."""
+    final_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 2.0
+    """Share of the agents that still attract others at the end [%]."""
+
+
+class Experiment(Section):
+    """One experiment, whole. `Experiment()` is the recommended one."""
+
+    run: RunConfig = RunConfig()
+    """Randomness, precision and the number of noise draws."""
+    scenario: ScenarioConfig = ScenarioConfig()
+    """True motion, sensors and initial estimate."""
+    filter: FilterConfig = FilterConfig()
+    """The observer."""
+    gain: GainConfig = GainConfig()
+    """The error signal that the gain schedule looks at."""
+    fuzzy: FuzzyConfig = FuzzyConfig()
+    """The fuzzy inference."""
+    parameters: ParametersConfig = ParametersConfig()
+    """The boxes of k1..k22."""
+    cost: CostConfig = CostConfig()
+    """What a schedule is judged by."""
+    search: SearchConfig = SearchConfig()
+    """The optimiser and its size."""
+    gsa: GsaConfig = GsaConfig()
+    """The gravitational search algorithm."""
+
+    def _conflicts(self) -> Iterator[Problem]:
+        samples = self.scenario.samples
+        for key in ("transient_window", "steady_window"):
+            window: Window = getattr(self.cost, key)
+            if window[1] >= samples:
+                yield Problem(
+                    f"cost.{key}",
+                    f"allowed: samples 0 to {samples - 1}, as scenario.duration = "
+                    f"{self.scenario.duration} and scenario.sampling_time = "
+                    f"{self.scenario.sampling_time} make {samples}",
+                    window,
+                )
+        if self.fuzzy.ordering:
+            yield from (p.under(("parameters",)) for p in self.parameters.disorder())
+        if self.fuzzy.coverage:
+            yield from (p.under(("parameters",)) for p in self.parameters.gaps())

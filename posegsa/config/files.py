@@ -1,0 +1,156 @@
+"""Experiments as TOML files, as plain data, and with single values changed."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from posegsa.config.experiment import Experiment
+from posegsa.config.problems import Problem, config_error, report
+from posegsa.errors import ConfigError
+
+MAX_BYTES = 2**20
+"""Size up to which a configuration file is read: 1 MiB."""
+
+_SHOWN = 100  # characters of a line that a message shows
+_BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+_POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+
+
+def load(path: str | Path) -> Experiment:
+    """Reads an experiment from a TOML file; what the file leaves out keeps its default.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ConfigError: If the file cannot be read, is not TOML or is not a valid experiment.
+    """
+    return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
+
+
+def from_dict(data: Mapping[str, Any]) -> Experiment:
+    """Makes an experiment of plain data, sections by name, as `load` reads them from TOML.
+
+    Raises:
+        ConfigError: If the data are not a valid experiment.
+    """
+    return _validated(data, "not a valid experiment")
+
+
+def to_toml(experiment: Experiment) -> str:
+    """Writes an experiment as TOML, every value included; reading it gives an equal experiment."""
+    return tomli_w.dumps(experiment.model_dump(mode="json"))
+
+
+def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
+    """Changes single values of an experiment, as `--set` does on the command line.
+
+    Args:
+        experiment: Where the other values come from.
+        settings: Texts like `filter.substeps=4`, `gain.signal=pose`, `scenario.vectors.0.noise=1`:
+            a path of keys and array indices, and a value as TOML writes it; quotes around a word
+            may be left out. All are applied before the result is checked.
+
+    Raises:
+        ConfigError: If a setting cannot be read, or the result is not a valid experiment.
+    """
+    data = experiment.model_dump(mode="json")
+    problems = [problem for text in settings if (problem := _set(data, text))]
+    if problems:
+        raise report("settings that cannot be applied", problems)
+    return _validated(data, "not a valid experiment with these settings")
+
+
+def _validated(data: object, title: str) -> Experiment:
+    try:
+        return Experiment.model_validate(data)
+    except ValidationError as error:
+        raise config_error(title, error, data, Experiment) from None
+
+
+def _read(path: str | Path) -> str:
+    """The text of a file."""
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; needed is a TOML file") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: a folder; needed is a TOML file") from None
+    except (OSError, ValueError) as error:  # a ValueError is a path that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"{path}: too large; allowed: at most 1 MiB")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}, line {line}: not UTF-8 text, as TOML has to be") from None
+
+
+def _parse(text: str, path: str | Path) -> dict[str, Any]:
+    """The data in a TOML document; a mistake is shown in its line."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        message = str(error)
+    except (ValueError, RecursionError):  # a number of thousands of digits, a thousand brackets
+        raise ConfigError(f"{path}: not valid TOML: a number too long or arrays too deep") from None
+    lines = text.replace("\r\n", "\n").split("\n")
+    line, column = len(lines), len(lines[-1]) + 1
+    if found := _POSITION.search(message):
+        message = message[: found.start()]
+        if found[1]:
+            line, column = int(found[1]), int(found[2])
+    start = max(0, column - _SHOWN // 2)
+    shown = lines[line - 1][start : start + _SHOWN]
+    shown = "".join(c if c.isprintable() else " " for c in shown)
+    raise ConfigError(
+        f"{path}, line {line}, column {column}: not valid TOML: {message}\n\n"
+        f"  {shown}\n  {' ' * (column - 1 - start)}^"
+    )
+
+
+def _set(data: dict[str, Any], text: str) -> Problem | None:
+    """Changes one value of the data in place, or says why that is not possible."""
+    path, _, written = (part.strip() for part in text.partition("="))
+    keys = path.split(".")
+    if not written or len(keys) < 2 or not all(keys):
+        return Problem(text, "allowed: section.key=value, such as filter.substeps=4")
+    try:
+        value = _value(written)
+    except (ValueError, RecursionError):
+        return Problem(path, "allowed: a value as TOML writes it", written)
+    node: Any = data
+    for depth, key in enumerate(keys, start=1):
+        entries = {str(i): i for i in range(len(node))} if isinstance(node, list) else {}
+        if not isinstance(node, dict) and key not in entries:
+            kind = f"an array of {len(node)}" if isinstance(node, list) else "a single value"
+            return Problem(path, f"{'.'.join(keys[: depth - 1])} is {kind}; it has no {key}", value)
+        place: Any = entries.get(key, key)
+        if depth == len(keys):
+            node[place] = value
+        elif isinstance(node, dict):
+            node = node.setdefault(place, {})  # a new key is unknown, and is reported as such
+        else:
+            node = node[place]
+    return None
+
+
+def _value(written: str) -> Any:
+    """The value of a TOML expression; a bare word is a string."""
+    try:
+        data = tomllib.loads(f"value = {written}")
+    except ValueError:
+        if _BARE_WORD.fullmatch(written):
+            return written
+        raise
+    if list(data) != ["value"]:
+        raise ValueError("more than one value")
+    return data["value"]

@@ -1,0 +1,210 @@
+"""The scenario: true motion, sensors and initial estimate; by default the paper's (Section V)."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import ValidationInfo, field_validator
+
+from posegsa.config.fields import (
+    Flag,
+    Matrix3,
+    NonNegative,
+    Number,
+    Positive,
+    Section,
+    Vector3,
+    Vector6,
+)
+from posegsa.config.problems import Problem, refuse
+from posegsa.errors import ScenarioError
+from posegsa.observability import are_collinear, check_observability
+
+_ZERO_LENGTH = 1e-12
+"""Length, in its own unit, up to which a direction counts as a zero vector."""
+
+_IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ROTATION_WITHIN = {"initial_rotation": 1e-6, "initial_rotation_estimate": 0.1}
+"""How far a singular value may be from one: the estimate, as the paper prints it, is rounded."""
+
+
+class Sine(Section):
+    """amplitude * sin(frequency * t + phase), t in seconds since the start."""
+
+    amplitude: Number
+    """Amplitude, in the unit of the sum: rad/s or m/s."""
+    frequency: Number
+    """Angular frequency [rad/s]."""
+    phase: Number = 0.0
+    """Phase [rad]."""
+
+
+class Vector(Section):
+    """A direction known in the inertial frame and measured in the body frame, such as gravity."""
+
+    direction: Vector3
+    """v_i^I, inertial frame, in the unit of its sensor; not zero, of any length."""
+    bias: Vector3 = (0.0, 0.0, 0.0)
+    """Bias b_i^B of the measurement, body frame, same unit."""
+    noise: NonNegative = 0.1
+    """Standard deviation of the noise n_i^B of each component, body frame, same unit."""
+    weight: NonNegative = 1.0
+    """Weight s_i^R in the filter, no unit; 0 leaves the vector out."""
+
+    @field_validator("direction")
+    @classmethod
+    def _not_zero(cls, direction: Vector3) -> Vector3:
+        if math.hypot(*direction) <= _ZERO_LENGTH:
+            raise refuse(direction, "a vector that is not zero")
+        return direction
+
+
+class Landmark(Section):
+    """A point known in the inertial frame whose position is measured in the body frame."""
+
+    position: Vector3
+    """p_i^I, inertial frame [m]."""
+    bias: Vector3 = (0.0, 0.0, 0.0)
+    """Bias of the measured position, body frame [m]; the paper gives none."""
+    noise: NonNegative = 0.1
+    """Standard deviation of the noise of each component, body frame [m]."""
+    weight: NonNegative = 1.0
+    """Weight s_i^L in the filter, no unit; 0 leaves the landmark out."""
+
+
+Profile = tuple[tuple[Sine, ...], tuple[Sine, ...], tuple[Sine, ...]]
+"""A velocity over time: for each body axis x, y, z a sum of sines (an empty one is zero)."""
+
+
+def _profile(*axes: tuple[float, float, float]) -> Profile:
+    """One sine per axis, each given by amplitude, frequency and phase."""
+    x, y, z = ((Sine(amplitude=a, frequency=f, phase=p),) for a, f, p in axes)
+    return (x, y, z)
+
+
+class ScenarioConfig(Section):
+    """[scenario]: truth, sensors and initial estimate."""
+
+    duration: Positive = 15.0
+    """Length of the run [s]; a whole number of samples, at least two."""
+    sampling_time: Positive = 0.01
+    """Time from one sample to the next [s]."""
+
+    angular_velocity: Profile = _profile(
+        (1.0, 0.7, 0.0), (0.7, 0.5, math.pi), (0.5, 0.3, math.pi / 3)
+    )
+    """True angular velocity Omega, body frame [rad/s]: for each axis a sum of sines."""
+    angular_velocity_bias: Vector3 = (0.1, -0.1, 0.1)
+    """Bias b_Omega of the measured angular velocity, body frame [rad/s]."""
+    angular_velocity_noise: NonNegative = 0.2
+    """Standard deviation of the noise of each component of it, body frame [rad/s]."""
+    velocity: Profile = _profile((0.3, 0.6, 0.0), (0.3, 0.4, 0.0), (0.3, 0.1, 0.0))
+    """True linear velocity V, body frame [m/s]: for each axis a sum of sines."""
+    velocity_bias: Vector3 = (0.2, 0.5, 0.1)
+    """Bias b_V of the measured linear velocity, body frame [m/s]."""
+    velocity_noise: NonNegative = 0.1
+    """Standard deviation of the noise of each component of it, body frame [m/s]."""
+
+    vectors: tuple[Vector, ...] = (
+        Vector(
+            direction=(1 / math.sqrt(3), -1 / math.sqrt(3), 1 / math.sqrt(3)),
+            bias=(0.1, -0.1, 0.1),
+        ),
+        Vector(direction=(0.0, 0.0, 1.0), bias=(0.0, 0.0, 0.1)),
+    )
+    """The vectors v_i that are measured, in order."""
+    cross_vector: Flag = True
+    """Whether v_1 x v_2, of the first two vectors as measured, is appended as a last vector."""
+    cross_vector_weight: NonNegative = 1.0
+    """Weight s^R of that vector in the filter, no unit."""
+    normalise_vectors: Flag = True
+    """Whether every vector, measured and known, is brought to length one for the filter."""
+    landmarks: tuple[Landmark, ...] = (Landmark(position=(0.5, math.sqrt(2), 1.0)),)
+    """The landmarks p_i that are measured, in order; at least one."""
+
+    initial_rotation: Matrix3 = _IDENTITY
+    """True attitude R(0), body to inertial frame, by rows, no unit."""
+    initial_position: Vector3 = (0.0, 0.0, 0.0)
+    """True position P(0), inertial frame [m]."""
+    initial_rotation_estimate: Matrix3 = (
+        (-0.829, 0.293, 0.343),
+        (0.399, 0.157, 0.903),
+        (0.210, 0.943, -0.257),
+    )
+    """Estimated attitude at the start, body to inertial frame, by rows, no unit. It may be rounded,
+    as the paper's is (determinant 0.943): the nearest rotation is used."""
+    initial_position_estimate: Vector3 = (4.0, -3.0, 5.0)
+    """Estimated position at the start, inertial frame [m]."""
+    initial_bias_estimate: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Estimated velocity biases at the start, body frame: b_Omega [rad/s], then b_V [m/s]."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples: duration over sampling time."""
+        return round(self.duration / self.sampling_time)
+
+    @field_validator("initial_rotation", "initial_rotation_estimate")
+    @classmethod
+    def _is_a_rotation(cls, matrix: Matrix3, info: ValidationInfo) -> Matrix3:
+        within = _ROTATION_WITHIN[info.field_name or ""]
+        if not _near_rotation(np.array(matrix), within):
+            raise refuse(
+                matrix,
+                "a rotation matrix: determinant above 0, all singular values equal to 1 within "
+                f"{within:g}",
+            )
+        return matrix
+
+    def _conflicts(self) -> Iterator[Problem]:
+        ratio = self.duration / self.sampling_time
+        if not (math.isfinite(ratio) and abs(ratio - round(ratio)) <= 1e-6 and round(ratio) >= 2):
+            yield Problem(
+                "duration",
+                "allowed: a whole number of samples, at least 2; with sampling_time = "
+                f"{self.sampling_time} these are {ratio:.9g}",
+                self.duration,
+            )
+        product = self._cross_direction() if self.cross_vector else None
+        if self.cross_vector and product is None:
+            yield Problem(
+                "cross_vector",
+                "allowed: false, or two vectors to begin with that are not collinear",
+                True,
+            )
+        try:
+            self._check_observability(product)
+        except ScenarioError as error:
+            these = "these, their cross product" if product else "these"
+            yield Problem("vectors", f"with {these} and the landmarks, {error}")
+
+    def _cross_direction(self) -> Vector3 | None:
+        """v_1 x v_2 of the first two vectors at length one; None where it is not defined."""
+        if len(self.vectors) < 2:
+            return None
+        first, second = (vector.direction for vector in self.vectors[:2])
+        if are_collinear(first, second):
+            return None
+        x, y, z = np.cross(
+            np.array(first) / math.hypot(*first), np.array(second) / math.hypot(*second)
+        )
+        return (float(x), float(y), float(z))
+
+    def _check_observability(self, product: Vector3 | None) -> None:
+        """Raises a `ScenarioError` if what the filter is given does not determine the pose."""
+        vectors = [(vector.direction, vector.weight) for vector in self.vectors]
+        if product:
+            vectors.append((product, self.cross_vector_weight))
+        check_observability(
+            [direction for direction, _ in vectors],
+            [landmark.position for landmark in self.landmarks],
+            [weight for _, weight in vectors],
+            [landmark.weight for landmark in self.landmarks],
+        )
+
+
+def _near_rotation(matrix: np.ndarray, within: float) -> bool:
+    """Whether a matrix is a rotation, up to a stretch of this much along any axis."""
+    if np.max(np.abs(matrix)) > 1 + within:  # before larger numbers overflow
+        return False
+    stretch = np.linalg.svd(matrix, compute_uv=False)
+    return bool(np.max(np.abs(stretch - 1)) <= within and np.linalg.det(matrix) > 0)

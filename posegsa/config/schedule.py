@@ -1,0 +1,189 @@
+"""The gain schedule: the error it looks at, the fuzzy inference, and the boxes of k1..k22."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Annotated, Literal, TypeVar, get_args
+
+from pydantic import Field
+
+from posegsa.config.fields import Flag, NonNegative, Number, Positive, Section
+from posegsa.config.problems import Problem
+
+Term = Literal["VS", "S", "M", "L", "VL"]
+"""A linguistic term, from very small to very large. The paper's table writes V for L."""
+
+TERMS: tuple[Term, ...] = get_args(Term)
+
+Row = tuple[Term, Term, Term, Term, Term]
+Box = Annotated[tuple[Number, ...], Field(min_length=22, max_length=22)]
+
+INPUT_RANGE = (0.0, 1.0)
+"""Universe of both inputs, no unit: the scaled error and its rate are clipped to it."""
+
+PARAMETERS = tuple(f"k{i}" for i in range(1, 23))
+"""The names k1..k22: 1 to 11 shape the input terms, 12 to 22 the output terms."""
+
+_PAPER_BOXES = (  # (low, high) of k1..k22, the paper's two constraint equations
+    (0.0, 0.15),  # VS: c
+    (0.0, 0.2),  # S: a, b, c
+    (0.0, 0.2),
+    (0.1, 0.2),
+    (0.05, 0.2),  # M
+    (0.1, 0.3),
+    (0.1, 0.4),
+    (0.1, 0.4),  # L
+    (0.2, 0.8),
+    (0.3, 0.8),
+    (0.2, 0.7),  # VL: a
+    (0.0, 10.0),  # VS: c, of the output from here
+    (0.0, 10.0),  # S
+    (0.0, 20.0),
+    (5.0, 30.0),
+    (5.0, 20.0),  # M
+    (10.0, 50.0),
+    (20.0, 50.0),
+    (20.0, 50.0),  # L
+    (20.0, 70.0),
+    (40.0, 90.0),
+    (30.0, 70.0),  # VL
+)
+
+T = TypeVar("T")
+
+
+def triangles(k: Sequence[T], low: T, high: T) -> tuple[tuple[T, T, T], ...]:
+    """The five terms of one universe, VS to VL, as triangles (a, b, c) on [low, high].
+
+    Args:
+        k: The eleven parameters of the universe: k1..k11 of the inputs, or k12..k22 of the output.
+        low: Lower end of the universe.
+        high: Upper end of the universe.
+    """
+    return (
+        (low, low, k[0]),
+        (k[1], k[2], k[3]),
+        (k[4], k[5], k[6]),
+        (k[7], k[8], k[9]),
+        (k[10], high, high),
+    )
+
+
+class GainConfig(Section):
+    """[gain]: the error signal e that the gain schedule looks at."""
+
+    signal: Literal["measured", "pose"] = "measured"
+    """What e is made of: "measured", the vectors and landmarks that a vehicle has, or "pose", the
+    true errors in attitude and position (an oracle, for simulation only)."""
+    position_weight: NonNegative = 0.2
+    """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
+    error_scale: Positive = 1.0
+    """e is divided by this before it is clipped to [0, 1], in the unit of e."""
+    rate_scale: NonNegative = 1.0
+    """Factor on |e_k - e_(k-1)|, the change per sample, before it is clipped to [0, 1]."""
+
+
+class FuzzyConfig(Section):
+    """[fuzzy]: Mamdani inference with min for AND and implication, max for aggregation."""
+
+    centroid: Literal["exact", "sampled"] = "exact"
+    """How the centroid is computed: in closed form, or by samples of the output universe."""
+    sampled_points: Annotated[int, Field(strict=True, ge=3)] = 101
+    """Number of samples of the output universe; only for the sampled centroid."""
+    sampled_rule: Literal["sum", "trapezoid"] = "sum"
+    """How samples are summed: alike (MATLAB) or as trapezoids; only for the sampled centroid."""
+    no_rule: Literal["hold", "midrange"] = "hold"
+    """The gain where no rule fires: the last one, or the middle of the output universe (MATLAB)."""
+    ordering: Flag = True
+    """Whether parameters are put in order: within each triangle, then between the terms."""
+    coverage: Flag = True
+    """Whether gaps between the input terms, where no rule fires, are closed."""
+    overlap: NonNegative = 0.01
+    """Least overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
+    rules: tuple[Row, Row, Row, Row, Row] = (
+        ("VL", "VL", "VL", "L", "L"),
+        ("VL", "VL", "VL", "L", "M"),
+        ("VL", "VL", "L", "M", "M"),
+        ("VL", "VL", "M", "M", "S"),
+        ("VL", "VL", "M", "S", "VS"),
+    )
+    """The rule table as the paper prints it (its V is L): rows are the rate, VL at the top to VS at
+    the bottom; columns are the error, VL at the left to VS at the right."""
+
+    def _conflicts(self) -> Iterator[Problem]:
+        if not self.ordering and self.centroid != "sampled":
+            reason = (
+                'allowed: "sampled", because ordering = false (the closed form needs ordered terms)'
+            )
+            yield Problem("centroid", reason, self.centroid)
+        if not self.ordering and self.coverage:
+            reason = "allowed: false, because ordering = false (the repair needs ordered terms)"
+            yield Problem("coverage", reason, self.coverage)
+
+
+class ParametersConfig(Section):
+    """[parameters]: the boxes in which k1..k22 are searched, and the universe of the output."""
+
+    lower: Box = tuple(low for low, _ in _PAPER_BOXES)
+    """Lower bounds: k1..k11 in 0 to 1 (inputs, no unit), k12..k22 in the gain range [1/s]."""
+    upper: Box = tuple(high for _, high in _PAPER_BOXES)
+    """Upper bounds, likewise."""
+    gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
+    """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
+
+    def _conflicts(self) -> Iterator[Problem]:
+        if self.gain_range[0] >= self.gain_range[1]:
+            yield Problem("gain_range", "allowed: a lower end below the upper end", self.gain_range)
+            return
+        for i, (name, low, high) in enumerate(zip(PARAMETERS, self.lower, self.upper, strict=True)):
+            start, end = INPUT_RANGE if i < 11 else self.gain_range
+            for key, value in (("lower", low), ("upper", high)):
+                if not start <= value <= end:
+                    reason = f"{name} is out of its universe; allowed: {start} to {end}"
+                    yield Problem(f"{key}.{i}", reason, value)
+            if low > high:
+                reason = f"{name} has low > high; allowed: at most upper.{i} = {high}"
+                yield Problem(f"lower.{i}", reason, low)
+
+    def disorder(self) -> Iterator[Problem]:
+        """Bounds with which sorting could take parameters out of their boxes.
+
+        Sorting numbers keeps each of them inside its own interval if the lower ends of the
+        intervals ascend and the upper ends do too. What is sorted is each triangle, so that
+        a <= b <= c, and then the a's, the b's and the c's from term to term.
+        """
+        allowed = "bounds that ascend within each triangle and from term to term"
+        for key, bounds in (("lower", self.lower), ("upper", self.upper)):
+            for part, universe in ((slice(0, 11), INPUT_RANGE), (slice(11, 22), self.gain_range)):
+                names = _neighbours(triangles(PARAMETERS[part], "", ""))
+                values = _neighbours(triangles(bounds[part], *universe))
+                for (name, next_name), (value, next_value) in zip(names, values, strict=True):
+                    if value > next_value:
+                        yield Problem(
+                            f"{key}.{PARAMETERS.index(name)}",
+                            f"{name} comes before {next_name}, whose {key} bound is {next_value}; "
+                            f"allowed: {allowed}, or fuzzy.ordering = false",
+                            value,
+                        )
+
+    def gaps(self) -> Iterator[Problem]:
+        """Bounds with which the coverage repair could not close a gap between two input terms.
+
+        The repair moves the left end a of a term down to the right end c of the term before it,
+        and both may be as low as their boxes go.
+        """
+        names = pairwise(triangles(PARAMETERS[:11], "", ""))
+        values = pairwise(triangles(self.lower[:11], *INPUT_RANGE))
+        for (before, after), (before_low, after_low) in zip(names, values, strict=True):
+            if after_low[0] > before_low[2]:
+                yield Problem(
+                    f"lower.{PARAMETERS.index(after[0])}",
+                    f"{after[0]} has to come down to {before[2]} to close a gap; allowed: at most "
+                    f"{before_low[2]}, the lower bound of {before[2]}, or fuzzy.coverage = false",
+                    after_low[0],
+                )
+
+
+def _neighbours(terms: Sequence[tuple[T, T, T]]) -> Iterator[tuple[T, T]]:
+    """Pairs that sorting brings into order: within each triangle, and from term to term."""
+    for numbers in (*terms, *zip(*terms, strict=True)):
+        yield from pairwise(numbers)

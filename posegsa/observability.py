@@ -1,0 +1,121 @@
+"""Whether vectors and landmarks determine the pose: the paper's Assumption 1, made precise.
+
+The paper names three cases:
+
+1. two vectors that are not collinear, and one landmark;
+2. one vector and two landmarks (the line between them not parallel to the vector);
+3. three landmarks that do not lie on one line.
+
+They are one rule. A landmark fixes the position once the attitude is known; the lines between
+landmarks act like vectors. So the pose is observable if there is at least one landmark, and if the
+vectors together with the lines between landmarks span two directions. (The cross product of two
+vectors adds nothing to them: where it is not zero, they span two directions already.)
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from posegsa.errors import ScenarioError
+
+PARALLEL = 1e-6
+"""Angle [rad], about, up to which directions count as parallel."""
+
+COINCIDENT = 1e-9
+"""Distance, relative to the largest coordinate, up to which landmarks count as one point; rounding
+turns the lines of longer distances by less than `PARALLEL`."""
+
+
+def check_observability(
+    directions: ArrayLike,
+    positions: ArrayLike,
+    direction_weights: ArrayLike | None = None,
+    position_weights: ArrayLike | None = None,
+) -> None:
+    """Raises if the pose cannot be determined from these vectors and landmarks.
+
+    Args:
+        directions: Vectors in the inertial frame, of any length above zero, shape (n, 3).
+        positions: Landmark positions in the inertial frame [m], shape (m, 3).
+        direction_weights: One weight per vector, shape (n,); those of weight zero do not count.
+            All count by default.
+        position_weights: One weight per landmark, shape (m,), likewise.
+
+    Raises:
+        ScenarioError: If the pose is not observable; says what was found and what is needed.
+    """
+    vectors = _counted("directions", directions, direction_weights)
+    landmarks = _counted("positions", positions, position_weights)
+    lines = _unit_lines(landmarks)
+    if len(landmarks) > 0 and _span_two_directions(np.vstack([_unit(vectors), lines])):
+        return
+    raise ScenarioError(
+        f"the pose is not observable: found {_found(vectors, landmarks, lines)} "
+        "(weight above 0); needed are two non-collinear vectors and a landmark, or a vector and "
+        "two landmarks on a line not parallel to it, or three landmarks not on one line"
+    )
+
+
+def are_collinear(first: ArrayLike, second: ArrayLike) -> bool:
+    """Whether two non-zero vectors, shape (3,), are parallel or opposite, within `PARALLEL`."""
+    return not _span_two_directions(_unit(np.array([first, second], dtype=float)))
+
+
+def _counted(name: str, rows: ArrayLike, weights: ArrayLike | None) -> NDArray[np.float64]:
+    """The rows of weight above zero, shape (n, 3); none may be infinite, or a zero vector."""
+    points = np.asarray(rows, dtype=float)
+    if points.size == 0:
+        points = points.reshape(0, 3)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ScenarioError(f"{name} has shape {points.shape}; needed is (n, 3)")
+    used = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=float)
+    if used.shape != (len(points),):
+        raise ScenarioError(f"{name} has {len(points)} rows, its weights have shape {used.shape}")
+    if not (np.isfinite(points).all() and np.isfinite(used).all()):
+        raise ScenarioError(f"{name} or their weights are not finite")
+    points = points[used > 0]
+    if name == "directions" and not np.any(points, axis=1).all():
+        raise ScenarioError("directions holds a zero vector")
+    return points
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each row at length one; the largest component goes first, so that no square overflows."""
+    scaled = vectors / np.max(np.abs(vectors), axis=1, keepdims=True)
+    return scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+
+
+def _unit_lines(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The landmarks from their centre, the furthest at distance one; none if all are one point."""
+    size = np.max(np.abs(landmarks), initial=0.0)
+    if size == 0.0:
+        return np.empty((0, 3))
+    spread = landmarks / size
+    spread = spread - spread.mean(axis=0)
+    furthest = np.max(np.linalg.norm(spread, axis=1))
+    return spread / furthest if furthest > COINCIDENT else np.empty((0, 3))
+
+
+def _span_two_directions(rows: NDArray[np.float64]) -> bool:
+    """Whether the rows, of length one at most, have a rank of two or more."""
+    return len(rows) >= 2 and bool(np.linalg.svd(rows, compute_uv=False)[1] > PARALLEL)
+
+
+def _found(
+    vectors: NDArray[np.float64], landmarks: NDArray[np.float64], lines: NDArray[np.float64]
+) -> str:
+    """What there is of an unobservable set, in words: '2 collinear vectors and 1 landmark'."""
+    collinear = len(vectors) > 1 and not _span_two_directions(_unit(vectors))
+    layout = ""
+    if len(landmarks) > 1 and len(lines) == 0:
+        layout = " at one point"
+    elif len(landmarks) > 2 and not _span_two_directions(lines):
+        layout = " on one line"
+    if len(vectors) > 0 and len(lines) > 0:
+        layout += ", all parallel"
+    kind = "collinear vector" if collinear else "vector"
+    return f"{_count(len(vectors), kind)} and {_count(len(landmarks), 'landmark')}{layout}"
+
+
+def _count(number: int, noun: str) -> str:
+    """'no vectors', '1 vector', '2 vectors'."""
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"

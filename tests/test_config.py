@@ -1,0 +1,314 @@
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+import posegsa.config as config
+from posegsa.config import Experiment, from_dict, load, override, to_toml
+from posegsa.errors import ConfigError, PosegsaError, RunFolderError
+
+CONFIGS = Path(__file__).parent.parent / "configs"
+FILES = sorted(CONFIGS.glob("*.toml"))
+WHOLE = ("paper", "paper_literal", "recommended")
+PI = 3.141592653589793
+
+
+def leaves(data: Any, path: str = "") -> dict[str, Any]:
+    """Every value of nested plain data by its dotted path."""
+    if isinstance(data, dict):
+        items = data.items()
+    elif isinstance(data, list | tuple):
+        items = enumerate(data)
+    else:
+        return {path: data}
+    return {k: v for key, part in items for k, v in leaves(part, f"{path}.{key}").items()}
+
+
+def written(folder: Path, content: bytes) -> Path:
+    path = folder / "experiment.toml"
+    path.write_bytes(content)
+    return path
+
+
+# The files in configs/ ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_file_loads(path: Path) -> None:
+    assert isinstance(load(path), Experiment)
+    assert load(str(path)) == load(path)
+
+
+def test_the_recommended_file_is_the_default() -> None:
+    assert load(CONFIGS / "recommended.toml") == Experiment()
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_files_write_every_value_out(name: str) -> None:
+    written = tomllib.loads((CONFIGS / f"{name}.toml").read_text("utf-8"))
+    assert leaves(written).keys() == leaves(Experiment().model_dump()).keys()
+
+
+def changes(name: str) -> dict[str, Any]:
+    """The values in which a file differs from the recommended experiment."""
+    default = leaves(Experiment().model_dump())
+    return {
+        key.removeprefix("."): value
+        for key, value in leaves(load(CONFIGS / f"{name}.toml").model_dump()).items()
+        if value != default[key]
+    }
+
+
+def test_the_paper_is_the_recommended_experiment_made_single() -> None:
+    assert changes("paper") == {"run.training_scenarios": 1, "filter.substeps": 1}
+
+
+def test_the_literal_paper_differs_where_the_paper_says_so() -> None:
+    assert changes("paper_literal") == {
+        "run.training_scenarios": 1,
+        "scenario.normalise_vectors": False,
+        "filter.law": "printed",
+        "filter.gamma": 1.0,
+        "filter.substeps": 1,
+        "filter.gain_limit": "off",
+        "gain.signal": "pose",
+        "fuzzy.centroid": "sampled",
+        "fuzzy.no_rule": "midrange",
+        "fuzzy.coverage": False,
+        "gsa.force_power": 2.0,
+        "gsa.random": "agent",
+    }
+
+
+def test_the_quick_file_only_makes_the_search_smaller() -> None:
+    assert {key.split(".")[0] for key in changes("quick")} == {"run", "search"}
+
+
+# The types ----------------------------------------------------------------------------------------
+
+
+def test_the_defaults_are_the_papers() -> None:
+    experiment = Experiment()
+    scenario = experiment.scenario
+    assert scenario.samples == 1500
+    assert [[(s.amplitude, s.frequency, s.phase) for s in axis] for axis in scenario.velocity] == [
+        [(0.3, 0.6, 0.0)],
+        [(0.3, 0.4, 0.0)],
+        [(0.3, 0.1, 0.0)],
+    ]
+    assert scenario.angular_velocity[1] == (config.Sine(amplitude=0.7, frequency=0.5, phase=PI),)
+    assert scenario.angular_velocity[2][0].phase == pytest.approx(PI / 3)
+    assert scenario.vectors[0].direction == pytest.approx([3**-0.5, -(3**-0.5), 3**-0.5])
+    assert scenario.landmarks[0].position == pytest.approx([0.5, 2**0.5, 1.0])
+    inputs = config.triangles(config.PARAMETERS[:11], "0", "1")
+    assert inputs[0] == ("0", "0", "k1")
+    assert inputs[1:4] == (("k2", "k3", "k4"), ("k5", "k6", "k7"), ("k8", "k9", "k10"))
+    assert inputs[4] == ("k11", "1", "1")
+    boxes = experiment.parameters
+    low, high = (config.triangles(k[11:], *boxes.gain_range) for k in (boxes.lower, boxes.upper))
+    assert low == ((0, 0, 0), (0, 0, 5), (5, 10, 20), (20, 20, 40), (30, 100, 100))
+    assert high == ((0, 0, 10), (10, 20, 30), (20, 50, 50), (50, 70, 90), (70, 100, 100))
+    assert config.TERMS == ("VS", "S", "M", "L", "VL")
+
+
+def test_an_experiment_is_frozen_and_hashable() -> None:
+    experiment = Experiment()
+    assert hash(experiment) == hash(from_dict(experiment.model_dump()))
+    with pytest.raises(ValueError, match="frozen"):
+        experiment.run.seed = 1
+
+
+def sections(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """The model and the models that its fields hold, however deep."""
+
+    def models(annotation: Any) -> set[type[BaseModel]]:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            return sections(annotation)
+        parts = getattr(annotation, "__args__", ())
+        return {m for part in parts for m in models(part)}
+
+    fields = model.model_fields.values()
+    return {model, *(m for field in fields for m in models(field.annotation))}
+
+
+@pytest.mark.parametrize("model", sorted(sections(Experiment), key=lambda model: model.__name__))
+def test_every_field_is_described(model: type[BaseModel]) -> None:
+    for name, field in model.model_fields.items():
+        assert field.description, name
+
+
+def test_the_errors_can_be_caught_as_what_they_are() -> None:
+    assert issubclass(ConfigError, PosegsaError)
+    assert issubclass(ConfigError, ValueError)
+    assert issubclass(RunFolderError, OSError)
+    assert str(RunFolderError("runs/a holds another run")) == "runs/a holds another run"
+
+
+def test_what_a_file_leaves_out_keeps_its_default(tmp_path: Path) -> None:
+    assert load(written(tmp_path, b"")) == Experiment()
+    byte_order_mark = b"\xef\xbb\xbf[run]\r\nseed = 3\r\n"
+    assert load(written(tmp_path, byte_order_mark)) == override(Experiment(), ["run.seed=3"])
+
+
+# Settings from the command line -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("filter.substeps=4", 4),
+        (" filter.substeps = 4 ", 4),
+        ("gain.signal=pose", "pose"),
+        ('gain.signal="pose"', "pose"),
+        ("filter.gain_limit=off", "off"),
+        ("filter.gain_limit=2", 2.0),
+        ("filter.gamma=[1, 2.5]", (1.0, 2.5)),
+        ("scenario.vectors.1.noise=0.2", 0.2),
+        ("scenario.initial_rotation_estimate.0.1=0.3", 0.3),
+        ("fuzzy.rules.4.4=S", "S"),
+        ("fuzzy.coverage=false", False),
+        ("cost.steady_window=[300, 1499]", (300, 1499)),
+    ],
+)
+def test_a_setting_changes_one_value(setting: str, value: Any) -> None:
+    changed: Any = override(Experiment(), [setting])
+    for key in setting.partition("=")[0].strip().split("."):
+        changed = changed[int(key)] if key.isdecimal() else getattr(changed, key)
+    assert changed == value
+    assert type(changed) is type(value)
+
+
+def test_settings_are_applied_together() -> None:
+    literal = ["fuzzy.ordering=false", "fuzzy.coverage=false", "fuzzy.centroid=sampled"]
+    assert override(Experiment(), literal).fuzzy.ordering is False
+    assert override(Experiment(), []) == Experiment()
+    assert override(Experiment(), ["run.seed=1", "run.seed=2"]).run.seed == 2
+
+
+def test_a_setting_may_hold_a_table() -> None:
+    setting = "scenario.landmarks=[{position = [1, 2, 3]}, {position = [0, 0, 1], noise = 0}]"
+    assert [mark.noise for mark in override(Experiment(), [setting]).scenario.landmarks] == [0.1, 0]
+
+
+# Any valid experiment -----------------------------------------------------------------------------
+
+numbers = st.floats(-1e6, 1e6)
+positive = st.floats(1e-6, 1e6)
+non_negative = st.just(0.0) | positive
+triples = st.tuples(numbers, numbers, numbers)
+directions = triples.filter(lambda v: max(map(abs, v)) > 1e-9)
+words = {
+    name: st.sampled_from(choices)
+    for name, choices in {
+        "signal": ("measured", "pose"),
+        "no_rule": ("hold", "midrange"),
+        "term": config.TERMS,
+    }.items()
+}
+sines = st.lists(st.builds(dict, amplitude=numbers, frequency=numbers, phase=numbers), max_size=2)
+profiles = st.tuples(sines, sines, sines)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> dict[str, Any]:
+    """Scenarios with three landmarks at the corners of a triangle, and any vectors."""
+    x, y, z = draw(st.tuples(*[st.floats(-100, 100)] * 3))
+    size = draw(st.floats(0.1, 100))
+    samples = draw(st.integers(2, 5000))
+    sampling_time = draw(st.sampled_from((0.001, 0.01, 0.02, 0.25)))
+    corners = [(x, y, z), (x + size, y, z), (x, y + size, z)]
+    vector = {"direction": directions, "bias": triples, "noise": non_negative}
+    return {
+        "duration": samples * sampling_time,
+        "sampling_time": sampling_time,
+        "angular_velocity": draw(profiles),
+        "velocity": draw(profiles),
+        "velocity_bias": draw(triples),
+        "velocity_noise": draw(non_negative),
+        "vectors": draw(st.lists(st.builds(dict, **vector, weight=non_negative), max_size=3)),
+        "cross_vector": False,
+        "landmarks": [{"position": p, "noise": draw(non_negative)} for p in corners],
+        "initial_position_estimate": draw(triples),
+    }
+
+
+@st.composite
+def experiments(draw: st.DrawFn) -> Experiment:
+    scenario = draw(scenarios())
+    last = round(scenario["duration"] / scenario["sampling_time"]) - 1
+    windows = st.tuples(st.integers(0, last), st.integers(0, last)).map(sorted)
+    row = st.tuples(*[words["term"]] * 5)
+    return from_dict(
+        {
+            "run": {"seed": draw(st.integers(0, 2**32 - 1))},
+            "scenario": scenario,
+            "filter": {
+                "gamma": draw(non_negative | st.tuples(non_negative, non_negative)),
+                "gain_limit": draw(positive | st.just("off")),
+            },
+            "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},
+            "fuzzy": {"rules": draw(st.tuples(*[row] * 5)), "no_rule": draw(words["no_rule"])},
+            "cost": {"transient_window": draw(windows), "steady_window": draw(windows)},
+            "gsa": {"g0": draw(positive), "final_percent": draw(st.floats(1e-3, 100))},
+        }
+    )
+
+
+@settings(deadline=None)
+@given(experiments())
+def test_toml_gives_every_experiment_back(experiment: Experiment) -> None:
+    text = to_toml(experiment)
+    assert from_dict(tomllib.loads(text)) == experiment
+    assert override(experiment, []) == experiment
+    assert from_dict(experiment.model_dump(mode="json")) == experiment
+
+
+def test_toml_files_give_the_experiment_back(tmp_path: Path) -> None:
+    for path in FILES:
+        copy = written(tmp_path, to_toml(load(path)).encode())
+        assert load(copy) == load(path)
+
+
+def sorted_terms(k: tuple[float, ...]) -> tuple[float, ...]:
+    """The eleven parameters of a universe from 0 to 1, each triangle sorted, then the terms."""
+    triangles = [sorted(triangle) for triangle in config.triangles(k, 0.0, 1.0)]
+    columns = [sorted(column) for column in zip(*triangles, strict=True)]
+    return tuple(value for triangle in zip(*columns, strict=True) for value in triangle)[2:13]
+
+
+elevens = st.tuples(*[st.floats(0, 1)] * 11)
+
+
+def boxes(lower: tuple[float, ...], upper: tuple[float, ...]) -> config.ParametersConfig:
+    """The same boxes for the inputs and the output."""
+    return config.ParametersConfig(lower=lower * 2, upper=upper * 2, gain_range=(0.0, 1.0))
+
+
+@settings(deadline=None)
+@given(elevens, elevens, st.booleans())
+def test_disorder_is_what_sorting_would_change(
+    one: tuple[float, ...], other: tuple[float, ...], ordered: bool
+) -> None:
+    lower, upper = (tuple(map(pick, one, other)) for pick in (min, max))
+    if ordered:
+        lower, upper = sorted_terms(lower), sorted_terms(upper)
+    ascend = (sorted_terms(lower), sorted_terms(upper)) == (lower, upper)
+    assert ascend == (not list(boxes(lower, upper).disorder()))
+
+
+@settings(deadline=None)
+@given(elevens, elevens, elevens)
+def test_sorting_stays_inside_boxes_that_ascend(
+    one: tuple[float, ...], other: tuple[float, ...], fractions: tuple[float, ...]
+) -> None:
+    lower, upper = (sorted_terms(tuple(map(pick, one, other))) for pick in (min, max))
+    k = tuple(
+        min(high, low + fraction * (high - low))
+        for low, high, fraction in zip(lower, upper, fractions, strict=True)
+    )
+    for low, value, high in zip(lower, sorted_terms(k), upper, strict=True):
+        assert low <= value <= high

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from posegsa.errors import ScenarioError
+from posegsa.observability import are_collinear, check_observability
+
+ALONG, UP, EAST = (1.0, -1.0, 1.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
+CORNERS = ((1.0, 2.0, 3.0), (2.0, 2.0, 3.0), (1.0, 5.0, 3.0))
+
+
+def is_observable(*arguments: object) -> bool:
+    try:
+        check_observability(*arguments)
+    except ScenarioError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("directions", "positions"),
+    [
+        ([ALONG, UP], CORNERS[:1]),  # case 1
+        ([UP], CORNERS[:2]),  # case 2
+        ([], CORNERS),  # case 3
+        ([UP, UP, EAST], CORNERS[:1]),
+        ([UP, (0.0, 1e-5, 1.0)], CORNERS[:1]),
+        ([UP], [(5e6, 4e5, 0.0), (5e6 + 1.0, 4e5, 0.0)]),  # far from the origin
+        ([(1e200, 0.0, 0.0), (0.0, 1e-200, 0.0)], [(1e200, 0.0, 0.0)]),
+    ],
+)
+def test_observable(directions: object, positions: object) -> None:
+    check_observability(directions, positions)
+
+
+@pytest.mark.parametrize(
+    ("directions", "positions"),
+    [
+        ([ALONG, UP, EAST], []),
+        ([UP], CORNERS[:1]),
+        ([UP, (0.0, 0.0, -3.0)], CORNERS[:1]),
+        ([UP, (0.0, 1e-8, 1.0)], CORNERS[:1]),
+        ([EAST], CORNERS[:2]),
+        ([EAST, EAST], CORNERS[:2]),
+        ([UP], [CORNERS[0]] * 4),
+        ([UP], [(0.0, 0.0, 0.0)] * 2),
+        ([], CORNERS[:2]),
+        ([], [(0.1, 0.1, 0.1), (0.2, 0.2, 0.2), (0.3, 0.3, 0.3), (0.7, 0.7, 0.7)]),
+        ([], []),
+    ],
+)
+def test_not_observable(directions: object, positions: object) -> None:
+    with pytest.raises(ScenarioError, match=r"the pose is not observable: found .*; needed are"):
+        check_observability(directions, positions)
+
+
+def test_only_weights_above_zero_count() -> None:
+    assert is_observable([ALONG, UP], CORNERS[:1], [1.0, 0.1])
+    assert not is_observable([ALONG, UP], CORNERS[:1], [1.0, 0.0])
+    assert is_observable([UP], CORNERS, [0.0], [1.0, 1.0, 1.0])
+    assert not is_observable([UP], CORNERS, [0.0], [1.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([[1.0, 2.0]], CORNERS), r"directions has shape \(1, 2\); needed is \(n, 3\)"),
+        (([UP], CORNERS[0]), r"positions has shape \(3,\)"),
+        (([UP], CORNERS, [1.0, 1.0]), r"directions has 1 rows, its weights have shape \(2,\)"),
+        (([(0.0, 0.0, 0.0)], CORNERS), "directions holds a zero vector"),
+        (([(0.0, 0.0, np.nan)], CORNERS), "directions or their weights are not finite"),
+    ],
+)
+def test_arrays_that_make_no_sense_are_refused(arguments: tuple[object, ...], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        check_observability(*arguments)
+
+
+@settings(deadline=None)
+@given(
+    st.integers(0, 3),
+    st.integers(0, 4),
+    st.integers(1, 3),
+    st.integers(0, 2**32 - 1),
+    st.floats(1e-3, 1e3),
+)
+def test_the_rank_decides_wherever_the_frame_stands(
+    n: int, m: int, dimensions: int, seed: int, scale: float
+) -> None:
+    """Directions and landmarks in a line, plane or space, moved, turned and scaled at random."""
+    random = np.random.default_rng(seed)
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0][:, :dimensions]
+    directions = random.normal(size=(n, dimensions)) @ turn.T
+    positions = scale * (random.normal(size=(m, dimensions)) @ turn.T + random.normal(size=3))
+    rank = min(dimensions, n + max(m - 1, 0))
+    assert is_observable(directions, positions) == (m >= 1 and rank >= 2)
+
+
+def test_collinear_vectors() -> None:
+    assert are_collinear((1.0, 2.0, 3.0), (-2.0, -4.0, -6.0))
+    assert not are_collinear((1.0, 2.0, 3.0), (1.0, 2.0, 3.1))
