@@ -1,0 +1,245 @@
+"""The gravitational search algorithm: agents attract each other, the better the stronger.
+
+Source: E. Rashedi, H. Nezamabadi-pour, S. Saryazdi, "GSA: A Gravitational Search Algorithm",
+Information Sciences 179 (2009) 2232-2248, and the authors' own code (version 1.1), which settles
+what the article leaves open. Equation numbers are the article's.
+
+Positions live in the unit box, so the gravitational constant acts relative to the box: G0 = 100
+here pulls as hard as G0 = 100 (high - low) in coordinates of their own. That is the parameter to
+think about first: the article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which converges to much
+smaller costs where the optimum lies at the box's centre, and stalls where it does not.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax, random
+from jax.typing import ArrayLike, DTypeLike
+
+from posegsa.optimisers.base import check_choice, check_count, check_number, uniform
+
+Random = Literal["dimension", "agent"]
+Bounds = Literal["redraw", "clip", "reflect"]
+
+SMALLEST_EPSILON = float(np.finfo(np.float32).tiny)
+"""A smaller one would be 0 in float32, and two agents in one place a division by zero."""
+
+
+class GSAState(NamedTuple):
+    """State of the search between two iterations."""
+
+    position: Array  # x (agents, dimensions) in the unit box
+    velocity: Array  # v (agents, dimensions) in widths of the box per iteration
+    iteration: Array  # it () int32, iterations done
+    key: Array  # random key of what is still to be drawn
+
+
+@dataclass(frozen=True)
+class GSA:
+    """Settings of the gravitational search algorithm.
+
+    Attributes:
+        agents: N, number of agents.
+        iterations: T, iterations of a whole search. Past them G and K_best keep their last values.
+        g0: G0, initial gravitational constant, relative to the box.
+        alpha: Rate at which it falls: G = G0 exp(-alpha it / T), it = 1..T.
+        force_power: p, the power of the distance R in the force; 1 is the authors' choice, 2 is
+            Newton's law as the pose filter paper prints it.
+        random: Which random numbers are fresh: "dimension" draws one for each pair and dimension
+            in the force and for each agent and dimension in the velocity, "agent" draws one for
+            each agent in the force and one in the velocity.
+        bounds: What happens to a coordinate that leaves the box: "redraw" draws it anew,
+            uniformly, "clip" puts it on the bound, "reflect" mirrors it and turns its velocity
+            round. The first two keep the velocity.
+        final_percent: Percentage of the agents that still attract in the last iteration; K_best
+            falls linearly from all agents to these.
+        epsilon: Added to R^p, against division by zero; by default the spacing of the floating
+            numbers at 1, as in the authors' code (whose numbers are float64).
+
+    Raises:
+        ValueError: If a setting is out of its range.
+    """
+
+    agents: int = 100
+    iterations: int = 250
+    g0: float = 100.0
+    alpha: float = 20.0
+    force_power: float = 1
+    random: Random = "dimension"
+    bounds: Bounds = "redraw"
+    final_percent: float = 2.0
+    epsilon: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_count("GSA: agents", self.agents, least=2)
+        check_count("GSA: iterations", self.iterations)
+        check_number("GSA: g0", self.g0)
+        check_number("GSA: alpha", self.alpha)
+        check_number("GSA: force_power", self.force_power)
+        check_choice("GSA: random", self.random, get_args(Random))
+        check_choice("GSA: bounds", self.bounds, get_args(Bounds))
+        check_number("GSA: final_percent", self.final_percent, most=100)
+        if self.epsilon is not None:
+            check_number("GSA: epsilon", self.epsilon, least=SMALLEST_EPSILON)
+
+    def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> GSAState:
+        """Spread the agents uniformly over the unit box, at rest."""
+        key, key_position = random.split(key)
+        shape = (self.agents, dimensions)
+        return GSAState(
+            position=uniform(key_position, shape, dtype),
+            velocity=jnp.zeros(shape, dtype),
+            iteration=jnp.asarray(0, jnp.int32),
+            key=key,
+        )
+
+    def ask(self, state: GSAState) -> Array:
+        """Return the agents' positions (agents, dimensions) in the unit box."""
+        return state.position
+
+    def tell(self, state: GSAState, costs: Array) -> GSAState:
+        """Move the agents under each other's gravity.
+
+        Args:
+            state: State whose positions were evaluated.
+            costs: Their costs (agents,), finite.
+
+        Returns:
+            The state with the next positions to evaluate.
+        """
+        x, v = state.position, state.velocity
+        key, key_force, key_velocity, key_bounds = random.split(state.key, 4)
+        gravity, k_best = self.schedule()
+        now = jnp.minimum(state.iteration, self.iterations - 1)
+
+        a = acceleration(
+            x,
+            masses(costs.astype(x.dtype)),
+            gravity=jnp.asarray(gravity, x.dtype)[now],
+            k_best=jnp.asarray(k_best, jnp.int32)[now],
+            rand=self._force_rand(key_force, x),
+            force_power=self.force_power,
+            epsilon=float(jnp.finfo(x.dtype).eps) if self.epsilon is None else self.epsilon,
+        )
+        columns = 1 if self.random == "agent" else x.shape[1]
+        v = uniform(key_velocity, (self.agents, columns), x.dtype) * v + a  # Eq. 11
+        x = x + v  # Eq. 12
+        x, v = confine(x, v, self.bounds, key_bounds)
+        return GSAState(x, v, state.iteration + 1, key)
+
+    def schedule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return G and K_best of each iteration, (iterations,) each.
+
+        Both are worked out in float64, in the order of the authors' code, so that no dtype or
+        device rounds K_best another way.
+        """
+        t = np.arange(1, self.iterations + 1) / self.iterations
+        gravity = self.g0 * np.exp(-self.alpha * t)  # Eq. 28
+        percent = self.final_percent + (1 - t) * (100 - self.final_percent)
+        k_best = np.floor(self.agents * percent / 100 + 0.5)  # rounds halves up
+        return gravity, np.maximum(1, k_best).astype(int)
+
+    def _force_rand(self, key: Array, x: Array) -> Callable[[Array], Array]:
+        """Return rand_ij of `acceleration`, as a function of the attractor j."""
+        agents, dimensions = x.shape
+        if self.random == "agent":
+            rand = uniform(key, (1, agents), x.dtype)
+            return lambda j: rand
+        return lambda j: coarse_uniform(random.fold_in(key, j), (dimensions, agents), x.dtype)
+
+
+def masses(costs: Array) -> Array:
+    """Return the masses M, one for the best agent's share and none for the worst (Eqs. 15, 16).
+
+    Args:
+        costs: Finite costs (agents,).
+
+    Returns:
+        Masses (agents,) that add up to 1; all equal where all costs are.
+    """
+    costs = costs / 16  # so that no difference overflows and no reciprocal of one underflows
+    worst = costs.max()
+    spread = worst - costs.min()
+    m = jnp.where(spread > 0, (worst - costs) / jnp.where(spread > 0, spread, 1), 1)
+    return m / m.sum()
+
+
+def acceleration(
+    x: Array,
+    mass: Array,
+    gravity: ArrayLike,
+    k_best: ArrayLike,
+    rand: Callable[[Array], Array],
+    force_power: float,
+    epsilon: float,
+) -> Array:
+    """Sum up the pull of the heaviest agents on every agent (Eqs. 7, 10 and 21).
+
+        a_i = G sum_{j in K_best} rand_ij M_j (x_j - x_i) / (R_ij^p + epsilon)
+
+    An agent's own mass cancels between force and acceleration, so the worst agent, which has none,
+    moves too. The sum runs over the attractors one by one, in order of their mass: that stops at
+    K_best, and nothing of size agents x agents x dimensions is ever stored.
+
+    Args:
+        x: Positions (agents, dimensions).
+        mass: Masses M (agents,).
+        gravity: G.
+        k_best: Number of attractors.
+        rand: Maps an attractor's index j to the random weights rand_ij of its pull on all agents,
+            (dimensions, agents) or (1, agents).
+        force_power: p, the power of the distance.
+        epsilon: Added to R_ij^p.
+
+    Returns:
+        Accelerations (agents, dimensions).
+    """
+    xt = x.T  # agents along the fast axis
+    heaviest = jnp.argsort(mass, descending=True)
+
+    def add_pull(rank: Array, total: Array) -> Array:
+        j = heaviest[rank]
+        towards_j = xt[:, j, None] - xt
+        distance = jnp.sqrt(jnp.sum(towards_j**2, axis=0))
+        strength = mass[j] / (distance**force_power + epsilon)
+        return total + rand(j) * strength[None, :] * towards_j
+
+    return gravity * lax.fori_loop(0, k_best, add_pull, jnp.zeros_like(xt)).T
+
+
+def confine(x: Array, v: Array, bounds: Bounds, key: Array) -> tuple[Array, Array]:
+    """Bring the coordinates that have left the unit box back into it; no other changes.
+
+    Args:
+        x: Positions (agents, dimensions).
+        v: Velocities (agents, dimensions).
+        bounds: How; see `GSA`.
+        key: Random key, for "redraw".
+
+    Returns:
+        Positions in [0, 1], and velocities.
+    """
+    if bounds == "redraw":
+        outside = (x < 0) | (x > 1)
+        return jnp.where(outside, uniform(key, x.shape, x.dtype), x), v
+    if bounds == "clip":
+        return jnp.clip(x, 0, 1), v
+    path = jnp.mod(x, 2)  # there and back again
+    back = path > 1
+    return jnp.where(back, 2 - path, path), jnp.where(back, -v, v)
+
+
+def coarse_uniform(key: Array, shape: tuple[int, int], dtype: DTypeLike) -> Array:
+    """Draw from (0, 1) in steps of 2^-16: ample for a random weight, and four times as fast.
+
+    New keys are the one public way to all 64 bits of a hash (`random.bits` keeps 32 of them), and
+    each hash gives four numbers here.
+    """
+    rows, columns = shape
+    words = random.key_data(random.split(key, (-(-rows // 4), columns)))
+    quarters = [half for i in (0, 1) for half in (words[..., i] >> 16, words[..., i] & 0xFFFF)]
+    return (jnp.concatenate(quarters)[:rows].astype(dtype) + 0.5) / 2**16

@@ -1,0 +1,350 @@
+"""The box, the loop and its record: what holds for every optimiser."""
+
+from dataclasses import FrozenInstanceError, dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax import Array
+
+from posegsa.optimisers import (
+    GSA,
+    Box,
+    Optimiser,
+    RandomSearch,
+    Search,
+    advance,
+    box,
+    from_unit,
+    minimise,
+    start,
+)
+from posegsa.optimisers.base import uniform
+
+OPTIMISERS = [
+    GSA(agents=6, iterations=7),
+    GSA(agents=6, iterations=7, random="agent", bounds="reflect"),
+    RandomSearch(agents=6, iterations=7),
+]
+
+
+def sphere(x: Array) -> Array:
+    """Sum of squares of each row."""
+    return jnp.sum(x**2, axis=1)
+
+
+def same(a: Any, b: Any) -> None:
+    """Check that two trees of arrays are equal to the last bit; NaN equals NaN."""
+
+    def check(x: Array, y: Array) -> None:
+        if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
+            x, y = jax.random.key_data(x), jax.random.key_data(y)
+        np.testing.assert_array_equal(x, y)
+
+    jax.tree.map(check, a, b)
+
+
+class FixedState(NamedTuple):
+    """The positions that `Fixed` asks for and what it was told of them."""
+
+    position: Array
+    told: Array
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Asks for the same positions 0, 1/4, ..., 1 on a line, and remembers the costs it is told."""
+
+    agents: int = 5
+    iterations: int = 3
+
+    def init(self, key: Array, dimensions: int, dtype: Any) -> FixedState:
+        """Lay out the positions."""
+        del key, dimensions
+        line = jnp.linspace(0, 1, self.agents, dtype=dtype)
+        return FixedState(line[:, None], jnp.zeros(self.agents, dtype))
+
+    def ask(self, state: FixedState) -> Array:
+        """Return the positions."""
+        return state.position
+
+    def tell(self, state: FixedState, costs: Array) -> FixedState:
+        """Remember the costs."""
+        return state._replace(told=costs)
+
+
+# The box
+
+
+def test_box_keeps_bounds_and_their_dtype() -> None:
+    low, high = box([-1, 2], [3.5, 2])
+    assert low.tolist() == [-1, 2]
+    assert high.tolist() == [3.5, 2]
+    assert low.dtype == high.dtype == jnp.float32
+    with jax.enable_x64(True):
+        assert box([0], [1]).lower.dtype == jnp.float64
+        assert box(np.float32([0]), np.float32([1])).lower.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "message"),
+    [
+        ([0, 2], [1, 1.5], r"lower\[1\] = 2.0, upper\[1\] = 1.5; allowed: lower <= upper"),
+        ([0, np.nan], [1, 1], r"lower\[1\] = nan; allowed: a finite float32 number"),
+        ([0], [np.inf], r"upper\[0\] = inf; allowed: a finite float32"),
+        ([0], [1e300], r"upper\[0\] = inf; allowed: a finite float32"),
+        ([0, 0], [1], r"lower has shape \(2,\), upper \(1,\); allowed: equal shapes"),
+        (0.0, 1.0, r"lower has shape \(\); allowed: \(dimensions,\)"),
+        ([], [], r"lower has shape \(0,\); allowed"),
+    ],
+)
+def test_box_refuses(lower: Any, upper: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"box: {message}"):
+        box(lower, upper)
+
+
+FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=False)
+
+
+@settings(deadline=None, max_examples=100)
+@given(FINITE, FINITE, st.floats(0, 1, width=32, allow_subnormal=False))
+def test_from_unit_never_leaves_the_box(a: float, b: float, u: float) -> None:
+    low, high = sorted((a, b))
+    target = box([low, low, low, low], [high, high, high, low])
+    x = from_unit(target, jnp.asarray([u, 0, 1, u], jnp.float32))
+    assert low <= x[0] <= high
+    assert x[1:].tolist() == [low, high, low]
+
+
+def test_from_unit_maps_every_row() -> None:
+    x = from_unit(box([0, -2], [10, 2]), jnp.array([[0.5, 0.5], [0.25, 1]]))
+    assert x.tolist() == [[5, 0], [2.5, 2]]
+
+
+# Every optimiser
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_optimisers_keep_the_protocol(optimiser: Optimiser) -> None:
+    assert hash(optimiser) == hash(type(optimiser)(**vars(optimiser)))
+    with pytest.raises(FrozenInstanceError):
+        optimiser.agents = 3  # pyright: ignore[reportAttributeAccessIssue]
+    for x64, dtype in ((False, jnp.float32), (True, jnp.float64)):
+        with jax.enable_x64(x64):
+            state = optimiser.init(jax.random.key(0), 3, dtype)
+            told = jax.jit(optimiser.tell)(state, jnp.arange(6, dtype=dtype))
+            for s in (state, told):
+                x = optimiser.ask(s)
+                assert x.shape == (6, 3)
+                assert x.dtype == dtype
+                assert jnp.all((x >= 0) & (x <= 1))
+            assert jax.tree.map(jnp.shape, told) == jax.tree.map(jnp.shape, state)
+            assert not jnp.array_equal(optimiser.ask(told), optimiser.ask(state))
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_chunks_do_not_change_a_bit(optimiser: Optimiser) -> None:
+    target, key = box([-1, -2, 0], [1, 2, 0]), jax.random.key(1)
+    whole = minimise(sphere, target, optimiser, key)
+    for chunk, stops in ((1, [1, 2, 3, 4, 5, 6, 7]), (3, [3, 6, 7]), (100, [7])):
+        seen: list[Search] = []
+        same(minimise(sphere, target, optimiser, key, chunk=chunk, callback=seen.append), whole)
+        assert [int(s.iteration) for s in seen] == stops
+        same(seen[-1], whole)
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_vmap_over_keys_equals_a_loop(optimiser: Optimiser) -> None:
+    # Fused differently under vmap, sums may round differently: hence float64 and a tolerance.
+    with jax.enable_x64(True):
+        target, keys = box([-1.0, -2, 3], [1.0, 2, 3]), jax.random.split(jax.random.key(2), 3)
+        together = jax.vmap(lambda key: minimise(sphere, target, optimiser, key))(keys)
+        for i, key in enumerate(keys):
+            alone = minimise(sphere, target, optimiser, key)
+            for field in ("best_position", "best_cost", "iteration", "non_finite", "history"):
+                jax.tree.map(
+                    lambda a, b: np.testing.assert_allclose(a, b[i], rtol=1e-9),  # noqa: B023
+                    getattr(alone, field),
+                    getattr(together, field),
+                )
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_fixed_coordinates_stay_fixed(optimiser: Optimiser) -> None:
+    target = box([0, 0.1, -1 / 3], [1, 0.1, -1 / 3])
+
+    def moved(x: Array) -> Array:
+        return jnp.sum(jnp.abs(x[:, 1:] - target.lower[None, 1:]), axis=1)
+
+    search = minimise(moved, target, optimiser, jax.random.key(3))
+    assert search.history.worst.tolist() == [0] * 7
+    assert search.best_position[1:].tolist() == target.lower[1:].tolist()
+
+
+def test_same_key_same_search() -> None:
+    target = box([-1, -1], [1, 1])
+    one, again, other = (
+        minimise(sphere, target, OPTIMISERS[0], jax.random.key(seed)) for seed in (4, 4, 5)
+    )
+    same(one, again)
+    assert not jnp.array_equal(one.best_position, other.best_position)
+
+
+# The loop and its record
+
+
+def test_a_search_that_has_not_begun() -> None:
+    search = start(RandomSearch(agents=2, iterations=3), box([0, 4], [1, 4]), jax.random.key(0))
+    assert search.best_position.tolist() == [0.5, 4]
+    assert search.best_cost == jnp.inf
+    assert search.iteration == search.non_finite == 0
+    for record in search.history[:3]:
+        assert jnp.isnan(record).all()
+    assert search.history.non_finite.tolist() == [0, 0, 0]
+
+
+def test_the_record_against_plain_numpy() -> None:
+    optimiser, target = RandomSearch(agents=5, iterations=6), box([-1, -1], [2, 2])
+    states, key = [], jax.random.key(6)
+    states.append(start(optimiser, target, key).state)
+    search = minimise(
+        sphere, target, optimiser, key, chunk=1, callback=lambda seen: states.append(seen.state)
+    )
+    positions = [np.asarray(from_unit(target, optimiser.ask(state))) for state in states[:6]]
+    costs = [(x**2).sum(axis=1) for x in positions]
+    lowest = np.minimum.accumulate(np.min(costs, axis=1))
+    np.testing.assert_allclose(search.history.best, lowest, rtol=1e-6)
+    np.testing.assert_allclose(search.history.mean, np.mean(costs, axis=1), rtol=1e-6)
+    np.testing.assert_allclose(search.history.worst, np.max(costs, axis=1), rtol=1e-6)
+    best = np.unravel_index(np.argmin(costs), (6, 5))
+    assert search.best_position.tolist() == positions[best[0]][best[1]].tolist()
+    assert search.best_cost == search.history.best[-1]
+
+
+FIXED_BOX = box([0], [4])
+
+
+@jax.jit
+def fixed_advance(search: Search, costs: Array) -> Search:
+    """Give these costs to `Fixed` for one iteration."""
+    return advance(Fixed(), lambda x: costs, FIXED_BOX, search, search.iteration + 1)
+
+
+def fixed_search(costs: list[float], before: Search | None = None) -> Search:
+    """Give these costs to `Fixed` for one iteration, after `before` or as the first."""
+    search = start(Fixed(), FIXED_BOX, jax.random.key(0)) if before is None else before
+    return fixed_advance(search, jnp.asarray(costs, jnp.float32))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_cost_that_is_not_finite_never_wins(bad: float) -> None:
+    search = fixed_search([bad, 3, bad, 2, 7])
+    assert search.state.told.tolist() == [7, 3, 7, 2, 7]
+    assert search.best_cost == 2
+    assert search.best_position.tolist() == [3]
+    assert search.non_finite == 2
+    first = [float(record[0]) for record in search.history]
+    assert first == [2, 4, 7, 2]
+    search = fixed_search([bad, bad, 1, 5, bad], search)
+    assert search.best_cost == 1
+    assert search.best_position.tolist() == [2]
+    assert search.non_finite == 5
+    assert search.history.non_finite.tolist() == [2, 3, 0]
+
+
+def test_iterations_without_a_finite_cost() -> None:
+    nothing = [np.nan, np.inf, -np.inf, np.nan, np.nan]
+    search = fixed_search(nothing)
+    assert search.state.told.tolist() == [0] * 5
+    assert search.best_cost == jnp.inf
+    assert search.best_position.tolist() == [2]
+    assert search.history.best[0] == jnp.inf
+    assert jnp.isnan(search.history.mean[0])
+    assert jnp.isnan(search.history.worst[0])
+    search = fixed_search(nothing, fixed_search([5, 4, 3, 4, 5], search))
+    assert search.best_cost == 3
+    assert search.non_finite == 10
+    np.testing.assert_array_equal(search.history.best, [np.inf, 3, 3])
+    np.testing.assert_allclose(search.history.mean, [np.nan, 4.2, np.nan], rtol=1e-6)
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_a_population_without_a_finite_cost_goes_on(optimiser: Optimiser) -> None:
+    def nowhere(x: Array) -> Array:
+        return x[:, 0] * jnp.nan
+
+    search = minimise(nowhere, box([0, 0], [1, 1]), optimiser, jax.random.key(7))
+    assert search.non_finite == 42
+    assert search.history.non_finite.tolist() == [6] * 7
+    assert jnp.isfinite(optimiser.ask(search.state)).all()
+
+
+def test_advance_lives_in_the_callers_jit_and_compiles_once() -> None:
+    optimiser, target = RandomSearch(agents=4, iterations=9), box([-1], [1])
+    traces = []
+
+    @jax.jit
+    def run(search: Search, centre: Array, stop: int) -> Search:
+        def distance(x: Array) -> Array:
+            traces.append(x.shape)
+            return jnp.abs(x[:, 0] - centre)
+
+        return advance(optimiser, distance, target, search, stop)
+
+    search = start(optimiser, target, jax.random.key(8))
+    for stop in (1, 4, 4, 9, 20):
+        search = run(search, jnp.float32(0.5), stop)
+        assert search.iteration == min(stop, 9)
+    assert len(set(traces)) == 1
+    assert run._cache_size() == 1
+    assert search.best_cost == jnp.abs(search.best_position[0] - 0.5)
+
+
+def test_minimise_compiles_once_per_objective() -> None:
+    traces = []
+
+    def counted(x: Array) -> Array:
+        traces.append(x.shape)
+        return sphere(x)
+
+    optimiser = RandomSearch(agents=4, iterations=5)
+    minimise(counted, box([-1], [1]), optimiser, jax.random.key(0))
+    first = len(traces)
+    for chunk in (1, 2, 5):
+        minimise(counted, box([-2], [3]), optimiser, jax.random.key(chunk), chunk=chunk)
+    assert len(traces) == first
+
+
+@pytest.mark.parametrize("chunk", [0, -1, 2.5, True])
+def test_minimise_refuses_a_chunk(chunk: Any) -> None:
+    message = f"minimise: chunk = {chunk}; allowed: an integer of at least 1"
+    with pytest.raises(ValueError, match=message):
+        minimise(sphere, box([0], [1]), Fixed(), jax.random.key(0), chunk=chunk)
+
+
+def test_objective_of_the_wrong_shape() -> None:
+    with pytest.raises(ValueError, match=r"objective: costs of shape \(5, 1\); allowed: \(5,\)"):
+        minimise(lambda x: x, box([0], [1]), Fixed(), jax.random.key(0))
+
+
+def test_costs_of_another_dtype_are_cast() -> None:
+    with jax.enable_x64(True):
+        bounds = Box(jnp.zeros(1), jnp.ones(1))
+        search = minimise(
+            lambda x: jnp.arange(5, dtype=jnp.int32), bounds, Fixed(), jax.random.key(0)
+        )
+        assert search.best_cost.dtype == jnp.float64
+        assert search.history.worst.tolist() == [4, 4, 4]
+
+
+def test_a_key_means_the_same_in_every_dtype() -> None:
+    with jax.enable_x64(True):
+        key = jax.random.key(9)
+        single, double = (uniform(key, (50,), dtype) for dtype in (jnp.float32, jnp.float64))
+        assert single.dtype == jnp.float32
+        assert double.dtype == jnp.float64
+        assert single.tolist() == double.tolist()
