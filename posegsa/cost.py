@@ -1,0 +1,65 @@
+"""The paper's cost: transient plus steady-state error, as sums over samples."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from posegsa.config import CostConfig
+
+
+class CostWeights(NamedTuple):
+    """The cost as a weighted sum over samples, so that it can be run up inside the simulation."""
+
+    transient: Array
+    """(N,) 0.3 inside the transient window, else 0 (0.3 as configured)."""
+    steady: Array
+    """(N,) 1 inside the steady-state window, else 0 (1 as configured)."""
+    position: Array
+    """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
+
+
+class CostParts(NamedTuple):
+    """The two weighted parts of the cost C = 0.3 e_tr + e_ss (the paper's Eq. for C_j)."""
+
+    transient: Array
+    steady: Array
+
+    @property
+    def total(self) -> Array:
+        """C."""
+        return self.transient + self.steady
+
+
+def cost_weights(cost: CostConfig, samples: int, dtype: jnp.dtype) -> CostWeights:
+    """Weights of the configured cost for N = `samples` samples; windows include both ends."""
+    k = jnp.arange(samples)
+
+    def window(weight: float, ends: tuple[int, int]) -> Array:
+        inside = (k >= ends[0]) & (k <= ends[1])
+        return jnp.where(inside, weight, 0.0).astype(dtype)
+
+    return CostWeights(
+        transient=window(cost.transient_weight, cost.transient_window),
+        steady=window(cost.steady_weight, cost.steady_window),
+        position=jnp.asarray(cost.position_weight, dtype),
+    )
+
+
+def sample_error(attitude: Array, position: Array, weights: CostWeights) -> Array:
+    """||R_err||_I + 0.2 ||P_err||, the summand of both parts."""
+    return attitude + weights.position * position
+
+
+def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> CostParts:
+    """Cost of errors over time.
+
+    Args:
+        attitude: (..., N) ||R_err||_I in [0, 1].
+        position: (..., N) ||P_err|| [m].
+        weights: for N samples.
+    """
+    error = sample_error(attitude, position, weights)
+    return CostParts(
+        jnp.sum(weights.transient * error, axis=-1), jnp.sum(weights.steady * error, axis=-1)
+    )

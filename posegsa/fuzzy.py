@@ -1,0 +1,337 @@
+"""Mamdani fuzzy inference: triangular terms, rule base, centroid.
+
+Two inputs, the error and its rate, share one set of terms; min is the AND and the implication, max
+the aggregation, the centroid the defuzzification. A `FuzzyController` stands by itself:
+
+    controller = FuzzyController(input_terms, output_terms, rules)
+    gain = controller(error, rate)
+
+Terms are ordered from small to large (VS, S, M, L, VL). `rules[r][e]` is the output term for rate
+term r and error term e.
+"""
+
+from dataclasses import dataclass
+from functools import partial, reduce
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from posegsa.errors import FuzzyError
+
+Centroid = Literal["exact", "sampled"]
+SampledRule = Literal["sum", "trapezoid"]
+NoRule = Literal["hold", "midrange"]
+Rules = tuple[tuple[int, ...], ...]
+Heights = tuple[Array, ...]
+
+
+class Slopes(NamedTuple):
+    """A triangular term as its membership is evaluated."""
+
+    peak: Array
+    rise: Array
+    """1 / (b - a), huge where the left edge is vertical."""
+    fall: Array
+    """1 / (c - b), huge where the right edge is vertical."""
+
+
+class Overlap(NamedTuple):
+    """Coefficients of area and moment under two output terms i <= j clipped at one height.
+
+    F(h) = D h - (u + v) h^2/2 and M(h) = 1/2 [(c_i^2 - a_j^2) h - (c_i v + a_j u) h^2 + (v^2 - u^2)
+    h^3/3] with u = b_j - a_j, v = c_i - b_i, D = c_i - a_j, for h up to p = min(1, D / (u + v)),
+    none if D <= 0.
+    """
+
+    cap: Array
+    area: tuple[Array, Array]
+    moment: tuple[Array, Array, Array]
+
+
+class PreparedController(NamedTuple):
+    """What the terms alone decide, computed once per controller and not once per evaluation."""
+
+    inputs: tuple[Slopes, ...]
+    overlaps: tuple[tuple[Overlap | None, ...], ...]
+    """[i][j - i] for i <= j; the exact centroid's."""
+    middles: tuple[Array, ...]
+    """(a_i + c_i)/2 of the output terms."""
+    grid: tuple[Array, Array, Array] | None
+    """Sample points (P,), their weights (P,) and the output terms' memberships there (n, P)."""
+    midrange: Array
+    """Middle of the output range."""
+
+
+def membership(x: Array, term: Slopes) -> Array:
+    """Degree in [0, 1] to which x belongs to a triangular term.
+
+    Both edges are measured from the peak, so that a vertical edge (slope huge, not infinite) gives
+    1 at the peak and 0 beyond it without a special case.
+    """
+    return jnp.maximum(
+        0.0, 1 - jnp.maximum((term.peak - x) * term.rise, (x - term.peak) * term.fall)
+    )
+
+
+def slopes(a: Array, b: Array, c: Array) -> Slopes:
+    """A term from its feet a, c and its peak b."""
+    huge = 1 / jnp.finfo(b.dtype).tiny
+    rise, fall = b - a, c - b
+    # The larger of a width and tiny would still give the derivative through the width; where() cuts
+    # it.
+    return Slopes(
+        b,
+        jnp.where(rise > 0, 1 / jnp.where(rise > 0, rise, 1.0), huge),
+        jnp.where(fall > 0, 1 / jnp.where(fall > 0, fall, 1.0), huge),
+    )
+
+
+def firing_heights(
+    error: tuple[Array, ...], rate: tuple[Array, ...], rules: Rules, outputs: int
+) -> Heights:
+    """Height of each output term: the max over its rules of min(rate's and error's membership)."""
+    heights = []
+    for output in range(outputs):
+        fired = []
+        for r, row in enumerate(rules):
+            # min distributes over max: the row's error terms that lead to this output are joined
+            # first.
+            errors = [error[e] for e, target in enumerate(row) if target == output]
+            if errors:
+                fired.append(jnp.minimum(rate[r], reduce(jnp.maximum, errors)))
+        heights.append(reduce(jnp.maximum, fired) if fired else jnp.zeros_like(error[0]))
+    return tuple(heights)
+
+
+def _overlap(ai: Array, bi: Array, ci: Array, aj: Array, bj: Array, cj: Array) -> Overlap:
+    """The coefficients for terms i <= j (DESIGN: F_ij and M_ij)."""
+    del ai, cj
+    u, v, width = bj - aj, ci - bi, ci - aj
+    slope = u + v
+    ratio = width / jnp.where(slope > 0, slope, 1.0)
+    cap = jnp.where(width > 0, jnp.where(slope > 0, jnp.minimum(1.0, ratio), 1.0), 0.0)
+    return Overlap(
+        cap,
+        (width, 0.5 * slope),
+        (0.5 * width * (ci + aj), 0.5 * (ci * v + aj * u), slope * (v - u) / 6),
+    )
+
+
+def _integrals(overlap: Overlap, height: Array) -> tuple[Array, Array]:
+    """Area and first moment under both terms, clipped at the height."""
+    h = jnp.minimum(height, overlap.cap)
+    (f1, f2), (m1, m2, m3) = overlap.area, overlap.moment
+    return h * (f1 - h * f2), h * (m1 - h * (m2 - h * m3))
+
+
+def exact_integrals(
+    heights: Heights, overlaps: tuple[tuple[Overlap | None, ...], ...]
+) -> tuple[Array, Array]:
+    """Area and first moment under the union of clipped, ordered terms, in closed form.
+
+    Inclusion and exclusion, where only pairs matter: with m = min(h_i, h_j) and H the largest
+    height strictly between i and j, terms i and j overlap above H without a term between them
+    covering it: area = sum_i F_ii(h_i) - sum_{i<j} [F_ij(m) - F_ij(min(m, H))].
+    """
+    area = jnp.zeros_like(heights[0])
+    moment = jnp.zeros_like(heights[0])
+    for i, row in enumerate(overlaps):
+        between = None
+        for j, overlap in enumerate(row, start=i):
+            if overlap is None:
+                continue
+            if i == j:
+                f, m = _integrals(overlap, heights[i])
+                area, moment = area + f, moment + m
+                continue
+            low = jnp.minimum(heights[i], heights[j])
+            f, m = _integrals(overlap, low)
+            area, moment = area - f, moment - m
+            if between is not None:
+                f, m = _integrals(overlap, jnp.minimum(low, between))
+                area, moment = area + f, moment + m
+            between = heights[j] if between is None else jnp.maximum(between, heights[j])
+    return area, moment
+
+
+def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Area and first moment of the aggregated membership by sums over sample points."""
+    points, weights, memberships = grid
+    clipped = [jnp.minimum(h[..., None], memberships[i]) for i, h in enumerate(heights)]
+    weighted = weights * reduce(jnp.maximum, clipped)
+    return jnp.sum(weighted, axis=-1), jnp.sum(weighted * points, axis=-1)
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["input_terms", "output_terms"],
+    meta_fields=["rules", "output_range", "centroid", "points", "sampled_rule", "no_rule"],
+)
+@dataclass(frozen=True)
+class FuzzyController:
+    """A Mamdani controller: gain K = 1 + centroid from an error and its rate, both in [0, 1].
+
+    Args:
+        input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
+        output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
+        rules: n rows (rate) of n output term indices (error), both from small to large.
+        output_range: ends of the output universe [1/s]; the sampled centroid's grid and the
+        mid-range.
+        centroid: "exact" (closed form; needs ordered terms) or "sampled".
+        points: number of sample points of the sampled centroid, ends included.
+        sampled_rule: "sum" (MATLAB's) or "trapezoid".
+        no_rule: gain where no rule fires, "hold" the last one or "midrange" of the output
+        (MATLAB's).
+
+    Raises:
+        FuzzyError: shapes, order or rules do not fit. Checked when made outside jit only; inside,
+        the
+            mapping from a search vector (`parameters`) sees to it.
+    """
+
+    input_terms: Array
+    output_terms: Array
+    rules: Rules
+    output_range: tuple[float, float]
+    centroid: Centroid = "exact"
+    points: int = 101
+    sampled_rule: SampledRule = "sum"
+    no_rule: NoRule = "hold"
+
+    def __post_init__(self) -> None:
+        arrays = (self.input_terms, self.output_terms)
+        if all(isinstance(a, np.ndarray | list | tuple) or _is_concrete(a) for a in arrays):
+            _check(self)
+
+    def prepare(self) -> PreparedController:
+        """What does not depend on the inputs, for use in a loop."""
+        a, b, c = (self.input_terms[..., i] for i in range(3))
+        inputs = tuple(slopes(a[..., i], b[..., i], c[..., i]) for i in range(a.shape[-1]))
+        out = self.output_terms
+        triangles = [tuple(out[..., i, k] for k in range(3)) for i in range(out.shape[-2])]
+        overlaps: tuple[tuple[Overlap | None, ...], ...] = ()
+        grid = None
+        if self.centroid == "exact":
+            overlaps = tuple(
+                tuple(_overlap(*triangles[i], *triangles[j]) for j in range(i, len(triangles)))
+                for i in range(len(triangles))
+            )
+        else:
+            points = jnp.linspace(*self.output_range, self.points, dtype=out.dtype)
+            weights = jnp.ones_like(points)
+            if self.sampled_rule == "trapezoid":
+                weights = weights.at[jnp.array([0, -1])].set(0.5)
+            grid = (points, weights, jnp.stack([membership(points, slopes(*t)) for t in triangles]))
+        low, high = self.output_range
+        return PreparedController(
+            inputs,
+            overlaps,
+            tuple(0.5 * (t[0] + t[2]) for t in triangles),
+            grid,
+            jnp.asarray(0.5 * (low + high), out.dtype),
+        )
+
+    def heights(
+        self, error: Array, rate: Array, prepared: PreparedController | None = None
+    ) -> Heights:
+        """Firing height of each output term, each of the inputs' shape."""
+        prepared = self.prepare() if prepared is None else prepared
+        of_error = tuple(membership(error, term) for term in prepared.inputs)
+        of_rate = tuple(membership(rate, term) for term in prepared.inputs)
+        return firing_heights(of_error, of_rate, self.rules, len(prepared.middles))
+
+    def defuzzify(self, heights: Heights, prepared: PreparedController, last: Array) -> Array:
+        """Gain K = 1 + centroid of the terms clipped at the heights; never NaN.
+
+        Args:
+            heights: one array for each output term.
+            prepared: from `prepare`.
+            last: the last gain [1/s], kept where no rule fires under "hold".
+        """
+        if prepared.grid is None:
+            area, moment = exact_integrals(heights, prepared.overlaps)
+        else:
+            area, moment = sampled_integrals(heights, prepared.grid)
+        tallest = reduce(jnp.maximum, heights)
+        fires = tallest > 0
+        # Rules fire but under (almost) no area: terms of zero width, or heights near underflow. The
+        # limit is that of equally narrow terms, each at the middle of its support with the area h
+        # (2 - h)/2.
+        regular = area > jnp.sqrt(jnp.finfo(area.dtype).tiny)
+        safe = jnp.where(fires, tallest, 1.0)
+        spikes = [(h / safe) * (2 - h) for h in heights]
+        spike_area = sum(spikes)
+        spike_moment = sum(s * x for s, x in zip(spikes, prepared.middles, strict=True))
+        area = jnp.where(regular, area, jnp.where(fires, spike_area, 1.0))
+        moment = jnp.where(regular, moment, spike_moment)
+        idle = last if self.no_rule == "hold" else 1 + prepared.midrange
+        return jnp.where(fires, 1 + moment / area, idle)
+
+    def initial_gain(self) -> Array:
+        """The gain held before any rule has fired: the mid-range of the output [1/s]."""
+        low, high = self.output_range
+        return jnp.asarray(1 + 0.5 * (low + high), self.output_terms.dtype)
+
+    def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
+        """Gain K [1/s] of errors and rates.
+
+        Args:
+            error: scaled error, any shape; clipped to [0, 1].
+            rate: scaled rate of the error per sample, same shape; clipped to [0, 1].
+            last: last gain [1/s], used where no rule fires under "hold"; default mid-range.
+        """
+        dtype = self.output_terms.dtype
+        e, r = (jnp.clip(jnp.asarray(x, dtype), 0.0, 1.0) for x in (error, rate))
+        e, r = jnp.broadcast_arrays(e, r)
+        held = self.initial_gain() if last is None else jnp.asarray(last, dtype)
+        prepared = self.prepare()
+        return self.defuzzify(
+            self.heights(e, r, prepared), prepared, jnp.broadcast_to(held, e.shape)
+        )
+
+    def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
+        """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
+        axis = jnp.linspace(0.0, 1.0, resolution, dtype=self.output_terms.dtype)
+        rate, error = jnp.meshgrid(axis, axis, indexing="ij")
+        return axis, axis, self(error, rate)
+
+
+def _is_concrete(a: object) -> bool:
+    return isinstance(a, Array) and not isinstance(a, Tracer)
+
+
+def _check(controller: FuzzyController) -> None:
+    """Raise FuzzyError for what can't be evaluated."""
+    for name in ("input_terms", "output_terms"):
+        terms = np.asarray(getattr(controller, name))
+        if terms.ndim < 2 or terms.shape[-1] != 3 or terms.shape[-2] < 1:
+            raise FuzzyError(
+                f"{name}: must have the shape (terms, 3) of feet and peaks, got {terms.shape}"
+            )
+        if not np.isfinite(terms).all():
+            raise FuzzyError(f"{name}: must be finite, got {terms.tolist()}")
+        if controller.centroid == "exact":
+            if (np.diff(terms, axis=-1) < 0).any():
+                raise FuzzyError(
+                    f"{name}: each term must ascend, a <= b <= c, got {terms.tolist()}"
+                )
+            if (np.diff(terms, axis=-2) < 0).any():
+                raise FuzzyError(
+                    f"{name}: the a's, b's and c's must each ascend from term to term for the "
+                    f'exact centroid (centroid="sampled" takes any order), got {terms.tolist()}'
+                )
+    inputs, outputs = np.shape(controller.input_terms)[-2], np.shape(controller.output_terms)[-2]
+    rules = controller.rules
+    if len(rules) != inputs or any(len(row) != inputs for row in rules):
+        raise FuzzyError(f"rules: must be {inputs} rows of {inputs} output terms, got {rules}")
+    if any(not 0 <= target < outputs for row in rules for target in row):
+        raise FuzzyError(f"rules: entries must be output terms 0 to {outputs - 1}, got {rules}")
+    if controller.points < 2:
+        raise FuzzyError(f"points: must be at least 2, got {controller.points}")
+    if not controller.output_range[0] < controller.output_range[1]:
+        raise FuzzyError(f"output_range: must ascend, got {controller.output_range}")

@@ -1,0 +1,212 @@
+"""Gain schedules, and the error signal that they look at.
+
+A schedule is any pytree with the two methods of `GainSchedule`. It sees the scaled error and rate,
+the time and its own last gain; it knows nothing of the filter.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import DTypeLike
+
+from posegsa import config
+from posegsa.filter import FilterState, seen_from_estimate
+from posegsa.fuzzy import FuzzyController, PreparedController
+from posegsa.measurements import Sample
+from posegsa.se3 import (
+    Quaternion,
+    Vec3,
+    attitude_distance,
+    dot,
+    norm,
+    rotate,
+    rows,
+    subtract,
+)
+
+Signal = Literal["measured", "pose"]
+
+
+class TruePose(NamedTuple):
+    """The true pose at one sample, by components, in the form that the errors need."""
+
+    attitude: Quaternion
+    """R."""
+    origin: Vec3
+    """R^T P, so that P_err = P_est - R_est R^T P [m]."""
+
+
+class ScheduleInputs(NamedTuple):
+    """What a schedule is told at a sample."""
+
+    error: Array
+    """Error signal over the error scale, clipped to [0, 1]."""
+    rate: Array
+    """Change of the error signal since the last sample times the rate scale, clipped to [0, 1]."""
+    time: Array
+    """Time since the first sample [s]."""
+    last: Array
+    """The schedule's gain at the last sample [1/s]."""
+
+
+class PreparedSchedule(Protocol):
+    """A schedule ready to be called in a loop."""
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """Gain K [1/s]."""
+        ...
+
+
+class GainSchedule(Protocol):
+    """A rule for the gain."""
+
+    def initial_gain(self) -> Array:
+        """What `ScheduleInputs.last` is at the first sample [1/s]."""
+        ...
+
+    def prepare(self) -> PreparedSchedule:
+        """The schedule with everything computed that does not change from sample to sample."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ConstantGain:
+    """The same gain K [1/s] always: the baseline."""
+
+    gain: Array
+
+    def initial_gain(self) -> Array:
+        """K."""
+        return self.gain
+
+    def prepare(self) -> "ConstantGain":
+        """Nothing to compute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """K, at the inputs' shape."""
+        return jnp.broadcast_to(self.gain, jnp.shape(inputs.error))
+
+
+class _PreparedFuzzyGain(NamedTuple):
+    controller: FuzzyController
+    prepared: PreparedController
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        heights = self.controller.heights(inputs.error, inputs.rate, self.prepared)
+        return self.controller.defuzzify(heights, self.prepared, inputs.last)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FuzzyGain:
+    """The paper's schedule: a fuzzy controller on error and rate."""
+
+    controller: FuzzyController
+
+    def initial_gain(self) -> Array:
+        """Mid-range of the controller's output [1/s]."""
+        return self.controller.initial_gain()
+
+    def prepare(self) -> _PreparedFuzzyGain:
+        """Slopes and overlaps of the terms."""
+        return _PreparedFuzzyGain(self.controller, self.controller.prepare())
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["position_weight", "error_scale", "rate_scale"],
+    meta_fields=["signal"],
+)
+@dataclass(frozen=True)
+class SignalSettings:
+    """How the error signal is made; `signal` is structure, the numbers are traced."""
+
+    signal: Signal
+    position_weight: Array
+    """Weight of the position part [1/m]."""
+    error_scale: Array
+    """Signal at which the scaled error is 1."""
+    rate_scale: Array
+    """Samples per unit of the signal's change."""
+
+
+def signal_settings(settings: config.GainConfig, dtype: DTypeLike) -> SignalSettings:
+    """The error signal of a configuration's [gain] section, at a dtype."""
+    weight, error_scale, rate_scale = (
+        jnp.asarray(a, dtype)
+        for a in (settings.position_weight, settings.error_scale, settings.rate_scale)
+    )
+    return SignalSettings(settings.signal, weight, error_scale, rate_scale)
+
+
+def pose_errors(state: FilterState, truth: TruePose) -> tuple[Array, Array]:
+    """||R_err||_I in [0, 1] and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P."""
+    position = subtract(state.place, rotate(rows(state.attitude), truth.origin))
+    return attitude_distance(state.attitude, truth.attitude), norm(position)
+
+
+def measured_errors(state: FilterState, sample: Sample) -> tuple[Array, Array]:
+    """The same two errors from what a vehicle has.
+
+    The attitude part is 3/(8 sum s_i) sum_i s_i |R_est v_i^B - v_i^I|^2, by the profile matrix
+    3/(8 sum s_i) [sum_i s_i (|v_i^B|^2 + |v_i^I|^2) - 2 tr(R_est B)]; it is ||R_err||_I for
+    orthonormal vectors without noise. The position part is |T_est y_i - p_i| [m] averaged over the
+    landmarks by weight. Each part is 0 at a sample without vectors or landmarks.
+    """
+    R = rows(state.attitude)
+    columns = tuple(zip(*sample.profile, strict=True))
+    trace = dot(R[0], columns[0]) + dot(R[1], columns[1]) + dot(R[2], columns[2])
+    # Zero but for rounding where every vector fits, so the difference may come out below 0.
+    attitude = sample.attitude_scale * jnp.maximum(sample.vector_power - 2 * trace, 0.0)
+    position = jnp.zeros_like(attitude)
+    for x, landmark in zip(seen_from_estimate(state, R, sample), sample.landmarks, strict=True):
+        position = position + landmark.share * norm(subtract(x, landmark.inertial))
+    return attitude, position
+
+
+class SignalMemory(NamedTuple):
+    """What the error signal and the schedule remember from sample to sample."""
+
+    error: Array
+    """The last unscaled error signal; negative before the first sample."""
+    gain: Array
+    """The last gain asked for [1/s]."""
+
+
+def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
+    """Memory before the first sample, at the shape and dtype of `like`."""
+    return SignalMemory(
+        jnp.full_like(like, -1.0), jnp.broadcast_to(schedule.initial_gain(), like.shape)
+    )
+
+
+def scheduled_gain(
+    schedule: PreparedSchedule,
+    memory: SignalMemory,
+    errors: tuple[Array, Array],
+    time: Array,
+    settings: SignalSettings,
+) -> tuple[Array, SignalMemory]:
+    """The gain K [1/s] that a schedule asks for, from the errors of attitude [1] and position [m].
+
+    e = attitude + weight x position. The schedule sees e / error_scale and, as the rate,
+    |e_k - e_{k-1}| x rate_scale, both clipped to [0, 1]. The rate is that of e itself, neither
+    scaled nor clipped before, and 0 at the first sample.
+    """
+    attitude, position = errors
+    e = attitude + settings.position_weight * position
+    previous = jnp.where(memory.error < 0, e, memory.error)
+    inputs = ScheduleInputs(
+        error=jnp.clip(e / settings.error_scale, 0.0, 1.0),
+        rate=jnp.clip(jnp.abs(e - previous) * settings.rate_scale, 0.0, 1.0),
+        time=time,
+        last=memory.gain,
+    )
+    gain = schedule(inputs)
+    return gain, SignalMemory(e, gain)

@@ -1,0 +1,181 @@
+"""A whole simulation: lax.scan of gain and filter step over the samples.
+
+One loop body serves both forms: the trajectory form returns the estimates, the running form only
+sums the cost up and stores nothing, so that its memory does not grow with time.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from posegsa.cost import CostParts, CostWeights, sample_error
+from posegsa.filter import FilterSettings, FilterState, advance
+from posegsa.gain import (
+    GainSchedule,
+    SignalMemory,
+    SignalSettings,
+    TruePose,
+    initial_memory,
+    measured_errors,
+    pose_errors,
+    scheduled_gain,
+)
+from posegsa.measurements import Measurements, Sample, prepare
+from posegsa.se3 import quaternion, split
+
+
+class Track(NamedTuple):
+    """All that a simulation reads, time-major and by components, for one scenario."""
+
+    time: Array
+    """(N,) [s]."""
+    sample: Sample
+    """Components (N,)."""
+    truth: TruePose | None
+    """Components (N,); None where only the measurements are known."""
+
+
+class Loop(NamedTuple):
+    """What is carried from sample to sample."""
+
+    state: FilterState
+    memory: SignalMemory
+
+
+class Estimates(NamedTuple):
+    """The filter's output over N samples; sample k is the estimate before its update."""
+
+    time: Array
+    """(N,) [s]."""
+    rotation: Array
+    """(N, 3, 3) R_est, body to inertial."""
+    position: Array
+    """(N, 3) P_est [m], inertial frame."""
+    bias: Array
+    """(N, 6) b_est [rad/s, m/s], body frame, angular first."""
+    gain: Array
+    """(N,) the gain K that the schedule asked for [1/s]."""
+    gain_used: Array
+    """(N,) the same after the gain limit, mean over the sub-steps [1/s]."""
+    error: Array
+    """(N,) the error signal that the schedule looked at, unscaled."""
+
+
+def track(
+    measurements: Measurements, rotation: Array | None = None, position: Array | None = None
+) -> Track:
+    """Measurements, and the truth where it is known, in the form of the loop (pure, jittable).
+
+    Args:
+        measurements: N samples.
+        rotation: (N, 3, 3) true R.
+        position: (N, 3) true P [m].
+    """
+    step = measurements.time_step
+    time = jnp.cumsum(step) - step
+    truth = None
+    if rotation is not None and position is not None:
+        w, x, y, z = split(quaternion(rotation))
+        ox, oy, oz = split(jnp.einsum("nji,nj->ni", rotation, position, precision="highest"))
+        truth = TruePose((w, x, y, z), (ox, oy, oz))
+    return Track(time, prepare(measurements), truth)
+
+
+def _advance(
+    loop: Loop,
+    time: Array,
+    sample: Sample,
+    truth: TruePose | None,
+    schedule,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> tuple[Loop, Array, Array]:
+    """One sample of the closed loop: signal, gain, filter step. Returns also K and K used."""
+    if signal.signal == "pose":
+        if truth is None:
+            raise ValueError(
+                'signal "pose" needs the true pose; use "measured" where it is not known'
+            )
+        errors = pose_errors(loop.state, truth)
+    else:
+        errors = measured_errors(loop.state, sample)
+    gain, memory = scheduled_gain(schedule, loop.memory, errors, time, signal)
+    state, used = advance(loop.state, sample, gain, settings)
+    return Loop(state, memory), gain, used
+
+
+def simulate_cost(
+    schedule: GainSchedule,
+    scenario: Track,
+    initial: FilterState,
+    weights: CostWeights,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> CostParts:
+    """Cost of one simulation, run up sample by sample; nothing else is stored (pure, jittable)."""
+    prepared = schedule.prepare()
+    zero = jnp.zeros_like(initial.place[0])
+
+    def body(carry, inputs):
+        loop, (transient, steady) = carry
+        time, sample, truth, transient_weight, steady_weight = inputs
+        error = sample_error(*pose_errors(loop.state, truth), weights)
+        loop, _, _ = _advance(loop, time, sample, truth, prepared, settings, signal)
+        return (
+            loop,
+            CostParts(transient + transient_weight * error, steady + steady_weight * error),
+        ), None
+
+    start = Loop(initial, initial_memory(schedule, zero)), CostParts(zero, zero)
+    inputs = (scenario.time, scenario.sample, scenario.truth, weights.transient, weights.steady)
+    (_, parts), _ = lax.scan(body, start, inputs)
+    return parts
+
+
+@partial(jax.jit, static_argnames=())
+def simulate(
+    schedule: GainSchedule,
+    scenario: Track,
+    initial: FilterState,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> Estimates:
+    """The estimates of one simulation over all its samples."""
+    prepared = schedule.prepare()
+
+    def body(loop, inputs):
+        time, sample, truth = inputs
+        after, gain, used = _advance(loop, time, sample, truth, prepared, settings, signal)
+        return after, (loop.state, gain, used, after.memory.error)
+
+    start = Loop(initial, initial_memory(schedule, initial.place[0]))
+    inputs = (scenario.time, scenario.sample, scenario.truth)
+    _, (states, gain, used, error) = lax.scan(body, start, inputs)
+    return Estimates(
+        scenario.time, states.rotation, states.position, states.bias, gain, used, error
+    )
+
+
+def run_filter(
+    schedule: GainSchedule,
+    measurements: Measurements,
+    initial: FilterState,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> Estimates:
+    """Runs a gain schedule over a whole measurement sequence of a user's own.
+
+    Args:
+        schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
+        measurements: N samples (`posegsa.measurements`).
+        initial: the estimate at the first sample (`posegsa.initial_state`).
+        settings: the filter's.
+        signal: the error signal's; "measured", since the truth is not known.
+
+    Raises:
+        ValueError: the signal is "pose".
+    """
+    return simulate(schedule, track(measurements), initial, settings, signal)
