@@ -1,0 +1,56 @@
+"""A nonlinear pose filter on SE(3) with a fuzzy gain schedule, tuned by gravitational search.
+
+Data flow: config -> scenarios (truth + measurements) -> filter step + fuzzy gain -> rollout -> cost
+-> population (agents x scenarios) -> optimiser -> result -> held-out evaluation -> figures.
+
+Importing it changes nothing in the process. `enable_fast_path()`, called first, makes CPUs fast.
+"""
+
+from posegsa.config import Experiment
+from posegsa.config import load as load_config
+from posegsa.errors import PosegsaError, PosegsaWarning
+from posegsa.filter import FilterSettings, FilterState, filter_settings, initial_state, step
+from posegsa.fuzzy import FuzzyController
+from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
+from posegsa.measurements import Measurements
+from posegsa.optimisers import GSA, RandomSearch, box, minimise
+from posegsa.parameters import parameter_space
+from posegsa.plots import plot_input_terms, plot_output_terms, plot_surface
+from posegsa.results import VERSION as __version__
+from posegsa.results import TuneResult, load
+from posegsa.rollout import Estimates, run_filter
+from posegsa.runtime import enable_fast_path
+from posegsa.tuning import tune
+
+__all__ = [
+    "GSA",
+    "ConstantGain",
+    "Estimates",
+    "Experiment",
+    "FilterSettings",
+    "FilterState",
+    "FuzzyController",
+    "FuzzyGain",
+    "Measurements",
+    "PosegsaError",
+    "PosegsaWarning",
+    "RandomSearch",
+    "SignalSettings",
+    "TuneResult",
+    "__version__",
+    "box",
+    "enable_fast_path",
+    "filter_settings",
+    "initial_state",
+    "load",
+    "load_config",
+    "minimise",
+    "parameter_space",
+    "plot_input_terms",
+    "plot_output_terms",
+    "plot_surface",
+    "run_filter",
+    "signal_settings",
+    "step",
+    "tune",
+]

@@ -1,0 +1,7 @@
+"""`python -m posegsa`."""
+
+import sys
+
+from posegsa.cli import main
+
+sys.exit(main())

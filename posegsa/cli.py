@@ -1,0 +1,129 @@
+"""The command line: `posegsa tune`."""
+
+import argparse
+import signal
+import sys
+import warnings
+from collections.abc import Sequence
+
+from posegsa.errors import PosegsaError, PosegsaWarning
+from posegsa.runtime import enable_fast_path
+
+# Everything that starts JAX is imported inside the commands, after the fast path is set.
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status (0 done, 2 refused, 130 interrupted)."""
+    options = _parser().parse_args(arguments)
+    with warnings.catch_warnings():
+        # What posegsa has to say is one line for a person, not Python's with file and line number.
+        warnings.showwarning = _show_warning
+        enable_fast_path()
+        try:
+            return options.command(options)
+        except PosegsaError as error:
+            print(f"posegsa: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("\nposegsa: interrupted; nothing was written", file=sys.stderr)
+            return 128 + signal.SIGINT
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="posegsa",
+        description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
+    )
+    commands = parser.add_subparsers(title="commands", required=True)
+    tune = commands.add_parser(
+        "tune",
+        help="tune a gain schedule and judge it on unseen noise",
+        description="Tunes a gain schedule and judges it on noise that it was not tuned on. Writes "
+        "result.json, history.csv, trajectory.csv and figures/ to a folder.",
+    )
+    tune.add_argument(
+        "config",
+        nargs="?",
+        metavar="CONFIG",
+        help="TOML file of the experiment; without it, the recommended experiment",
+    )
+    tune.add_argument(
+        "--out",
+        metavar="DIR",
+        default="posegsa-run",
+        help="folder to write to (default: %(default)s)",
+    )
+    tune.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
+    tune.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="replaces a value of the experiment, e.g. filter.substeps=4; may be given again",
+    )
+    tune.add_argument(
+        "--overwrite", action="store_true", help="replace the run that the folder holds"
+    )
+    tune.add_argument("--quiet", action="store_true", help="show no progress")
+    tune.set_defaults(command=_tune)
+    return parser
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from posegsa import config
+    from posegsa.results import claim
+    from posegsa.tuning import tune
+
+    experiment = config.Experiment() if options.config is None else config.load(options.config)
+    settings = list(options.set)
+    if options.seed is not None:
+        settings.append(f"run.seed={options.seed}")
+    experiment = config.override(experiment, settings)
+    claim(options.out, overwrite=options.overwrite)
+    show = _Progress(experiment.search.iterations, quiet=options.quiet)
+    result = tune(experiment, out=options.out, overwrite=True, progress=show)
+    show.close()
+    print(result.summary())
+    print(f"\nWritten to {options.out}: result.json, history.csv, trajectory.csv, figures/")
+    return 0
+
+
+class _Progress:
+    """A progress bar: iteration, best cost, rate, time left."""
+
+    def __init__(self, iterations: int, *, quiet: bool) -> None:
+        from tqdm import tqdm
+
+        self.bar = tqdm(
+            total=iterations,
+            desc="compiling",
+            unit="it",
+            disable=quiet,
+            dynamic_ncols=True,
+            bar_format="{desc} {bar} {n_fmt}/{total_fmt} "
+            "[{elapsed}<{remaining}, {rate_fmt}{postfix}]",
+        )
+        self.bar.refresh()
+
+    def __call__(self, progress) -> None:
+        if progress.iteration == 0:
+            # Rate and time left are those of the search: the clock starts after compiling.
+            self.bar.reset()
+            self.bar.set_description_str("tuning")
+            return
+        self.bar.set_postfix_str(f"best cost {progress.best_cost:.4g}", refresh=False)
+        self.bar.update(progress.iteration - self.bar.n)
+        if progress.iteration == progress.iterations:
+            self.bar.set_description_str("judging on unseen noise")
+
+    def close(self) -> None:
+        """End the bar's line."""
+        self.bar.set_description_str("done")
+        self.bar.close()
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    if issubclass(category, PosegsaWarning):
+        print(f"note: {message}", file=sys.stderr)
+    else:
+        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))

@@ -1,0 +1,113 @@
+"""One simulation over time as a person looks at it: degrees, metres, and a table."""
+
+import csv
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from posegsa.errors import RunFolderError
+from posegsa.rollout import Estimates
+from posegsa.scenario import Truth
+from posegsa.se3 import attitude_distance, euler_angles, quaternion, rotation_angle, split
+
+_COLUMNS = {
+    "time": ("time_s",),
+    "euler": ("roll_deg", "pitch_deg", "yaw_deg"),
+    "euler_est": ("roll_est_deg", "pitch_est_deg", "yaw_est_deg"),
+    "position": ("x_m", "y_m", "z_m"),
+    "position_est": ("x_est_m", "y_est_m", "z_est_m"),
+    "bias_est": (
+        *("bias_est_wx_rad_s", "bias_est_wy_rad_s", "bias_est_wz_rad_s"),
+        *("bias_est_vx_m_s", "bias_est_vy_m_s", "bias_est_vz_m_s"),
+    ),
+    "attitude_error": ("attitude_error_deg",),
+    "attitude_distance": ("attitude_distance",),
+    "position_error": ("position_error_m",),
+    "gain": ("gain_1_s",),
+    "gain_used": ("gain_used_1_s",),
+}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Truth, estimates, errors and gain over N samples, as NumPy arrays."""
+
+    time: np.ndarray
+    """(N,) [s]."""
+    euler: np.ndarray
+    """(N, 3) true roll, pitch, yaw [deg]."""
+    euler_est: np.ndarray
+    """(N, 3) estimated roll, pitch, yaw [deg]."""
+    position: np.ndarray
+    """(N, 3) true position, inertial frame [m]."""
+    position_est: np.ndarray
+    """(N, 3) estimated position, inertial frame [m]."""
+    bias_est: np.ndarray
+    """(N, 6) estimated velocity bias, body frame [rad/s, m/s]."""
+    attitude_error: np.ndarray
+    """(N,) angle of R_est R^T [deg]."""
+    attitude_distance: np.ndarray
+    """(N,) ||R_est R^T||_I, in [0, 1]."""
+    position_error: np.ndarray
+    """(N,) ||P_est - R_err P|| [m]."""
+    gain: np.ndarray
+    """(N,) K that the schedule asked for [1/s]."""
+    gain_used: np.ndarray
+    """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
+
+    def write(self, path: Path) -> None:
+        """Write it as CSV, a row a sample; reading it back gives the same numbers."""
+        parts = [np.reshape(getattr(self, name), (len(self.time), -1)) for name in _COLUMNS]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([column for group in _COLUMNS.values() for column in group])
+            writer.writerows(np.concatenate(parts, axis=1).tolist())
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read what `Trajectory.write` wrote.
+
+    Raises:
+        RunFolderError: The file is missing, or its columns are not a trajectory's.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = csv.reader(file)
+        table = np.array(rows, dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise RunFolderError(f"{path}: cannot be read as a trajectory: {error}") from None
+    if header != [column for group in _COLUMNS.values() for column in group]:
+        raise RunFolderError(f"{path}: its columns are not those of a trajectory: {header}")
+    values, start = {}, 0
+    for field in fields(Trajectory):
+        width = len(_COLUMNS[field.name])
+        part = table[:, start : start + width]
+        values[field.name] = part[:, 0] if width == 1 else part
+        start += width
+    return Trajectory(**values)
+
+
+def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
+    """Errors and angles of estimates against the truth."""
+    q_est, q = (split(quaternion(R)) for R in (estimates.rotation, truth.rotation))
+    distance = attitude_distance(q_est, q)  # type: ignore[arg-type]
+    R_err = estimates.rotation @ jnp.swapaxes(truth.rotation, -1, -2)
+    P_err = estimates.position - jnp.einsum(
+        "nij,nj->ni", R_err, truth.position, precision="highest"
+    )
+    values = {
+        "time": truth.time,
+        "euler": jnp.degrees(euler_angles(truth.rotation)),
+        "euler_est": jnp.degrees(euler_angles(estimates.rotation)),
+        "position": truth.position,
+        "position_est": estimates.position,
+        "bias_est": estimates.bias,
+        "attitude_error": jnp.degrees(rotation_angle(distance)),
+        "attitude_distance": distance,
+        "position_error": jnp.linalg.norm(P_err, axis=-1),
+        "gain": estimates.gain,
+        "gain_used": estimates.gain_used,
+    }
+    return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})

@@ -1,0 +1,89 @@
+"""What posegsa does to the process: nothing on import, one documented thing when asked."""
+
+import os
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import pytest
+
+from posegsa import runtime
+from posegsa.errors import PosegsaWarning
+
+EXTRA = "--xla_backend_extra_options="
+
+
+def python(code: str, **environment: str) -> str:
+    """Output of a fresh interpreter."""
+    inherited = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    done = subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", code],
+        env=inherited | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_flags_are_appended_to_what_the_user_has_set():
+    flags = runtime.fast_path_flags("--xla_dump_to=/tmp/x --xla_cpu_use_thunk_runtime=true")
+    assert flags.startswith("--xla_dump_to=/tmp/x --xla_cpu_use_thunk_runtime=true ")
+    assert "xla_cpu_use_multi_output_fusion=true" in flags
+
+
+def test_options_that_the_user_has_set_win():
+    flags = runtime.fast_path_flags(f"{EXTRA}xla_cpu_use_multi_output_fusion=false,other=1")
+    assert flags.count(EXTRA) == 1
+    assert "xla_cpu_use_multi_output_fusion=false" in flags
+    assert "xla_cpu_use_multi_output_fusion=true" not in flags
+    assert "other=1" in flags
+    assert "xla_cpu_small_while_loop_byte_threshold=" in flags
+
+
+def test_flags_are_set_once_however_often_they_are_asked_for():
+    once = runtime.fast_path_flags()
+    assert runtime.fast_path_flags(once) == once
+
+
+def test_import_changes_nothing_in_the_process():
+    code = """
+import os, jax
+def settings():
+    return {k: v for k, v in jax.config.values.items()}
+before = dict(os.environ), settings()
+import posegsa
+assert (dict(os.environ), settings()) == before
+from jax._src import xla_bridge
+assert not xla_bridge.backends_are_initialized(), "importing posegsa started JAX"
+import sys
+assert "matplotlib.pyplot" not in sys.modules, "importing posegsa chose a plotting backend"
+print("same")
+"""
+    assert python(code) == "same"
+
+
+def test_the_fast_path_is_on_when_asked_for_in_time():
+    code = """
+import posegsa, os
+assert posegsa.enable_fast_path()
+import jax.numpy as jnp
+print(float(jnp.sum(jnp.ones(3))), os.environ["XLA_FLAGS"])
+"""
+    assert python(code) == f"3.0 {runtime.fast_path_flags()}"
+
+
+def test_too_late_it_warns_and_changes_nothing(monkeypatch):
+    jnp.ones(1).block_until_ready()
+    monkeypatch.setenv("XLA_FLAGS", "--as_it_was")
+    with pytest.warns(PosegsaWarning, match="before the first array"):
+        assert not runtime.enable_fast_path()
+    assert os.environ["XLA_FLAGS"] == "--as_it_was"
+
+
+def test_environment_names_versions_and_device():
+    named = runtime.environment()
+    assert set(named) == {"jax", "numpy", "python", "platform", "device"}
+    assert all(named.values())
