@@ -18,7 +18,7 @@ from posegsa.parameters import parameter_space
 from posegsa.plots import plot_input_terms, plot_output_terms, plot_surface
 from posegsa.results import VERSION as __version__
 from posegsa.results import TuneResult, load
-from posegsa.rollout import Estimates, run_filter
+from posegsa.rollout import Estimates, begin, run_filter, scheduled_step
 from posegsa.runtime import enable_fast_path
 from posegsa.tuning import tune
 
@@ -38,6 +38,7 @@ __all__ = [
     "SignalSettings",
     "TuneResult",
     "__version__",
+    "begin",
     "box",
     "enable_fast_path",
     "filter_settings",
@@ -50,6 +51,7 @@ __all__ = [
     "plot_output_terms",
     "plot_surface",
     "run_filter",
+    "scheduled_step",
     "signal_settings",
     "step",
     "tune",

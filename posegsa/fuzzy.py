@@ -161,8 +161,11 @@ def exact_integrals(
 
 def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """Area and first moment of the aggregated membership by sums over sample points."""
-    points, weights, memberships = grid
-    clipped = [jnp.minimum(h[..., None], memberships[i]) for i, h in enumerate(heights)]
+    # The sample points become the last axis beside the inputs' own.
+    ranks = (1,) * heights[0].ndim
+    points, weights = (jnp.reshape(a, (*ranks, -1)) for a in grid[:2])
+    memberships = [jnp.reshape(m, (*ranks, -1)) for m in grid[2]]
+    clipped = [jnp.minimum(h[..., None], m) for h, m in zip(heights, memberships, strict=True)]
     weighted = weights * reduce(jnp.maximum, clipped)
     return jnp.sum(weighted, axis=-1), jnp.sum(weighted * points, axis=-1)
 
@@ -204,9 +207,17 @@ class FuzzyController:
     no_rule: NoRule = "hold"
 
     def __post_init__(self) -> None:
-        arrays = (self.input_terms, self.output_terms)
-        if all(isinstance(a, np.ndarray | list | tuple) or _is_concrete(a) for a in arrays):
-            _check(self)
+        given = (self.input_terms, self.output_terms)
+        if not all(isinstance(a, np.ndarray | list | tuple) or _is_concrete(a) for a in given):
+            return  # traced, or a placeholder of a tree transformation
+        try:
+            for name, terms in zip(("input_terms", "output_terms"), given, strict=True):
+                floating = isinstance(terms, Array) and jnp.issubdtype(terms.dtype, jnp.floating)
+                if not floating:
+                    object.__setattr__(self, name, jnp.asarray(np.asarray(terms, np.float64)))
+        except (TypeError, ValueError) as error:
+            raise FuzzyError(f"{name}: must be an array of numbers ({error})") from None
+        _check(self)
 
     def prepare(self) -> PreparedController:
         """What does not depend on the inputs, for use in a loop."""
@@ -297,8 +308,9 @@ class FuzzyController:
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
         axis = jnp.linspace(0.0, 1.0, resolution, dtype=self.output_terms.dtype)
-        rate, error = jnp.meshgrid(axis, axis, indexing="ij")
-        return axis, axis, self(error, rate)
+        # Row by row, because the sampled centroid holds all its points for each input.
+        gains = jax.lax.map(lambda rate: self(axis, jnp.full_like(axis, rate)), axis)
+        return axis, axis, gains
 
 
 def _is_concrete(a: object) -> bool:

@@ -11,7 +11,6 @@ it is.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.config import INPUT_RANGE, PARAMETERS, Experiment, triangles
-from posegsa.config.schedule import Term
+from posegsa.config import INPUT_RANGE, PARAMETERS, TERMS, Experiment, triangles
 from posegsa.errors import FuzzyError
 from posegsa.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 
@@ -163,8 +161,7 @@ def in_order(terms: Array) -> Array:
 
 def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
     """Rules by term index, from small to large, of a table printed from VL to VS both ways."""
-    names = get_args(Term)
-    return tuple(tuple(names.index(name) for name in reversed(row)) for row in reversed(table))
+    return tuple(tuple(TERMS.index(name) for name in reversed(row)) for row in reversed(table))
 
 
 def parameter_space(experiment: Experiment) -> ParameterSpace:

@@ -13,10 +13,10 @@ import jax
 import matplotlib.style
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from posegsa.config import TERMS
 from posegsa.fuzzy import FuzzyController
@@ -98,9 +98,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     """
     figure, (ax,) = _panels(1, 4.3)
     axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
-    # Compiled, so that a sampled centroid does not lay out its samples for all points at once.
-    surface = jax.jit(lambda controller, error, rate: controller(error, rate))
-    gain = np.asarray(surface(controller, axis[None, :], axis[:, None]), np.float64)
+    gain = np.asarray(_gains(controller, axis), np.float64)
     gaps = _gaps(controller)
     idle = np.zeros(axis.shape, bool)
     for start, end in gaps:
@@ -294,16 +292,23 @@ def _apart(places: np.ndarray, distance: float) -> np.ndarray:
     return 0.5 * (right + left)
 
 
+@jax.jit
+def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
+    """Gains (rate, error) [1/s]; compiled, so that a sampled centroid's samples take no memory."""
+    over_error = jax.vmap(controller, in_axes=(0, None))
+    return jax.vmap(over_error, in_axes=(None, 0))(axis, axis)
+
+
 def _gaps(controller: FuzzyController) -> list[tuple[float, float]]:
     """Intervals of [0, 1] that no input term covers.
 
     Every pair of input terms has a rule: none fires just where the error or the rate is in a gap.
     """
-    terms = np.asarray(controller.input_terms, np.float64)
+    terms = np.clip(np.asarray(controller.input_terms, np.float64), 0, 1)
     gaps, covered = [], 0.0
-    for foot, _, end in sorted(terms.tolist(), key=lambda term: term[0]):
+    for foot, _, end in sorted(terms.tolist()):
         if foot > covered:
-            gaps.append((covered, min(foot, 1.0)))
+            gaps.append((covered, foot))
         covered = max(covered, end)
     if covered < 1:
         gaps.append((covered, 1.0))
@@ -349,7 +354,8 @@ def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
         taken = np.vstack([taken, seen[best]])
         ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
         style: _Style = {"size": _TICK_SIZE, "ha": "center", "va": "center", "bbox": ground}
-        ax.text(*longest[best], f"{level:g}", zorder=4, **style)
+        x, y = longest[best]
+        ax.text(x, y, f"{level:g}", zorder=4, **style)
 
 
 def _legend_above(figure: Figure, ax: Axes) -> None:

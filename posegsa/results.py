@@ -10,15 +10,19 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from posegsa import config, plots
 from posegsa.errors import ConfigError, RunFolderError
 from posegsa.evaluate import Judged, Score
+from posegsa.filter import filter_settings, initial_state
 from posegsa.fuzzy import FuzzyController
-from posegsa.gain import FuzzyGain
+from posegsa.gain import FuzzyGain, signal_settings
+from posegsa.measurements import Measurements
 from posegsa.optimisers import History
 from posegsa.parameters import parameter_space
+from posegsa.rollout import Estimates, run_filter
 from posegsa.trajectory import Trajectory, read_trajectory
 
 VERSION = version("posegsa")
@@ -66,6 +70,39 @@ class TuneResult:
     def schedule(self) -> FuzzyGain:
         """The tuned gain schedule, ready for `run_filter` or `simulate`."""
         return FuzzyGain(self.controller)
+
+    def estimate(
+        self,
+        measurements: Measurements,
+        rotation: ArrayLike,
+        position: ArrayLike,
+        bias: ArrayLike | None = None,
+    ) -> Estimates:
+        """Run the tuned filter on measurements of one's own, with the experiment's settings.
+
+        Args:
+            measurements: N samples, at the experiment's precision (`Measurements.from_arrays`).
+            rotation: (3, 3) R_est at the first sample, body to inertial.
+            position: (3,) P_est there [m], inertial frame.
+            bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
+
+        Raises:
+            ValueError: The schedule was tuned on the signal "pose", which needs the truth.
+        """
+        dtype = np.dtype(self.experiment.run.dtype)
+        with jax.enable_x64(dtype == np.float64):
+            start = initial_state(
+                np.asarray(rotation, dtype),
+                np.asarray(position, dtype),
+                np.asarray(np.zeros(6) if bias is None else bias, dtype),
+            )
+            return run_filter(
+                self.schedule,
+                measurements,
+                start,
+                filter_settings(self.experiment.filter, dtype),
+                signal_settings(self.experiment.gain, dtype),
+            )
 
     def figures(self) -> dict[str, Figure]:
         """The run's figures by name: the paper's five, convergence, gain, control surface."""
@@ -234,7 +271,8 @@ def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
     folder = Path(folder)
     if (folder / RESULT).exists() and not overwrite:
         raise RunFolderError(
-            f"{folder}: holds a run already; choose another folder, or overwrite it"
+            f"{folder}: holds a run already; choose another folder, or replace the run "
+            "(--overwrite; overwrite=True)"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)

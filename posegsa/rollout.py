@@ -4,17 +4,18 @@ One loop body serves both forms: the trajectory form returns the estimates, the 
 sums the cost up and stores nothing, so that its memory does not grow with time.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from posegsa.cost import CostParts, CostWeights, sample_error
 from posegsa.filter import FilterSettings, FilterState, advance
 from posegsa.gain import (
     GainSchedule,
+    PreparedSchedule,
     SignalMemory,
     SignalSettings,
     TruePose,
@@ -89,7 +90,7 @@ def _advance(
     time: Array,
     sample: Sample,
     truth: TruePose | None,
-    schedule,
+    schedule: PreparedSchedule,
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> tuple[Loop, Array, Array]:
@@ -129,13 +130,13 @@ def simulate_cost(
             CostParts(transient + transient_weight * error, steady + steady_weight * error),
         ), None
 
-    start = Loop(initial, initial_memory(schedule, zero)), CostParts(zero, zero)
+    start = begin(schedule, initial), CostParts(zero, zero)
     inputs = (scenario.time, scenario.sample, scenario.truth, weights.transient, weights.steady)
     (_, parts), _ = lax.scan(body, start, inputs)
     return parts
 
 
-@partial(jax.jit, static_argnames=())
+@jax.jit
 def simulate(
     schedule: GainSchedule,
     scenario: Track,
@@ -151,12 +152,45 @@ def simulate(
         after, gain, used = _advance(loop, time, sample, truth, prepared, settings, signal)
         return after, (loop.state, gain, used, after.memory.error)
 
-    start = Loop(initial, initial_memory(schedule, initial.place[0]))
+    start = begin(schedule, initial)
     inputs = (scenario.time, scenario.sample, scenario.truth)
     _, (states, gain, used, error) = lax.scan(body, start, inputs)
     return Estimates(
         scenario.time, states.rotation, states.position, states.bias, gain, used, error
     )
+
+
+def begin(schedule: GainSchedule, initial: FilterState) -> Loop:
+    """The closed loop before its first sample, for `scheduled_step`."""
+    return Loop(initial, initial_memory(schedule, initial.place[0]))
+
+
+@jax.jit
+def scheduled_step(
+    loop: Loop,
+    measurement: Measurements,
+    schedule: GainSchedule,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    time: ArrayLike = 0.0,
+) -> tuple[Loop, Array]:
+    """One sample of the closed loop, for use on-line: error signal, gain and filter step.
+
+    Args:
+        loop: from `begin`, or from the last step; `loop.state` is the estimate.
+        measurement: one sample, without a time axis (`measurements.at(k)`).
+        schedule: e.g. a tuned result's.
+        settings: the filter's.
+        signal: the error signal's; "measured", since the truth is not known.
+        time: since the first sample [s]; only schedules over time look at it.
+
+    Returns:
+        The loop with the estimate at the next sample, and the gain K [1/s] that was asked for.
+    """
+    now = jnp.asarray(time, measurement.time_step.dtype)
+    sample = prepare(measurement)
+    after, gain, _ = _advance(loop, now, sample, None, schedule.prepare(), settings, signal)
+    return after, gain
 
 
 def run_filter(

@@ -94,14 +94,15 @@ def _tune(
 
     begun = time.perf_counter()
     search = start(optimiser, Box(space.lower, space.upper), use.search)
-    go = _advance.lower(optimiser, search, training, space, 0).compile()
+    # No iterations yet: this compiles, unless a search of this structure has run in this process.
+    search = jax.block_until_ready(_advance(optimiser, search, training, space, 0))
     compiled = time.perf_counter()
     if progress is not None:
         progress(Progress(0, optimiser.iterations, math.inf, 0.0))
     chunk = -(-optimiser.iterations // CHUNKS)
     for done in range(0, optimiser.iterations, chunk):
         stop = min(done + chunk, optimiser.iterations)
-        search = jax.block_until_ready(go(search, training, space, stop))
+        search = jax.block_until_ready(_advance(optimiser, search, training, space, stop))
         if progress is not None:
             seconds = time.perf_counter() - compiled
             progress(Progress(stop, optimiser.iterations, float(search.best_cost), seconds))

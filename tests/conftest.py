@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 
 import jax
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -29,3 +30,10 @@ def x64() -> Iterator[None]:
     """Run a test in float64."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(params=[np.float32, np.float64], ids=["float32", "float64"])
+def dtype(request: pytest.FixtureRequest) -> Iterator[type[np.floating]]:
+    """Run a test in both precisions."""
+    with jax.enable_x64(request.param == np.float64):
+        yield request.param

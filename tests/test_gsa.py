@@ -1,7 +1,7 @@
 """The gravitational search algorithm, against a literal loop and against published behaviour."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array, lax
 from reference import gsa_acceleration, gsa_masses
@@ -18,13 +18,6 @@ from scipy import stats
 from posegsa.optimisers import GSA, advance, box, minimise, start
 from posegsa.optimisers.base import uniform
 from posegsa.optimisers.gsa import GSAState, acceleration, coarse_uniform, confine, masses
-
-
-@pytest.fixture
-def x64() -> Iterator[None]:
-    """Run a test in float64."""
-    with jax.enable_x64(True):
-        yield
 
 
 @partial(jax.jit, static_argnums=0)
@@ -132,7 +125,6 @@ COORDINATES = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=60)
 @given(COORDINATES, st.sampled_from(["redraw", "clip", "reflect"]))
 def test_confine_changes_only_what_is_outside(coordinates: list[float], bounds: Any) -> None:
     x = jnp.asarray(coordinates, jnp.float32).reshape(2, 3)

@@ -86,5 +86,7 @@ def test_optimisers_know_nothing_of_the_filter():
 
 
 def test_no_module_is_too_long_to_take_in():
-    long = {p.name: n for p in PACKAGE.rglob("*.py") if (n := len(p.read_text().splitlines())) > 400}
+    long = {
+        p.name: n for p in PACKAGE.rglob("*.py") if (n := len(p.read_text().splitlines())) > 400
+    }
     assert long == {}

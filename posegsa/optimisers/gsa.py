@@ -153,7 +153,7 @@ class GSA:
 
 
 def masses(costs: Array) -> Array:
-    """Return the masses M, one for the best agent's share and none for the worst (Eqs. 15, 16).
+    """Return the masses M: the better the heavier, and none for the worst (Eqs. 15, 16).
 
     Args:
         costs: Finite costs (agents,).
@@ -234,10 +234,10 @@ def confine(x: Array, v: Array, bounds: Bounds, key: Array) -> tuple[Array, Arra
 
 
 def coarse_uniform(key: Array, shape: tuple[int, int], dtype: DTypeLike) -> Array:
-    """Draw from (0, 1) in steps of 2^-16: ample for a random weight, and four times as fast.
+    """Draw from (0, 1) in steps of 2^-16: ample for a random weight, at a quarter of the work.
 
-    New keys are the one public way to all 64 bits of a hash (`random.bits` keeps 32 of them), and
-    each hash gives four numbers here.
+    Each hash of the generator gives four numbers. New keys are the one public way to all 64 bits
+    of a hash: `random.bits` keeps 32 of them, for numbers of 16 bits too.
     """
     rows, columns = shape
     words = random.key_data(random.split(key, (-(-rows // 4), columns)))

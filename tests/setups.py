@@ -1,0 +1,170 @@
+"""The paper's experiment as the tests vary it: vectors, controllers, scenarios, the reference's run.
+
+The reference (`reference`) knows nothing of the package; what translates between them is here.
+"""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+import scipy.linalg
+from builders import reference_sample
+from jax import Array
+from numpy.typing import ArrayLike
+
+from posegsa import config
+from posegsa.errors import PosegsaWarning
+from posegsa.evaluate import scenario_keys
+from posegsa.filter import FilterState, initial_state
+from posegsa.fuzzy import FuzzyController
+from posegsa.measurements import Measurements
+from posegsa.parameters import ParameterSpace, parameter_space
+from posegsa.population import Problem, problem
+from posegsa.rollout import Track, track
+from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
+
+PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
+RULES = tuple(tuple(row) for row in reference.PAPER_RULES.tolist())
+
+
+def paper(*settings: str, dtype: str = "float64") -> config.Experiment:
+    """The paper's experiment with single values changed, as `--set` does."""
+    return config.override(PAPER, [f"run.dtype={dtype}", *settings])
+
+
+def lasting(seconds: float) -> tuple[str, ...]:
+    """Settings for a shorter run, with windows at the same fractions of it as the paper's."""
+    N = round(seconds / PAPER.scenario.sampling_time)
+    return (
+        f"scenario.duration={seconds}",
+        f"cost.transient_window=[0, {N // 15}]",
+        f"cost.steady_window=[{4 * N // 15}, {14 * N // 15}]",
+    )
+
+
+# Parameter vectors and controllers ----------------------------------------------------------------
+
+
+def search_vectors(count: int, seed: int = 0) -> np.ndarray:
+    """Vectors k (count, 22) drawn uniformly from the paper's boxes, not repaired."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(reference.PAPER_LOWER, reference.PAPER_UPPER, (count, 22))
+
+
+def corner_vectors(count: int, seed: int = 0) -> np.ndarray:
+    """The same with entries on an end of their box: half of them, or in every second vector all."""
+    rng = np.random.default_rng(seed)
+    ends = np.where(rng.random((count, 22)) < 0.5, reference.PAPER_LOWER, reference.PAPER_UPPER)
+    share = np.where(np.arange(count) % 2, 1.0, 0.5)[:, None]
+    return np.where(rng.random((count, 22)) < share, ends, search_vectors(count, seed + 1))
+
+
+def repaired_terms(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Input and output terms (count, 5, 3) by the reference's own repair."""
+    low, high = reference.PAPER_LOWER, reference.PAPER_UPPER
+    inputs, outputs = zip(*(reference.repair(k, low, high) for k in vectors), strict=True)
+    return np.array(inputs), np.array(outputs)
+
+
+def space(*settings: str, dtype: str = "float64") -> ParameterSpace:
+    """The parameter space of the paper's experiment with single values changed."""
+    return parameter_space(paper(*settings, dtype=dtype))
+
+
+def fuzzy(
+    inputs: ArrayLike, outputs: ArrayLike, dtype: str = "float64", **options: Any
+) -> FuzzyController:
+    """A controller, with the paper's rules unless others are given."""
+    terms = (jnp.asarray(np.asarray(t, np.float64), dtype) for t in (inputs, outputs))
+    return FuzzyController(*terms, **{"rules": RULES, "output_range": (0.0, 100.0)} | options)
+
+
+# Scenarios ----------------------------------------------------------------------------------------
+
+
+class World(NamedTuple):
+    """One scenario for one noise key, in all the forms that a test may want."""
+
+    truth: Truth
+    measurements: Measurements
+    track: Track
+    initial: FilterState
+
+
+@jax.jit
+def _world(one: Scenario, key: Array) -> World:
+    truth = integrate(one)
+    sensed = measure(one, truth, key)
+    initial = initial_state(one.rotation_estimate, one.position_estimate, one.bias_estimate)
+    return World(truth, sensed, track(sensed, truth.rotation, truth.position), initial)
+
+
+def built(experiment: config.Experiment) -> Scenario:
+    """The scenario; the estimate that the paper prints is not a rotation, which it must say."""
+    with pytest.warns(PosegsaWarning, match="not a rotation"):
+        return scenario(experiment)
+
+
+def world(experiment: config.Experiment, seed: int = 0) -> World:
+    """Truth and measurements of an experiment's scenario, at its dtype."""
+    return _world(built(experiment), jax.random.key(seed))
+
+
+def posed(experiment: config.Experiment, scenarios: int = 1) -> Problem:
+    """The problem of an experiment's scenario with some noise keys, at its dtype."""
+    return problem(experiment, built(experiment), scenario_keys(jax.random.key(0), scenarios))
+
+
+def without_limit(limited: Problem) -> Problem:
+    """The same problem with every gain applied as it is."""
+    return limited._replace(settings=dataclasses.replace(limited.settings, gain_limit=None))
+
+
+# The reference's view -----------------------------------------------------------------------------
+
+
+def reference_samples(measurements: Measurements) -> list[reference.Sample]:
+    """The measurements, one record a sample."""
+    m = jax.tree.map(np.asarray, measurements)
+    return [reference_sample(m, k) for k in range(len(m.time_step))]
+
+
+def pose_matrix(rotation: ArrayLike, position: ArrayLike) -> np.ndarray:
+    """T (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, position
+    return T
+
+
+def reference_start(c: config.ScenarioConfig) -> np.ndarray:
+    """T_est(0), the printed rotation projected in another way than the package does it: polar."""
+    rotation, _ = scipy.linalg.polar(np.array(c.initial_rotation_estimate))
+    return pose_matrix(rotation, c.initial_position_estimate)
+
+
+@cache
+def reference_truth(c: config.ScenarioConfig) -> np.ndarray:
+    """The true poses (N, 4, 4), from the configured sines."""
+    time = np.arange(c.samples) * c.sampling_time
+
+    def profile(axes: config.Profile) -> np.ndarray:
+        return np.stack(
+            [
+                sum((s.amplitude * np.sin(s.frequency * time + s.phase) for s in axis), 0 * time)
+                for axis in axes
+            ],
+            axis=1,
+        )
+
+    return reference.integrate_truth(
+        profile(c.angular_velocity),
+        profile(c.velocity),
+        np.full(c.samples, c.sampling_time),
+        pose_matrix(c.initial_rotation, c.initial_position),
+    )

@@ -1,0 +1,309 @@
+"""The figures: what they show is what they were given, and they leave nothing behind."""
+
+import importlib
+import re
+import sys
+from functools import partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from posegsa import plots
+from posegsa.fuzzy import FuzzyController
+from posegsa.optimisers import History
+from posegsa.trajectory import Trajectory
+
+COVERED = ((0, 0, 0.1), (0.05, 0.1, 0.2), (0.15, 0.2, 0.3), (0.2, 0.4, 0.8), (0.6, 1, 1))
+GAPPED = ((0, 0, 0.1), (0.125, 0.15, 0.2), (0.15, 0.2, 0.3), (0.5, 0.6, 0.8), (0.6, 1, 1))
+OUTPUTS = ((0, 0, 10), (5, 15, 30), (20, 35, 50), (40, 60, 70), (65, 100, 100))
+RULES = tuple(tuple(min(4, e + r) for e in range(5)) for r in range(5))
+
+
+def controller(inputs=COVERED, outputs=OUTPUTS, **choices):
+    terms = (jnp.array(triangles, jnp.float32) for triangles in (inputs, outputs))
+    return FuzzyController(*terms, RULES, (0.0, 100.0), **choices)
+
+
+def history(iterations=40, non_finite=0):
+    cost = 40 + 20 / np.arange(1.0, iterations + 1)
+    return History(cost, cost + 5, cost + 9, np.full(iterations, non_finite))  # type: ignore
+
+
+def trajectory(samples=301, **values):
+    rng = np.random.default_rng(0)
+    shapes = {"euler": 3, "euler_est": 3, "position": 3, "position_est": 3, "bias_est": 6}
+    names = Trajectory.__dataclass_fields__
+    drawn = {
+        n: rng.uniform(0.1, 80, (samples, shapes[n]) if n in shapes else samples) for n in names
+    }
+    return Trajectory(**{**drawn, "time": 0.01 * np.arange(samples), **values})
+
+
+FIGURES = {
+    "input_terms": partial(plots.plot_input_terms, controller(GAPPED)),
+    "output_terms": partial(plots.plot_output_terms, controller()),
+    "surface": partial(plots.plot_surface, controller(GAPPED)),
+    "convergence": partial(plots.plot_convergence, history(non_finite=2)),
+    "euler": partial(plots.plot_euler, trajectory()),
+    "position": partial(plots.plot_position, trajectory()),
+    "errors": partial(plots.plot_errors, trajectory()),
+    "gain": partial(plots.plot_gain, trajectory()),
+}
+
+
+def lines(ax):
+    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in ax.lines]
+
+
+def legend(figure):
+    return [text.get_text() for found in figure.legends for text in found.get_texts()]
+
+
+def assert_drawn(ax, *curves):
+    """The lines of some axes are these curves (x, y), in this order."""
+    assert len(ax.lines) == len(curves)
+    for drawn, curve in zip(lines(ax), curves, strict=True):
+        np.testing.assert_array_equal(drawn, curve)
+
+
+@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
+def test_is_saved_with_a_unit_on_every_axis_and_no_trace_left(make, tmp_path):
+    before = dict(matplotlib.rcParams)
+    figure = make()
+    assert isinstance(figure, Figure)
+    figure.savefig(tmp_path / "figure.png", dpi=50)
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert dict(matplotlib.rcParams) == before
+
+    for ax in figure.axes:
+        assert re.search(r"\[[^]]+\]", ax.get_ylabel()), ax
+        below = [a for a in ax.get_shared_x_axes().get_siblings(ax) if a.get_xlabel()]
+        colour_bar = ax.get_label() == "<colorbar>"
+        assert colour_bar or all(re.search(r"\[[^]]+\]", a.get_xlabel()) for a in below or [ax])
+        for text in (ax.yaxis.label, *ax.get_xticklabels(), *ax.get_yticklabels()):
+            assert text.get_fontsize() >= 9
+
+
+def test_pyplot_is_not_needed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # importing it raises
+    monkeypatch.delattr(matplotlib, "pyplot", raising=False)
+    fresh = importlib.reload(plots)
+    for make in FIGURES.values():
+        getattr(fresh, make.func.__name__)(*make.args).draw_without_rendering()
+
+
+def test_look_does_not_depend_on_the_users_settings():
+    def look(figure):
+        ax = figure.axes[0]
+        label = ax.xaxis.label
+        return (*figure.get_size_inches(), label.get_fontsize(), ax.lines[0].get_color())
+
+    with matplotlib.rc_context({"font.size": 30, "figure.autolayout": True, "axes.grid": True}):
+        changed = look(plots.plot_errors(trajectory()))
+    assert changed == look(plots.plot_errors(trajectory()))
+
+
+def test_terms_are_named_triangles():
+    for figure, terms, high in (
+        (plots.plot_input_terms(controller()), COVERED, 1),
+        (plots.plot_output_terms(controller()), OUTPUTS, 100),
+    ):
+        (ax,) = figure.axes
+        assert_drawn(ax, *((np.float32(term), (0, 1, 0)) for term in terms))
+        assert [text.get_text() for text in ax.texts] == ["VS", "S", "M", "L", "VL"]
+        np.testing.assert_allclose([text.xy[0] for text in ax.texts], [t[1] for t in terms], 1e-6)
+        assert ax.get_ylim() == (0, 1)
+        assert ax.get_xlim()[0] <= 0
+        assert ax.get_xlim()[1] >= high
+
+
+def test_names_of_close_peaks_do_not_overlap():
+    close = ((0, 0, 0.1), (0.1, 0.15, 0.2), (0.1, 0.15, 0.2), (0.1, 0.16, 0.9), (0.3, 1, 1))
+    figure = plots.plot_input_terms(controller(close))
+    figure.draw_without_rendering()
+    boxes = [Text.get_window_extent(text) for text in figure.axes[0].texts]
+    for left, right in pairwise(boxes):
+        assert left.x1 < right.x0
+
+
+def test_other_numbers_of_terms_are_numbered():
+    two = FuzzyController(
+        jnp.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0]]),
+        jnp.array([[0.0, 0.0, 9.0], [0.0, 9.0, 9.0]]),
+        ((0, 1), (1, 1)),
+        (0.0, 9.0),
+    )
+    texts = plots.plot_input_terms(two).axes[0].texts
+    assert [text.get_text() for text in texts] == ["1", "2"]
+
+
+@pytest.mark.parametrize("choices", [{}, {"centroid": "sampled", "points": 1001}])
+def test_surface_is_the_controllers(choices):
+    fuzzy = controller(**choices)
+    ax, bar = plots.plot_surface(fuzzy).axes
+    mesh = ax.collections[0]
+    gain = np.ma.getdata(mesh.get_array())
+    axis = np.linspace(0, 1, len(gain)) ** 2
+    i = np.array([0, 7, 100, 200, 333, len(gain) - 1])
+    gains = jax.jit(jax.vmap(lambda error, rate: fuzzy(error, rate)))
+    expected = [gains(axis[i], np.full(len(i), rate)) for rate in axis[i]]
+    np.testing.assert_allclose(gain[np.ix_(i, i)], expected, rtol=1e-4)
+    assert np.ma.count_masked(mesh.get_array()) == 0
+    assert bar.get_ylabel() == "Gain $K$ [1/s]"
+
+
+def test_contour_lines_are_labelled_with_their_gain():
+    fuzzy = controller()
+    gain = jax.jit(lambda error, rate: fuzzy(error, rate))
+    ax = plots.plot_surface(fuzzy).axes[0]
+    assert len(ax.texts) >= 4
+    for text in ax.texts:
+        x, y = text.get_position()
+        around = [gain(x + dx, y + dy) for dx in (-0.02, 0, 0.02) for dy in (-0.02, 0, 0.02)]
+        assert np.min(around) <= float(text.get_text()) <= np.max(around)
+
+
+@pytest.mark.parametrize(
+    ("no_rule", "meaning"), [("hold", "the last gain is held"), ("midrange", "$K$ = 51 1/s")]
+)
+def test_surface_marks_where_no_rule_fires(no_rule, meaning):
+    fuzzy = controller(GAPPED, no_rule=no_rule)
+    figure = plots.plot_surface(fuzzy)
+    assert legend(figure) == [f"no rule fires: {meaning}"]
+    ax = figure.axes[0]
+    drawn = ax.collections[0].get_array()
+    axis = jnp.linspace(0, 1, len(drawn)) ** 2
+    tallest = np.max(fuzzy.heights(*jnp.meshgrid(axis, axis)), axis=0)
+    np.testing.assert_array_equal(np.ma.getmaskarray(drawn), tallest == 0)
+
+    across = [p for p in ax.patches if p.get_height() == 1]
+    down = [p for p in ax.patches if p.get_width() == 1]
+    assert len(across) == len(down) == 2
+    assert all(patch.get_hatch() for patch in ax.patches)
+    for spans, start, size in ((across, "get_x", "get_width"), (down, "get_y", "get_height")):
+        ends = [(getattr(p, start)(), getattr(p, start)() + getattr(p, size)()) for p in spans]
+        np.testing.assert_allclose(ends, [(0.1, 0.125), (0.3, 0.5)], rtol=1e-6)
+
+
+def test_gaps_are_marked_between_the_terms_too():
+    figure = plots.plot_input_terms(controller(GAPPED))
+    assert legend(figure) == ["no rule fires"]
+    assert len(figure.axes[0].patches) == 2
+
+
+def test_nothing_is_marked_where_rules_fire_everywhere():
+    for figure in (plots.plot_surface(controller()), plots.plot_input_terms(controller())):
+        assert not figure.legends
+        assert not figure.axes[0].patches
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs"),
+    [
+        pytest.param(COVERED, ((40, 50, 60),) * 5, id="flat"),
+        pytest.param(((0, 0, 0),) * 5, OUTPUTS, id="no rule anywhere"),
+        pytest.param(((0.25, 0.5, 0.75),) * 5, OUTPUTS, id="gaps at both ends"),
+    ],
+)
+def test_surface_of_degenerate_controllers_is_drawn(inputs, outputs):
+    plots.plot_surface(controller(inputs, outputs)).draw_without_rendering()
+
+
+def test_convergence_shows_the_history():
+    past = history()
+    (ax,) = plots.plot_convergence(past).axes
+    iteration = np.arange(1, 41)
+    assert_drawn(ax, *((iteration, values) for values in past[:3]))
+    assert ax.get_yscale() == "linear"
+
+
+def test_convergence_takes_costs_that_are_not_finite():
+    nan, inf = np.nan, np.inf
+    past = History(
+        *(np.array([inf, 50, 45, 45]), np.array([nan, 70, 60, 1e4])),
+        *(np.array([nan, 90, inf, 1e9]), np.array([7, 0, 2, 1], np.int32)),
+    )  # type: ignore
+    figure = plots.plot_convergence(past)
+    figure.draw_without_rendering()
+    ax, below = figure.axes
+    assert ax.get_yscale() == "log"
+    assert_drawn(
+        ax, *(([1, 2, 3, 4], np.where(np.isfinite(values), values, nan)) for values in past[:3])
+    )
+    assert [bar.get_height() for bar in below.patches] == [7, 0, 2, 1]
+    assert [bar.get_x() + bar.get_width() / 2 for bar in below.patches] == [1, 2, 3, 4]
+
+
+def test_convergence_without_any_finite_cost_is_drawn():
+    none = np.full(3, np.nan)
+    past = History(np.full(3, np.inf), none, none, np.full(3, 9))  # type: ignore
+    plots.plot_convergence(past).draw_without_rendering()
+
+
+def test_pose_is_true_beside_estimated():
+    run = trajectory()
+    for figure, true, estimated in (
+        (plots.plot_euler(run), run.euler, run.euler_est),
+        (plots.plot_position(run), run.position, run.position_est),
+    ):
+        assert legend(figure) == ["true", "estimated"]
+        assert len(figure.axes) == 3
+        for i, ax in enumerate(figure.axes):
+            assert_drawn(ax, (run.time, true[:, i]), (run.time, estimated[:, i]))
+    labels = [ax.get_ylabel() for ax in plots.plot_euler(run).axes]
+    assert labels == [r"Roll $\phi$ [deg]", r"Pitch $\theta$ [deg]", r"Yaw $\psi$ [deg]"]
+
+
+def test_angles_break_at_wraps():
+    angle = np.array([150, 170, -170, -150, 0, 179, -177, 180, -180.0])
+    time = np.arange(9.0)
+    run = trajectory(9, time=time, euler=np.tile(angle[:, None], 3))
+    x, y = lines(plots.plot_euler(run).axes[0])[0]
+    nan = np.nan
+    np.testing.assert_allclose(
+        y,
+        (
+            *(150, 170, 180, nan, -180, -170, -150, 0, 179, 180, nan, -180, -177),
+            *(-180, nan, 180, 180, 180, nan, -180, -180),
+        ),
+    )
+    np.testing.assert_allclose(
+        x, [0, 1, 1.5, 1.5, 1.5, 2, 3, 4, 5, *[5.25] * 3, 6, 7, 7, 7, 7, 7, 7, 7, 8]
+    )
+    assert np.nanmax(np.abs(np.diff(y))) <= 180
+
+
+def test_errors_are_drawn_over_logarithmic_axes():
+    run = trajectory()
+    run.position_error[5] = 0.0
+    run.attitude_error[7:9] = np.inf, np.nan
+    figure = plots.plot_errors(run)
+    attitude, position = figure.axes
+    finite = np.isfinite(run.attitude_error)
+    assert_drawn(attitude, (run.time, np.where(finite, run.attitude_error, np.nan)))
+    assert_drawn(position, (run.time, run.position_error))
+    assert attitude.get_yscale() == position.get_yscale() == "log"
+    figure.draw_without_rendering()
+
+
+def test_gain_is_drawn_whole_and_enlarged():
+    run = trajectory()
+    whole, start = plots.plot_gain(run).axes
+    assert_drawn(whole, (run.time, run.gain), (run.time, run.gain_used))
+    assert_drawn(start, *((run.time[:101], gain[:101]) for gain in (run.gain, run.gain_used)))
+    assert legend(plots.plot_gain(run)) == ["asked for", "used, after the limit"]
+
+
+@pytest.mark.parametrize(("samples", "value"), [(1, 0.0), (100, 0.0), (100, np.nan)])
+def test_short_runs_and_empty_values_are_drawn(samples, value):
+    names = ("attitude_error", "position_error", "gain", "gain_used")
+    run = trajectory(samples, **{name: np.full(samples, value) for name in names})
+    for plot in (plots.plot_euler, plots.plot_position, plots.plot_errors, plots.plot_gain):
+        plot(run).draw_without_rendering()
+    assert len(plots.plot_gain(run).axes) == 1

@@ -1,0 +1,361 @@
+"""Truth and sensor errors, against the reference's integration and the sensors' equations."""
+
+import warnings
+from itertools import combinations
+
+import jax
+import numpy as np
+import pytest
+import reference
+from builders import AT_REST, experiment, quietly
+from jax import Array
+from scipy.spatial.transform import Rotation
+
+from posegsa.config import Landmark, Sine, Vector
+from posegsa.errors import PosegsaWarning
+from posegsa.measurements import Measurements
+from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
+
+SILENT = {
+    "angular_velocity_noise": 0.0,
+    "velocity_noise": 0.0,
+    "angular_velocity_bias": (0.0, 0.0, 0.0),
+    "velocity_bias": (0.0, 0.0, 0.0),
+}
+"""Velocities as they are; what vectors and landmarks say is in each of them."""
+
+SINES = (
+    (Sine(amplitude=1.0, frequency=0.7), Sine(amplitude=-0.4, frequency=3.0, phase=1.0)),
+    (),
+    (Sine(amplitude=0.5, frequency=0.3, phase=2.0),),
+)
+"""Two sines, none and one."""
+
+START = {
+    "initial_rotation": Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix().tolist(),
+    "initial_position": (1.0, -2.0, 0.5),
+}
+
+
+def vector(*direction: float, **errors: object) -> Vector:
+    return Vector(direction=direction, **({"noise": 0.0} | errors))
+
+
+def landmark(*position: float, **errors: object) -> Landmark:
+    return Landmark(position=position, **({"noise": 0.0} | errors))
+
+
+def sum_of_sines(axes: tuple[tuple[Sine, ...], ...], time: np.ndarray) -> np.ndarray:
+    """(N, 3), by the definition."""
+    return np.array(
+        [
+            [sum(s.amplitude * np.sin(s.frequency * t + s.phase) for s in axis) for axis in axes]
+            for t in time
+        ]
+    )
+
+
+def simulated(s: Scenario, seed: int = 0) -> tuple[Truth, Measurements]:
+    truth = jax.jit(integrate)(s)
+    return truth, jax.jit(measure)(s, truth, jax.random.key(seed))
+
+
+def same(got: object, want: object, **tolerance: float) -> None:
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        np.testing.assert_allclose(a, b, **({"rtol": 0, "atol": 0} | tolerance))
+
+
+# The truth ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"angular_velocity": SINES, "velocity": SINES[::-1], **START},
+        {"sampling_time": 0.1, "duration": 15.0},
+    ],
+    ids=["paper", "sums of sines, another start", "long steps"],
+)
+def test_truth_equals_the_references_integration(changes) -> None:
+    given = {"duration": 3.0, **changes}
+    e = experiment(**given)
+    c = e.scenario
+    truth = jax.jit(integrate)(quietly(e))
+    time = np.arange(c.samples) * c.sampling_time
+    omega = sum_of_sines(c.angular_velocity, time)
+    v = sum_of_sines(c.velocity, time)
+    T0 = np.eye(4)
+    T0[:3, :3], T0[:3, 3] = c.initial_rotation, c.initial_position
+    poses = reference.integrate_truth(omega, v, np.full(c.samples, c.sampling_time), T0)
+    np.testing.assert_allclose(truth.time, time, atol=1e-12)
+    np.testing.assert_allclose(truth.angular_velocity, omega, atol=1e-13)
+    np.testing.assert_allclose(truth.velocity, v, atol=1e-13)
+    np.testing.assert_allclose(truth.rotation, poses[:, :3, :3], atol=1e-11)
+    np.testing.assert_allclose(truth.position, poses[:, :3, 3], atol=1e-11)
+
+
+def test_truth_at_rest_stays_where_it_starts() -> None:
+    truth = integrate(quietly(experiment("float32", duration=0.1, **AT_REST, **START)))
+    np.testing.assert_allclose(
+        truth.rotation, np.tile(START["initial_rotation"], (10, 1, 1)), atol=4e-7
+    )
+    np.testing.assert_array_equal(truth.position, np.tile(START["initial_position"], (10, 1)))
+
+
+# Sensors without noise ---------------------------------------------------------------------------
+
+SENSORS = {
+    "duration": 0.5,
+    "vectors": (
+        vector(2.0, 0.0, 1.0, bias=(0.3, 0.0, -0.1), weight=0.5),
+        vector(0.0, 0.0, 3.0, bias=(0.0, 0.2, 0.0), weight=2.0),
+    ),
+    "landmarks": (landmark(1.0, 2.0, 3.0, bias=(0.0, 0.5, 0.0)), landmark(-4.0, 0.0, 1.0)),
+    "cross_vector_weight": 0.25,
+    **START,
+    **SILENT,
+}
+
+
+def from_body(truth: Truth, a: np.ndarray) -> np.ndarray:
+    """R^T a for each sample, in a loop."""
+    return np.array([R.T @ b for R, b in zip(np.asarray(truth.rotation), a, strict=True)])
+
+
+def expected_vectors(truth: Truth, *, cross: bool, unit: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors of `SENSORS` as measured, and as known, by Section V of the paper."""
+    N = len(truth.time)
+    known = np.array([v.direction for v in SENSORS["vectors"]])
+    seen = np.stack(
+        [from_body(truth, np.tile(v.direction, (N, 1))) + v.bias for v in SENSORS["vectors"]],
+        axis=1,
+    )
+    if cross:
+        # Of the vectors as measured, errors and all; not the true cross product seen from the body.
+        known = np.concatenate([known, np.cross(known[:1], known[1:])])
+        seen = np.concatenate([seen, np.cross(seen[:, :1], seen[:, 1:])], axis=1)
+    if unit:
+        known, seen = (a / np.linalg.norm(a, axis=-1, keepdims=True) for a in (known, seen))
+    return seen, known
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("cross", [False, True])
+@pytest.mark.parametrize("unit", [False, True])
+def test_noise_free_vectors_are_the_turned_ones_with_bias(cross, unit) -> None:
+    e = experiment(**SENSORS, cross_vector=cross, normalise_vectors=unit)
+    truth, m = simulated(quietly(e))
+    seen, known = expected_vectors(truth, cross=cross, unit=unit)
+    np.testing.assert_allclose(m.vectors, seen, atol=1e-14)
+    np.testing.assert_allclose(m.vector_references, np.tile(known, (50, 1, 1)), atol=1e-15)
+    weights = [0.5, 2.0, 0.25][: 2 + cross]
+    np.testing.assert_array_equal(m.vector_weights, np.tile(weights, (50, 1)))
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_measured_cross_vector_is_not_the_true_one() -> None:
+    # What makes the test above able to tell them apart.
+    truth, m = simulated(quietly(experiment(**SENSORS, normalise_vectors=False)))
+    true = np.cross(*(v.direction for v in SENSORS["vectors"]))
+    seen = from_body(truth, np.tile(true, (50, 1)))
+    assert np.abs(np.asarray(m.vectors)[:, 2] - seen).max() > 0.1
+
+
+@pytest.mark.usefixtures("x64")
+def test_noise_free_landmarks_and_velocities() -> None:
+    e = experiment(**SENSORS)
+    c = e.scenario
+    truth, m = simulated(quietly(e))
+    for i, p in enumerate(c.landmarks):
+        y = from_body(truth, np.array(p.position) - np.asarray(truth.position)) + p.bias
+        np.testing.assert_allclose(np.asarray(m.landmarks)[:, i], y, atol=1e-14)
+        assert (np.asarray(m.landmark_references)[:, i] == p.position).all()
+    assert (np.asarray(m.landmark_weights) == 1).all()
+    np.testing.assert_array_equal(m.angular_velocity, truth.angular_velocity)
+    np.testing.assert_array_equal(m.velocity, truth.velocity)
+    np.testing.assert_array_equal(m.time_step, np.full(50, 0.01))
+
+
+@pytest.mark.usefixtures("x64")
+def test_velocity_biases_are_added() -> None:
+    biases = {"angular_velocity_bias": (0.1, -0.2, 0.3), "velocity_bias": (1.0, 2.0, 3.0)}
+    truth, m = simulated(quietly(experiment(**(SENSORS | biases))))
+    for name, bias in biases.items():
+        sensor = name.removesuffix("_bias")
+        shift = np.asarray(getattr(m, sensor)) - np.asarray(getattr(truth, sensor))
+        np.testing.assert_allclose(shift, np.tile(bias, (50, 1)), atol=1e-14)
+
+
+def test_landmarks_alone_make_a_scenario() -> None:
+    e = experiment(
+        "float32",
+        duration=0.1,
+        vectors=(),
+        cross_vector=False,
+        landmarks=tuple(landmark(*p) for p in np.eye(3).tolist()),
+    )
+    _, m = simulated(quietly(e))
+    assert m.vectors.shape == (10, 0, 3)
+    assert m.landmarks.shape == (10, 3, 3)
+
+
+# Noise -------------------------------------------------------------------------------------------
+
+NOISES = {
+    "angular_velocity": 0.2,
+    "velocity": 0.7,
+    "vector 0": 0.3,
+    "vector 1": 0.05,
+    "landmark 0": 0.1,
+    "landmark 1": 2.0,
+}
+NOISY = {
+    "duration": 50.0,
+    "angular_velocity_noise": NOISES["angular_velocity"],
+    "velocity_noise": NOISES["velocity"],
+    "vectors": (
+        vector(1.0, 0.0, 0.0, noise=NOISES["vector 0"]),
+        vector(0.0, 0.0, 3.0, noise=NOISES["vector 1"]),
+    ),
+    "landmarks": (
+        landmark(1.0, 2.0, 3.0, noise=NOISES["landmark 0"]),
+        landmark(0.0, 0.0, 0.0, noise=NOISES["landmark 1"]),
+    ),
+    "cross_vector": False,
+    "normalise_vectors": False,
+}
+
+
+def noises(m: Measurements, silent: Measurements) -> dict[str, np.ndarray]:
+    """What noise did to each sensor, (N, 3)."""
+    d = jax.tree.map(lambda a, b: np.asarray(a, np.float64) - np.asarray(b, np.float64), m, silent)
+    vectors = {f"vector {i}": d.vectors[:, i] for i in range(2)}
+    landmarks = {f"landmark {i}": d.landmarks[:, i] for i in range(2)}
+    return {"angular_velocity": d.angular_velocity, "velocity": d.velocity, **vectors, **landmarks}
+
+
+@pytest.fixture(scope="module")
+def residuals() -> dict[str, np.ndarray]:
+    """Noise of each sensor over 5000 samples."""
+    given = {k: v for k, v in NOISY.items() if not k.endswith("_noise")}
+    given["vectors"] = tuple(v.model_copy(update={"noise": 0.0}) for v in NOISY["vectors"])
+    given["landmarks"] = tuple(p.model_copy(update={"noise": 0.0}) for p in NOISY["landmarks"])
+    with jax.enable_x64(True):
+        truth, silent = simulated(
+            quietly(experiment(**given, angular_velocity_noise=0.0, velocity_noise=0.0))
+        )
+        noisy = measure(quietly(experiment(**NOISY)), truth, jax.random.key(3))
+        return noises(noisy, silent)
+
+
+@pytest.mark.parametrize(("sensor", "deviation"), NOISES.items())
+def test_noise_has_the_standard_deviation_asked_for_and_mean_zero(
+    residuals, sensor, deviation
+) -> None:
+    noise = residuals[sensor]
+    count = noise.shape[0]
+    # Five standard deviations of the estimates: of the mean s / sqrt(N), of s itself s / sqrt(2N).
+    np.testing.assert_allclose(noise.mean(axis=0), 0, atol=5 * deviation / np.sqrt(count))
+    np.testing.assert_allclose(noise.std(axis=0), deviation, rtol=5 / np.sqrt(2 * count))
+
+
+def test_noise_is_normal(residuals) -> None:
+    # The share beyond one and two standard deviations, 0.3173 and 0.0455, over 90 000 draws.
+    z = np.concatenate([residuals[k] / s for k, s in NOISES.items()], axis=None)
+    assert np.mean(np.abs(z) > 1) == pytest.approx(0.3173, abs=0.008)
+    assert np.mean(np.abs(z) > 2) == pytest.approx(0.0455, abs=0.004)
+
+
+def test_noises_are_independent_between_sensors_axes_and_samples(residuals) -> None:
+    columns = np.concatenate([residuals[k] / s for k, s in NOISES.items()], axis=1)
+    limit = 5 / np.sqrt(len(columns))
+    for i, j in combinations(range(columns.shape[1]), 2):
+        assert abs(np.mean(columns[:, i] * columns[:, j])) < limit, (i, j)
+    later = np.mean(columns[1:] * columns[:-1], axis=0)
+    assert (np.abs(later) < limit).all()
+
+
+def test_same_key_gives_the_same_measurements_in_both_precisions() -> None:
+    def measured(dtype: str) -> Measurements:
+        with jax.enable_x64(dtype == "float64"):
+            m = simulated(quietly(experiment(dtype)))[1]
+            assert {a.dtype.name for a in m} == {dtype}
+            return jax.tree.map(np.asarray, m)
+
+    # 1500 steps in float32 turn the truth by some 1e-5 rad and landmarks are up to 4 m away; two
+    # draws of noise would differ by 0.1.
+    same(measured("float32"), measured("float64"), atol=2e-4)
+
+
+def test_same_key_gives_the_same_and_another_key_other_measurements() -> None:
+    s = quietly(experiment("float32", duration=0.5))
+    (_, a), (_, again), (_, b) = (simulated(s, seed) for seed in (0, 0, 1))
+    same(a, again)
+    for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
+        assert (np.asarray(getattr(a, name)) != np.asarray(getattr(b, name))).all(), name
+    np.testing.assert_array_equal(a.vector_references, b.vector_references)
+
+
+# Structure ---------------------------------------------------------------------------------------
+
+
+def test_the_papers_initial_attitude_estimate_is_projected_with_a_warning() -> None:
+    e = experiment("float32")
+    with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate .* determinant 0\.943"):
+        s = scenario(e)
+    R = np.asarray(s.rotation_estimate, np.float64)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=3e-7)
+    assert np.linalg.det(R) == pytest.approx(1, abs=3e-7)
+    np.testing.assert_allclose(R, e.scenario.initial_rotation_estimate, atol=0.05)
+
+
+def test_a_rotation_as_initial_estimate_is_taken_as_it_is_without_a_warning() -> None:
+    R = Rotation.from_rotvec([0.1, 0.2, 3.0]).as_matrix()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        s = scenario(experiment("float32", initial_rotation_estimate=R.tolist()))
+    np.testing.assert_allclose(s.rotation_estimate, R, atol=1e-7)
+
+
+def test_initial_estimates_are_those_configured() -> None:
+    s = quietly(experiment("float32", initial_bias_estimate=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+    assert s.position_estimate.tolist() == [4, -3, 5]
+    assert s.bias_estimate.tolist() == [1, 2, 3, 4, 5, 6]
+    np.testing.assert_allclose(s.bias, [0.1, -0.1, 0.1, 0.2, 0.5, 0.1])
+
+
+@pytest.mark.usefixtures("x64")
+def test_jit_equals_eager() -> None:
+    s, key = quietly(experiment(duration=0.3)), jax.random.key(0)
+    truth = integrate(s)
+    # To rounding: fused multiply-adds differ.
+    same(jax.jit(integrate)(s), truth, atol=1e-13)
+    same(jax.jit(measure)(s, truth, key), measure(s, truth, key), atol=1e-13)
+
+
+@pytest.mark.usefixtures("x64")
+def test_vmap_over_keys_equals_a_loop() -> None:
+    s = quietly(experiment(duration=0.3))
+    truth, keys = jax.jit(integrate)(s), jax.random.split(jax.random.key(0), 3)
+    together = jax.jit(jax.vmap(measure, in_axes=(None, None, 0)))(s, truth, keys)
+    one = jax.jit(measure)
+    for i, key in enumerate(keys):
+        same(jax.tree.map(lambda a, i=i: a[i], together), one(s, truth, key), atol=1e-13)
+
+
+def test_numbers_change_without_compiling_again() -> None:
+    compiled = 0
+
+    @jax.jit
+    def run(s: Scenario, key: Array) -> Measurements:
+        nonlocal compiled
+        compiled += 1
+        return measure(s, integrate(s), key)
+
+    given = {"duration": 0.1, "velocity_noise": 0.1, "angular_velocity_bias": (0.1, 0.2, 0.3)}
+    other = {"duration": 0.1, "velocity_noise": 0.5, "angular_velocity_bias": (0.0, 0.0, 0.0)}
+    for seed, changes in enumerate((given, other, {**other, **START})):
+        run(quietly(experiment("float32", **changes)), jax.random.key(seed))
+    assert compiled == 1

@@ -1,0 +1,545 @@
+"""Rotations and rigid motions, against SciPy, jaxlie, exact rational series and group axioms."""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from functools import lru_cache, partial
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+import reference
+import scipy.linalg
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from jax import Array, lax
+from scipy.spatial.transform import Rotation
+
+from posegsa import se3
+
+THRESHOLD = math.sqrt(se3.SERIES_BELOW)
+"""Angle [rad] at which the series hands over to the closed form."""
+
+# From none over the threshold, half and whole turns to many turns.
+ANGLES = np.array(
+    [0.0, 1e-30, 1e-12, 1e-8, 1e-4, 0.01, 0.1, 0.5]
+    + [THRESHOLD * (1 + d) for d in (-1e-3, -2e-7, -1e-16, 0.0, 2e-16, 2e-7, 1e-3)]
+    + [1.3, 2.0, 3.14, math.pi, 3.15, 5.0, 2 * math.pi, 10.0, 31.0, 100.0]
+)
+
+PRINTED = np.array([[-0.829, 0.293, 0.343], [0.399, 0.157, 0.903], [0.210, 0.943, -0.257]])
+"""The paper's initial attitude estimate, which is not a rotation."""
+
+
+def epsilon(dtype: type[np.floating]) -> float:
+    return float(np.finfo(dtype).eps)
+
+
+def directions(count: int, seed: int = 0) -> np.ndarray:
+    """Unit vectors (count, 3)."""
+    v = np.random.default_rng(seed).normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def twists(angles: np.ndarray, dtype: type[np.floating], draws: int = 4) -> np.ndarray:
+    """Tangent vectors (draws * len(angles), 6): each angle about random axes, metres of motion."""
+    angles = np.tile(angles, draws)
+    omega = angles[:, None] * directions(len(angles))
+    v = np.random.default_rng(1).normal(size=omega.shape) * 3
+    return np.concatenate([omega, v], axis=-1).astype(dtype)
+
+
+def random_rotations(count: int, seed: int = 0) -> np.ndarray:
+    return Rotation.random(count, rng=np.random.default_rng(seed)).as_matrix()
+
+
+def random_quaternions(count: int, seed: int = 0) -> np.ndarray:
+    q = np.random.default_rng(seed).normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation matrix, from SciPy."""
+    return Rotation.from_rotvec(np.asarray(axis) * angle).as_matrix()
+
+
+def tolerance(xi: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
+    """Absolute error allowed in exp(xi) and its derivatives, one number for each xi.
+
+    16 units of rounding at metres of motion, and the angle's own rounding, eps * angle, which turns
+    everything: no evaluation in this precision could do without it. SciPy's expm, squaring again
+    and again, needs more at many turns in float64.
+    """
+    angle = np.linalg.norm(xi[:, :3].astype(np.float64), axis=-1)
+    return epsilon(dtype) * np.where(angle < 20, 16 * (1 + angle), 64 * (1 + angle))
+
+
+def assert_each_close(got: Array, want: np.ndarray, allowed: np.ndarray) -> None:
+    error = np.abs(np.asarray(got, np.float64) - want).reshape(len(want), -1).max(axis=-1)
+    worst = np.argmax(error / allowed)
+    assert np.isfinite(error).all()
+    assert (error <= allowed).all(), f"item {worst}: {error[worst]:.3g} > {allowed[worst]:.3g}"
+
+
+# The exponential: values and derivatives ----------------------------------------------------------
+
+
+def test_exp_equals_scipys_expm_from_no_angle_to_many_turns(dtype) -> None:
+    xi = twists(ANGLES, dtype)
+    want = np.array([scipy.linalg.expm(reference.wedge(x)) for x in xi.astype(np.float64)])
+    got = jax.jit(se3.exp)(xi)
+    assert got.dtype == dtype
+    assert_each_close(got, want, tolerance(xi, dtype))
+
+
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
+def test_derivatives_of_exp_equal_expms_frechet_derivative(dtype, derivative) -> None:
+    xi = twists(ANGLES, dtype, draws=2)
+    frechet = partial(scipy.linalg.expm_frechet, compute_expm=False)
+    generators = [reference.wedge(e) for e in np.eye(6)]
+    want = np.array(
+        [[frechet(reference.wedge(x), E) for E in generators] for x in xi.astype(np.float64)]
+    )
+    got = jax.jit(jax.vmap(derivative(se3.exp)))(xi)
+    assert_each_close(got, want.transpose(0, 2, 3, 1), tolerance(xi, dtype))
+
+
+def test_second_derivatives_of_exp_at_no_angle_are_those_of_the_series(dtype) -> None:
+    # exp(A) = I + A + A^2/2 + ..., so that the second derivative at 0 along a and b is (AB + BA)/2.
+    a, b = np.random.default_rng(0).normal(size=(2, 6)).astype(dtype)
+
+    def along(t: Array, u: Array) -> Array:
+        return se3.exp(t * a + u * b)
+
+    zero = jnp.zeros((), dtype)
+    got = jax.jit(jax.jacfwd(jax.jacfwd(along, argnums=0), argnums=1))(zero, zero)
+    A, B = reference.wedge(a.astype(np.float64)), reference.wedge(b.astype(np.float64))
+    np.testing.assert_allclose(got, (A @ B + B @ A) / 2, atol=8 * epsilon(dtype))
+
+
+@pytest.mark.usefixtures("x64")
+def test_exp_equals_jaxlies() -> None:
+    # From half a radian on to rounding. Below, jaxlie itself is off by up to 2e-8 (at 1e-8 rad,
+    # against expm), because it puts 1e-8 or so in the place of small squares.
+    def translation_first(xi: Array) -> Array:
+        return jaxlie.SE3.exp(jnp.concatenate([xi[3:], xi[:3]])).as_matrix()
+
+    xi = twists(ANGLES, np.float64)
+    angle = np.linalg.norm(xi[:, :3], axis=-1)
+    want = np.asarray(jax.jit(jax.vmap(translation_first))(xi))
+    allowed = np.where(angle < 0.5, 1e-7, tolerance(xi, np.float64))
+    assert_each_close(jax.jit(se3.exp)(xi), want, allowed)
+
+
+def test_exp_without_rotation_is_a_translation_exactly(dtype) -> None:
+    got = jax.jit(se3.exp)(jnp.array([0, 0, 0, 1, -2, 3], dtype))
+    want = np.eye(4)
+    want[:3, 3] = 1, -2, 3
+    assert (np.asarray(got) == want).all()
+
+
+def test_exp_keeps_any_batch_shape() -> None:
+    xi = twists(np.array([0.0, 0.3, 2.0]), np.float32, draws=2)
+    exp = jax.jit(se3.exp)
+    assert exp(xi[0]).shape == (4, 4)
+    assert exp(xi.reshape(3, 2, 6)).shape == (3, 2, 4, 4)
+    np.testing.assert_allclose(exp(xi.reshape(3, 2, 6)).reshape(6, 4, 4), exp(xi), atol=2e-6)
+    np.testing.assert_allclose(exp(xi)[0], exp(xi[0]), atol=2e-6)
+
+
+# Its coefficients ---------------------------------------------------------------------------------
+
+
+@lru_cache
+def exact_coefficients(t2: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients and their derivatives by t^2, by exact rational sums of their series."""
+    square, terms = Fraction(t2), 20 + 3 * math.ceil(math.sqrt(t2))
+
+    def sums(first: int, ratio: Fraction, factor: Fraction) -> tuple[float, float]:
+        """factor * sum_n (-ratio t^2)^n / (2n + first)! and its derivative."""
+        x, power, value, slope = -ratio * square, Fraction(1), Fraction(0), Fraction(0)
+        for n in range(terms):
+            value += power / math.factorial(2 * n + first)
+            slope += -ratio * (n + 1) * power / math.factorial(2 * (n + 1) + first)
+            power *= x
+        return float(factor * value), float(factor * slope)
+
+    quarter, half, one = Fraction(1, 4), Fraction(1, 2), Fraction(1)
+    # cos(t/2), sin(t/2)/t, (1 - cos t)/t^2, (t - sin t)/t^3.
+    rows = (sums(0, quarter, one), sums(1, quarter, half), sums(2, one, one), sums(3, one, one))
+    values, slopes = zip(*rows, strict=True)
+    return np.array(values), np.array(slopes)
+
+
+def squares(dtype: type[np.floating]) -> np.ndarray:
+    """Squared angles [rad^2], with the floating numbers on both sides of the threshold."""
+    at = dtype(se3.SERIES_BELOW)
+    near = [np.nextafter(at, dtype(0)), at, np.nextafter(at, dtype(2))]
+    below = at * np.array([0.0, 1e-30, 1e-16, 1e-8, 1e-4, 0.01, 0.1, 0.3, 0.6, 0.9, 0.99])
+    return np.concatenate([below, near, [1.01, 1.2, 1.6, 2.1, 3.0, 4.0]]).astype(dtype)
+
+
+def test_coefficients_below_two_radians_are_right_to_a_few_roundings(dtype) -> None:
+    # Relative error. "A few": the closed form of the last coefficient loses a factor of 6 at 1 rad.
+    t2 = squares(dtype)
+    want = np.array([exact_coefficients(float(x))[0] for x in t2])
+    got = np.stack(jax.jit(se3.exp_coefficients)(t2), axis=-1)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, want, rtol=8 * epsilon(dtype))
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_derivatives_of_coefficients_are_right_on_both_sides_of_the_threshold(dtype, mode) -> None:
+    # By t^2. The chain rule through the closed forms subtracts numbers of size 1/t^2 to leave
+    # 1/120 for the last coefficient, hence absolute errors of some units of rounding.
+    t2 = squares(dtype)
+    want = np.array([exact_coefficients(float(x))[1] for x in t2])
+    derivative = jax.jacfwd if mode == "forward" else jax.jacrev
+
+    def coefficients(x: Array) -> Array:
+        return jnp.stack(se3.exp_coefficients(x))
+
+    got = jax.jit(jax.vmap(derivative(coefficients)))(t2)
+    np.testing.assert_allclose(got, want, rtol=0, atol=2 * epsilon(dtype))
+
+
+def test_coefficients_at_many_turns_are_as_good_as_their_angle(dtype) -> None:
+    # The angle's rounding, eps * t, turns sine and cosine by as much; so it is an absolute error of
+    # that size in cos(t/2), and over t, t^2 and t^3 in the others.
+    t = np.array([2.5, math.pi, 4.0, 2 * math.pi, 9.0, 40.0, 100.0])
+    t2 = (t * t).astype(dtype)
+    want = np.array([exact_coefficients(float(x))[0] for x in t2])
+    got = np.stack(jax.jit(se3.exp_coefficients)(t2), axis=-1).astype(np.float64)
+    allowed = 2 * epsilon(dtype) * t[:, None] * np.stack([t**0, 1 / t, 2 / t**2, 1 / t**2], axis=-1)
+    assert (np.abs(got - want) <= allowed).all()
+
+
+# The adjoint --------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_adjoint_equals_jaxlies_and_the_references() -> None:
+    T = np.asarray(se3.exp(twists(np.array([0.0, 0.5, 2.0, 3.0]), np.float64)))
+    swap = np.r_[3:6, 0:3]  # jaxlie's tangent vectors are translation first
+    theirs = np.array([jaxlie.SE3.from_matrix(t).adjoint() for t in T])[:, swap][:, :, swap]
+    got = jax.jit(se3.adjoint)(T)
+    np.testing.assert_allclose(got, theirs, atol=1e-14)
+    np.testing.assert_allclose(got, [reference.adjoint(t) for t in T], atol=1e-15)
+
+
+@pytest.mark.usefixtures("x64")
+def test_adjoint_takes_body_motions_to_spatial_ones() -> None:
+    # T exp(xi) = exp(Ad(T) xi) T: the property that it is for.
+    T, xi = se3.exp(twists(np.array([0.3, 2.0]), np.float64)), twists(np.array([1.0, 0.2]), float)
+    spatial = jnp.einsum("nij,nj->ni", se3.adjoint(T), xi)
+    np.testing.assert_allclose(T @ se3.exp(xi), se3.exp(spatial) @ T, atol=1e-12)
+
+
+def test_hat_equals_the_references() -> None:
+    xi = twists(np.array([1.0]), np.float32)
+    assert (np.asarray(se3.hat(xi)) == [reference.wedge(x) for x in xi]).all()
+
+
+# Group axioms -------------------------------------------------------------------------------------
+
+tangent_vectors = hnp.arrays(np.float64, 6, elements=st.floats(-10, 10))
+
+
+@jax.jit
+def moved(*xis: Array) -> Array:
+    """exp(xi_1) exp(xi_2) ..., by `move`, as a matrix."""
+    one, zero = jnp.ones(()), jnp.zeros(())
+    q, P = (one, zero, zero, zero), (zero, zero, zero)
+    for xi in xis:
+        omega, v = se3.split(xi[:3]), se3.split(xi[3:])
+        q, P = se3.move(q, P, omega, v)
+    return se3.transform(se3.rotation_matrix(se3.join(q)), se3.join(P))
+
+
+# Twists of 10 rad/m, three in a row, reach some tens of metres: 1e-12 is some tens of roundings.
+group = partial(np.testing.assert_allclose, rtol=0, atol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+@given(tangent_vectors)
+def test_exp_of_minus_xi_is_the_inverse(xi) -> None:
+    T = moved(xi)
+    group(T @ moved(-xi), np.eye(4))
+    group(moved(xi, -xi), np.eye(4))
+    group(moved(-xi), np.linalg.inv(T))
+
+
+@pytest.mark.usefixtures("x64")
+@given(tangent_vectors, tangent_vectors, tangent_vectors)
+def test_moves_compose_as_matrices_do_and_associate(a, b, c) -> None:
+    group(moved(a, b), moved(a) @ moved(b))
+    group(moved(a, b, c), moved(a) @ (moved(b) @ moved(c)))
+
+
+@pytest.mark.usefixtures("x64")
+@given(tangent_vectors, st.floats(0, 1))
+def test_motions_along_one_twist_add_up(xi, share) -> None:
+    group(moved(share * xi, (1 - share) * xi), moved(xi))
+
+
+@pytest.mark.usefixtures("x64")
+@given(tangent_vectors)
+def test_exp_is_a_rigid_motion(xi) -> None:
+    T = np.asarray(moved(xi))
+    group(T[:3, :3] @ T[:3, :3].T, np.eye(3))
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+    assert T[3].tolist() == [0, 0, 0, 1]
+
+
+# Quaternions --------------------------------------------------------------------------------------
+
+
+def near_the_branches() -> np.ndarray:
+    """Rotations where each of Shepperd's divisors is largest, ties of them, and half turns."""
+    axes = np.concatenate([np.eye(3), directions(4), [[1, 1, 1] / np.sqrt(3), [0, 0.6, 0.8]]])
+    angles = [0.0, 1e-9, 1e-3, 1.0, math.pi / 2, 2 * math.pi / 3, 3.0]
+    angles += [math.pi + d for d in (-1e-3, -1e-8, 0.0, 1e-8, 1e-3)]
+    turns = [turn(axis, sign * angle) for axis in axes for angle in angles for sign in (1, -1)]
+    exact_half_turns = [np.diag(d) for d in ([1, -1, -1], [-1, 1, -1], [-1, -1, 1])]
+    return np.array([*turns, *exact_half_turns, *random_rotations(50)], dtype=np.float64)
+
+
+def test_matrix_to_quaternion_and_back_near_all_branches_and_half_turns(dtype) -> None:
+    R = near_the_branches().astype(dtype)
+    q = jax.jit(se3.quaternion)(R)
+    assert q.dtype == dtype
+    assert (np.asarray(q)[:, 0] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1, rtol=2 * epsilon(dtype))
+    np.testing.assert_allclose(se3.rotation_matrix(q), R, atol=8 * epsilon(dtype))
+
+
+def test_quaternion_to_matrix_and_back_is_the_same_up_to_sign(dtype) -> None:
+    q = np.concatenate([random_quaternions(50), np.eye(4), [[0.5, 0.5, 0.5, 0.5]]]).astype(dtype)
+    back = np.asarray(se3.quaternion(se3.rotation_matrix(jnp.asarray(q))))
+    sign = np.sign(np.sum(q * back, axis=-1, keepdims=True))
+    np.testing.assert_allclose(sign * back, q, atol=4 * epsilon(dtype))
+
+
+@pytest.mark.usefixtures("x64")
+def test_quaternion_is_hamiltons_scalar_first() -> None:
+    R = random_rotations(20)
+    theirs = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
+    np.testing.assert_allclose(se3.quaternion(R), theirs, atol=1e-15)
+
+
+@pytest.mark.usefixtures("x64")
+def test_compose_is_the_matrix_product_in_the_same_order() -> None:
+    p, q = random_quaternions(20, seed=1), random_quaternions(20, seed=2)
+    product = se3.compose(se3.split(jnp.asarray(p)), se3.split(jnp.asarray(q)))
+    want = np.asarray(se3.rotation_matrix(p)) @ np.asarray(se3.rotation_matrix(q))
+    np.testing.assert_allclose(se3.rotation_matrix(se3.join(product)), want, atol=1e-15)
+
+
+def test_compose_keeps_the_norm_at_one_over_1e5_float32_steps() -> None:
+    # Without its Newton step the norm drifts here by 1e-3 and more.
+    steps = (random_quaternions(1000).T).astype(np.float32)
+
+    def body(q, step):
+        q = se3.compose(q, step)
+        return q, sum(c * c for c in q)
+
+    @jax.jit
+    def run(q, steps):
+        return lax.scan(lambda q, _: lax.scan(body, q, steps), q, length=100)
+
+    q, squared = run(tuple(np.float32([1, 0, 0, 0])), tuple(steps))
+    assert squared.shape == (100, 1000)
+    assert np.linalg.norm(np.float64(q)) == pytest.approx(1, abs=4e-7)
+    np.testing.assert_allclose(squared, 1, atol=1e-6)
+
+
+@pytest.mark.usefixtures("x64")
+def test_compose_squares_the_error_of_the_norm() -> None:
+    q, p = 1.001 * random_quaternions(1)[0], random_quaternions(1, seed=1)[0]
+    product = se3.join(se3.compose(se3.split(jnp.asarray(q)), se3.split(jnp.asarray(p))))
+    assert abs(np.linalg.norm(product) - 1) < 2 * 0.001**2
+
+
+# Vectors ------------------------------------------------------------------------------------------
+
+
+def test_unrotate_undoes_rotate_and_both_are_matrix_products(dtype) -> None:
+    q, a = random_quaternions(20).astype(dtype), np.float32(3) * directions(20).astype(dtype)
+    R = np.asarray(se3.rotation_matrix(jnp.asarray(q)), np.float64)
+    rows, parts = se3.rows(se3.split(jnp.asarray(q))), se3.split(jnp.asarray(a))
+    close = partial(np.testing.assert_allclose, rtol=0, atol=16 * epsilon(dtype))
+    close(se3.join(se3.rotate(rows, parts)), np.einsum("nij,nj->ni", R, a))
+    close(se3.join(se3.unrotate(rows, parts)), np.einsum("nji,nj->ni", R, a))
+    close(se3.join(se3.unrotate(rows, se3.rotate(rows, parts))), a)
+
+
+def test_cross_dot_and_norm_equal_numpys() -> None:
+    a, b = directions(20).astype(np.float32), directions(20, seed=1).astype(np.float32)
+    x, y = se3.split(jnp.asarray(a)), se3.split(jnp.asarray(b))
+    np.testing.assert_allclose(se3.join(se3.cross(x, y)), np.cross(a, b), atol=2e-7)
+    np.testing.assert_allclose(se3.dot(x, y), np.sum(a * b, axis=-1), atol=2e-7)
+    np.testing.assert_allclose(se3.norm(x), np.linalg.norm(a, axis=-1), rtol=2e-7)
+
+
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
+def test_norm_has_derivative_zero_at_the_zero_vector(derivative) -> None:
+    def length(a: Array) -> Array:
+        return se3.norm(se3.split(a))
+
+    assert derivative(length)(jnp.zeros(3)).tolist() == [0, 0, 0]
+    np.testing.assert_allclose(derivative(length)(jnp.array([3.0, 0.0, 4.0])), [0.6, 0, 0.8])
+
+
+# The attitude error -------------------------------------------------------------------------------
+
+
+def distance(p: np.ndarray, q: np.ndarray) -> Array:
+    return se3.attitude_distance(se3.split(jnp.asarray(p)), se3.split(jnp.asarray(q)))
+
+
+def test_attitude_distance_is_a_quarter_of_the_trace_whatever_the_signs(dtype) -> None:
+    p, q = (random_quaternions(30, seed=i).astype(dtype) for i in (1, 2))
+    matrices = [np.asarray(se3.rotation_matrix(jnp.asarray(a)), np.float64) for a in (p, q)]
+    want = [reference.attitude_distance(a @ b.T) for a, b in zip(*matrices, strict=True)]
+    for sign in (1, -1):
+        np.testing.assert_allclose(distance(sign * p, q), want, atol=4 * epsilon(dtype))
+
+
+def test_attitude_distance_is_one_at_half_a_turn_and_zero_at_none(dtype) -> None:
+    half_turns = np.concatenate([np.zeros((5, 1)), directions(5)], axis=-1).astype(dtype)
+    identity = np.tile(np.eye(4, dtype=dtype)[0], (5, 1))
+    np.testing.assert_allclose(distance(half_turns, identity), 1, atol=4 * epsilon(dtype))
+    for sign in (1, -1):
+        assert (np.asarray(distance(half_turns, sign * half_turns)) == 0).all()
+
+
+@pytest.mark.parametrize("angle", [1e-1, 1e-3, 1e-5])
+def test_attitude_distance_keeps_its_relative_accuracy_near_zero_in_float32(angle) -> None:
+    # sin^2(angle/2). Both quaternions are rounded, which moves their difference, angle/2 long, by
+    # up to 2 eps: a relative error of 8 eps / angle. The trace's is eps / distance, 4e4 times that
+    # at 1e-5 rad.
+    q = random_quaternions(50)
+    turns = Rotation.from_rotvec(angle * directions(50, seed=3))
+    p = (turns * Rotation.from_quat(q, scalar_first=True)).as_quat(scalar_first=True)
+    eps = epsilon(np.float32)
+    got = distance(p.astype(np.float32), q.astype(np.float32))
+    np.testing.assert_allclose(got, np.sin(angle / 2) ** 2, rtol=8 * eps / angle + 8 * eps)
+
+
+def test_attitude_distance_from_the_identity_is_exact_to_rounding_in_float32() -> None:
+    # Here the quaternions' rounding does not come in, so nothing is left but the formula's own.
+    half = np.array([[1e-2], [1e-5], [1e-8], [1e-15]])
+    q = np.concatenate([np.cos(half), np.sin(half) * directions(4)], axis=-1).astype(np.float32)
+    identity = np.tile(np.float32([1, 0, 0, 0]), (4, 1))
+    np.testing.assert_allclose(distance(q, identity)[1:], np.sin(half[1:, 0]) ** 2, rtol=1e-6)
+
+
+def test_rotation_angle_inverts_the_distance(dtype) -> None:
+    angle = np.array([0.0, 1e-6, 1e-3, 0.5, 2.0, 3.0]).astype(dtype)
+    squared = np.sin(angle.astype(np.float64) / 2) ** 2
+    got = se3.rotation_angle(jnp.asarray(squared.astype(dtype)))
+    # arcsin at 1 doubles the digits lost: 3 rad is sin = 0.997, a factor of 14.
+    np.testing.assert_allclose(got, angle, rtol=16 * epsilon(dtype))
+
+
+def test_rotation_angle_of_distances_rounded_out_of_range_is_that_of_the_end() -> None:
+    got = se3.rotation_angle(jnp.array([-1e-9, 1.0, 1.0 + 1e-6], jnp.float32))
+    np.testing.assert_allclose(got, [0, math.pi, math.pi], rtol=1e-6)
+
+
+def test_rotation_angle_is_differentiable_at_zero_distance() -> None:
+    assert jnp.isfinite(jax.grad(se3.rotation_angle)(jnp.float32(0)))
+
+
+# Euler angles -------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_euler_angles_equal_scipys() -> None:
+    R = random_rotations(200)
+    theirs = Rotation.from_matrix(R).as_euler("ZYX")[:, ::-1]
+    np.testing.assert_allclose(jax.jit(se3.euler_angles)(R), theirs, atol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+@pytest.mark.parametrize("away", [0.0, 1e-12, 1e-6, 1e-3])
+def test_euler_angles_give_the_rotation_back_at_and_near_gimbal_lock(pitch, away) -> None:
+    # Exactly at it only yaw -+ roll is defined, and that is enough to give the rotation back.
+    s, c = math.sin(0.7), math.cos(0.7)
+    roll = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    up = np.sign(pitch)
+    lock = np.array([[0.0, 0.0, up], [0.0, 1.0, 0.0], [-up, 0.0, 0.0]])  # exact, unlike cos(pi/2)
+    R = lock @ turn(np.array([0.0, 1.0, 0.0]), -up * away) @ roll
+    got = np.asarray(se3.euler_angles(jnp.asarray(R)))
+    np.testing.assert_allclose(Rotation.from_euler("ZYX", got[::-1]).as_matrix(), R, atol=1e-7)
+
+
+# Projection and random rotations ------------------------------------------------------------------
+
+
+def test_project_rotation_takes_the_rotation_out_of_a_stretched_one() -> None:
+    # The polar factor: of R S with S symmetric and positive, the nearest rotation is R.
+    rng = np.random.default_rng(0)
+    for R in random_rotations(10):
+        stretch = np.eye(3) + 0.1 * (lambda a: a + a.T)(rng.uniform(-1, 1, (3, 3)))
+        np.testing.assert_allclose(se3.project_rotation(R @ stretch), R, atol=1e-14)
+
+
+def test_project_rotation_leaves_rotations_alone() -> None:
+    for R in random_rotations(10):
+        np.testing.assert_allclose(se3.project_rotation(R), R, atol=1e-15)
+
+
+def test_no_rotation_is_nearer_to_the_papers_matrix_than_its_projection() -> None:
+    assert np.linalg.det(PRINTED) == pytest.approx(0.943, abs=5e-4)
+    projected = se3.project_rotation(PRINTED)
+    assert np.linalg.det(projected) == pytest.approx(1)
+    np.testing.assert_allclose(projected @ projected.T, np.eye(3), atol=1e-15)
+    nearest = np.linalg.norm(projected - PRINTED)
+    small_turns = [turn(axis, a) for axis in directions(100) for a in (1e-3, 0.1)]
+    for other in [*(projected @ small_turns), *random_rotations(100)]:
+        assert np.linalg.norm(other - PRINTED) > nearest
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0]), np.diag([1.0, 1.0, -1.0]), -np.eye(3)],
+    ids=["zero", "singular", "reflection", "inversion"],
+)
+def test_project_rotation_refuses_what_no_rotation_is_near(matrix) -> None:
+    with pytest.raises(ValueError, match=r"no rotation is near .* its determinant is"):
+        se3.project_rotation(matrix)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2, 3.0])
+def test_random_rotations_have_the_angle_asked_for_in_both_precisions(dtype, angle) -> None:
+    def rotation(key: Array) -> Array:
+        return se3.random_rotation(key, jnp.asarray(angle, dtype))
+
+    R = np.asarray(jax.jit(jax.vmap(rotation))(jax.random.split(jax.random.key(0), 50)))
+    assert R.dtype == dtype
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        Rotation.from_matrix(R).magnitude(), angle, atol=100 * epsilon(dtype)
+    )
+
+
+def test_random_rotations_are_about_uniformly_random_axes() -> None:
+    angle = jnp.float32(1.0)
+    draw: Callable[[Array], Array] = lambda key: se3.random_rotation(key, angle)  # noqa: E731
+    R = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(1), 3000))
+    axes = Rotation.from_matrix(np.asarray(R, np.float64)).as_rotvec()
+    # Standard deviation of the means: sqrt(1/3/3000) = 0.011, and 0.005 for the products.
+    np.testing.assert_allclose(axes.mean(axis=0), 0, atol=0.05)
+    np.testing.assert_allclose(axes.T @ axes / 3000, np.eye(3) / 3, atol=0.025)
+
+
+@pytest.mark.usefixtures("x64")
+def test_random_rotations_are_the_same_in_both_precisions() -> None:
+    key = jax.random.key(5)
+    single, double = (se3.random_rotation(key, jnp.asarray(1, d)) for d in (np.float32, np.float64))
+    np.testing.assert_allclose(single, double, atol=1e-6)

@@ -1,0 +1,228 @@
+"""The main job through the API: result, folder, and what must hold of both."""
+
+import json
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import posegsa
+from posegsa import config
+from posegsa.errors import ConfigError, RunFolderError
+from posegsa.evaluate import keys, scenario_keys
+from posegsa.population import evaluate_population, problem
+from posegsa.scenario import scenario
+from posegsa.tuning import Progress, make_optimiser
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+TINY = [
+    "scenario.duration=2.0",
+    "cost.steady_window=[150, 199]",
+    "search.agents=6",
+    "search.iterations=4",
+    "run.training_scenarios=2",
+    "run.held_out_scenarios=3",
+]
+
+
+def tiny(*settings: str) -> config.Experiment:
+    return config.override(config.Experiment(), [*TINY, *settings])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A finished run: its result, its folder and the progress it told."""
+    told: list[Progress] = []
+    folder = tmp_path_factory.mktemp("run") / "out"
+    result = posegsa.tune(tiny(), out=folder, progress=told.append)
+    return result, folder, told
+
+
+def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
+    result, _, _ = run
+    experiment = result.experiment
+    training = problem(
+        experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 2)
+    )
+    space = posegsa.parameter_space(experiment)
+    again = evaluate_population(space.checked(result.parameters)[None], training, space)
+    # Another batch size and another kernel: float32 rounding over 200 steps, no chaos.
+    np.testing.assert_allclose(again[0], result.best_cost, rtol=1e-4)
+    np.testing.assert_allclose(np.mean(result.judged.tuned.training), result.best_cost, rtol=1e-4)
+
+
+def test_training_and_held_out_scenarios_have_different_noise():
+    use = keys(0)
+    training = jax.random.key_data(scenario_keys(use.training, 64)).tolist()
+    held_out = jax.random.key_data(scenario_keys(use.held_out, 1000)).tolist()
+    assert not {tuple(k) for k in training} & {tuple(k) for k in held_out}
+
+
+def test_the_number_of_scenarios_does_not_change_the_first_ones():
+    key = keys(3).training
+    few, many = (jax.random.key_data(scenario_keys(key, n)) for n in (2, 9))
+    assert (few == many[:2]).all()
+
+
+def test_history_and_counts(run):
+    result, _, _ = run
+    assert len(result.history.best) == 4
+    assert (np.diff(result.history.best) <= 0).all()
+    assert result.history.best[-1] == np.float32(result.best_cost)
+    assert result.evaluations == 24
+    assert result.non_finite == result.history.non_finite.sum() == 0
+    assert len(result.judged.tuned.held_out) == len(result.judged.constant.held_out) == 3
+
+
+def test_progress_begins_at_zero_and_ends_at_the_end(run):
+    _, _, told = run
+    assert [p.iteration for p in told] == [0, 1, 2, 3, 4]
+    assert told[0].best_cost == math.inf
+    assert told[-1].best_cost == run[0].best_cost
+
+
+def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
+    again = posegsa.tune(tiny())
+    assert again.best_cost == run[0].best_cost
+    assert (again.parameters == run[0].parameters).all()
+    assert posegsa.tune(tiny(), seed=5).best_cost != run[0].best_cost
+
+
+def test_the_best_constant_gain_is_the_best_of_those_tried(run):
+    from posegsa.evaluate import CONSTANT_GAINS
+    from posegsa.gain import ConstantGain
+    from posegsa.population import costs_by_scenario
+
+    result, _, _ = run
+    training = problem(
+        result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 2)
+    )
+    gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
+    costs = np.mean(costs_by_scenario(ConstantGain(jax.numpy.asarray(gains)), training), axis=0)
+    assert result.judged.constant_gain == gains[np.argmin(costs)]
+
+
+def test_the_folder_holds_what_is_promised(run):
+    result, folder, _ = run
+    data = json.loads((folder / "result.json").read_text())
+    assert data["schema"] == 1
+    assert data["version"] == posegsa.__version__
+    assert data["best_cost"] == result.best_cost
+    assert list(data["parameters"]) == [f"k{i}" for i in range(1, 23)]
+    assert data["evaluations"] == 24
+    assert data["compile_seconds"] > 0
+    assert data["search_seconds"] > 0
+    assert data["non_finite"] == 0
+    assert data["tuned"]["held_out_mean"] == pytest.approx(np.mean(result.judged.tuned.held_out))
+    assert data["tuned"]["held_out_worst"] == np.max(result.judged.tuned.held_out)
+    assert config.from_dict(data["config"]) == result.experiment
+    assert {"jax", "numpy", "device"} <= set(data["environment"])
+    header, *rows = (folder / "history.csv").read_text().splitlines()
+    assert header == "iteration,best,mean,worst,non_finite"
+    assert len(rows) == 4
+    assert len((folder / "trajectory.csv").read_text().splitlines()) == 201
+    figures = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert figures == set(result.figures())
+    assert len(figures) == 8
+
+
+def test_load_gives_the_same_from_the_folder(run):
+    result, folder, _ = run
+    loaded = posegsa.load(folder)
+    assert loaded.experiment == result.experiment
+    assert (loaded.parameters == result.parameters).all()
+    assert loaded.best_cost == result.best_cost
+    assert loaded.summary() == result.summary()
+    for name, values in vars(result.trajectory).items():
+        np.testing.assert_array_equal(getattr(loaded.trajectory, name), values)
+    for name, values in result.history._asdict().items():
+        np.testing.assert_array_equal(getattr(loaded.history, name), values)
+    error, rate = np.float32([0.1, 0.5]), np.float32([0.0, 0.3])
+    assert (loaded.controller(error, rate) == result.controller(error, rate)).all()
+
+
+def test_the_summary_shows_training_beside_held_out(run):
+    text = run[0].summary()
+    for words in ("training", "held out", "worst", "best constant gain", "deg", "cm"):
+        assert words in text
+
+
+def test_float64_is_one_setting_away():
+    result = posegsa.tune(tiny("run.dtype=float64"))
+    assert result.controller.output_terms.dtype == np.float64
+    assert result.history.best.dtype == np.float64
+    assert jax.numpy.ones(1).dtype == np.float32, "the process keeps its precision"
+    single = posegsa.tune(tiny())
+    # The same noise and the same first agents, so the same search up to rounding.
+    assert result.history.best[0] == pytest.approx(single.history.best[0], rel=1e-4)
+
+
+def test_random_search_runs_by_name():
+    result = posegsa.tune(tiny("search.optimiser=random_search"))
+    assert np.isfinite(result.best_cost)
+    assert type(make_optimiser(result.experiment)).__name__ == "RandomSearch"
+
+
+def test_literal_settings_run_and_divergence_is_told():
+    settings = ["filter.law=printed", "filter.gain_limit=off", "gain.signal=pose"]
+    result = posegsa.tune(
+        tiny(*settings, "fuzzy.centroid=sampled", "fuzzy.no_rule=midrange", "filter.substeps=1")
+    )
+    assert not np.isnan(result.best_cost)
+
+
+def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch):
+    _, folder, _ = run
+    monkeypatch.setattr("posegsa.tuning._tune", lambda *_: pytest.fail("it searched"))
+    with pytest.raises(RunFolderError, match="holds a run already"):
+        posegsa.tune(tiny(), out=folder)
+    assert posegsa.load(folder).best_cost == run[0].best_cost
+
+
+def test_a_run_is_replaced_when_asked(run, tmp_path):
+    result, _, _ = run
+    result.save(tmp_path)
+    with pytest.raises(RunFolderError, match="overwrite"):
+        result.save(tmp_path)
+    result.save(tmp_path, overwrite=True)
+    assert posegsa.load(tmp_path).best_cost == result.best_cost
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("mine")
+    with pytest.raises(RunFolderError, match="not a folder"):
+        posegsa.tune(tiny(), out=path)
+    assert path.read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError, match="cannot be written"):
+        posegsa.tune(tiny(), out=tmp_path / "file" / "below")
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda f: (f / "result.json").unlink(), "no finished run"),
+        (lambda f: (f / "result.json").write_text("{"), "not JSON"),
+        (lambda f: (f / "result.json").write_text("[]"), "not a result"),
+        (lambda f: (f / "result.json").write_text('{"schema": 99}'), "schema 99"),
+        (lambda f: (f / "history.csv").write_text("a,b\n1,2\n"), "history"),
+        (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
+        (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
+    ],
+)
+def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
+    run[0].save(tmp_path)
+    damage(tmp_path)
+    with pytest.raises(RunFolderError, match=said):
+        posegsa.load(tmp_path)
+
+
+def test_a_bad_seed_names_its_key():
+    with pytest.raises(ConfigError, match=r"run\.seed"):
+        posegsa.tune(tiny(), seed=-1)
