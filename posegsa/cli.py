@@ -1,4 +1,4 @@
-"""The command line: `posegsa tune`."""
+"""The command line: `posegsa tune` and `posegsa evaluate`."""
 
 import argparse
 import signal
@@ -66,7 +66,57 @@ def _parser() -> argparse.ArgumentParser:
     )
     tune.add_argument("--quiet", action="store_true", help="show no progress")
     tune.set_defaults(command=_tune)
+    evaluate = commands.add_parser(
+        "evaluate",
+        help="judge a finished run on more unseen scenarios, beside all baselines",
+        description="Judges a finished run on unseen scenarios beside the best constant gain, "
+        "random search, a smooth schedule and an oracle, each at the run's number of evaluations. "
+        "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder.",
+    )
+    evaluate.add_argument("run", metavar="RUN", help="folder of a finished run")
+    evaluate.add_argument(
+        "--scenarios",
+        type=_count,
+        default=1000,
+        metavar="S",
+        help="number of held-out scenarios (default: %(default)s)",
+    )
+    evaluate.add_argument(
+        "--seed",
+        type=_seed,
+        metavar="N",
+        help="another held-out set than the run's own; any whole number from 0",
+    )
+    evaluate.set_defaults(command=_evaluate)
     return parser
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text) >= 2):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 2")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not (text.isdecimal() and int(text) < 2**31):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 0 to 2147483647")
+    return int(text)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from posegsa.evaluate import evaluate
+    from posegsa.results import load
+
+    result = load(options.run)
+    result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
+    result.save_evaluation(options.run)
+    print(result.evaluation.table())
+    print(f"\nWritten to {options.run}: evaluation.json, evaluation.txt, figures/")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(f"{text} ...", file=sys.stderr, flush=True)
 
 
 def _tune(options: argparse.Namespace) -> int:

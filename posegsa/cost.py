@@ -1,11 +1,12 @@
 """The paper's cost: transient plus steady-state error, as sums over samples."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.config import CostConfig
+from posegsa.config import CostConfig, ObjectiveConfig
 
 
 class CostWeights(NamedTuple):
@@ -44,6 +45,34 @@ def cost_weights(cost: CostConfig, samples: int, dtype: jnp.dtype) -> CostWeight
         steady=window(cost.steady_weight, cost.steady_window),
         position=jnp.asarray(cost.position_weight, dtype),
     )
+
+
+def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:
+    """One cost for each agent from its costs on S scenarios.
+
+    Args:
+        costs: (S, ...) costs; a NaN or infinity on any scenario makes the result not finite.
+        objective: "mean", "median", "worst"; "cvar": the mean of the ceil((1 - level) S) worst
+            (Rockafellar and Uryasev 2000, on equally likely scenarios); "mean_std": the mean plus
+            factor times the standard deviation.
+
+    Returns:
+        Costs (...).
+    """
+    mean = jnp.mean(costs, axis=0)
+    match objective.name:
+        case "mean":
+            return mean
+        case "median":
+            # A median would forgive scenarios that diverge: the objective may not.
+            return jnp.where(jnp.isfinite(mean), jnp.median(costs, axis=0), mean)
+        case "worst":
+            return jnp.max(costs, axis=0)
+        case "cvar":
+            worst = max(1, math.ceil((1 - objective.level) * costs.shape[0] - 1e-9))
+            return jnp.mean(jnp.sort(costs, axis=0)[-worst:], axis=0)
+        case "mean_std":
+            return mean + objective.factor * jnp.std(costs, axis=0)
 
 
 def sample_error(attitude: Array, position: Array, weights: CostWeights) -> Array:

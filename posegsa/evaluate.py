@@ -1,109 +1,123 @@
-"""What a schedule costs on noise that it was not tuned on, beside the best constant gain."""
+"""`posegsa evaluate`: a finished run on many unseen scenarios, beside every baseline."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, random
 
-from posegsa.config import Experiment
-from posegsa.gain import ConstantGain, GainSchedule
-from posegsa.population import costs_by_scenario, problem
-from posegsa.rollout import simulate
-from posegsa.scenario import Scenario, Truth, integrate
-from posegsa.trajectory import Trajectory, trajectory
+from posegsa.baselines import (
+    constant_box,
+    constant_gain,
+    fuzzy_gain,
+    oracle,
+    search_schedule,
+    smooth_box,
+    smooth_gain,
+)
+from posegsa.comparison import (
+    CONSTANT,
+    ORACLE,
+    RANDOM,
+    SMOOTH,
+    TUNED,
+    contender,
+    evaluation,
+    held_out_keys,
+    training_keys,
+)
+from posegsa.gain import FuzzyGain, GainSchedule
+from posegsa.keys import keys, scenario_keys
+from posegsa.metrics import run
+from posegsa.optimisers import Box, RandomSearch
+from posegsa.parameters import parameter_space
+from posegsa.population import problem
+from posegsa.results import TuneResult
+from posegsa.scenario import Scenario, scenario
+from posegsa.tuning import make_optimiser
 
-CONSTANT_GAINS = 201
-"""Number of constant gains tried, evenly spaced over all that a controller can ask for."""
+ORACLE_SCENARIOS = 32
+"""Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""
 
-
-class Keys(NamedTuple):
-    """The random keys of an experiment, named by use; all are drawn from its seed and unrelated."""
-
-    search: Array
-    training: Array
-    held_out: Array
-
-
-def keys(seed: int) -> Keys:
-    """The keys of a seed."""
-    return Keys(*random.split(random.key(seed), 3))
-
-
-def scenario_keys(key: Array, count: int) -> Array:
-    """`count` noise keys; the first ones do not depend on how many there are."""
-    return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))
-
-
-class Score(NamedTuple):
-    """Costs of a schedule on the scenarios it was chosen on and on those it was not."""
-
-    training: np.ndarray
-    """(S,) costs on the training scenarios; infinite where the filter diverged."""
-    held_out: np.ndarray
-    """(H,) costs on the held-out scenarios, likewise."""
+Baseline = Callable[[], tuple[GainSchedule, dict[str, Any]]]
+"""Finds a schedule, and says what it is."""
 
 
-class Judged(NamedTuple):
-    """A tuned schedule beside the baseline."""
+def evaluate(
+    result: TuneResult,
+    *,
+    scenarios: int = 1000,
+    seed: int | None = None,
+    progress: Callable[[str], object] | None = None,
+) -> TuneResult:
+    """Judge a tuned schedule on unseen scenarios beside all baselines.
 
-    tuned: Score
-    constant_gain: float
-    """The constant gain with the least mean cost on the training scenarios [1/s]."""
-    constant: Score
-
-
-def judge(schedule: GainSchedule, one: Scenario, experiment: Experiment) -> Judged:
-    """Score a schedule and the best constant gain on training and held-out scenarios.
+    Every baseline but the oracle is searched on the run's training scenarios with the run's number
+    of evaluations. The scenarios that judge are drawn with keys that no search has seen.
 
     Args:
-        schedule: The tuned schedule.
-        one: The scenario, of which the noise keys make many.
-        experiment: What it was tuned on; its held-out scenarios have keys of their own.
+        result: A tuned result.
+        scenarios: Number of held-out scenarios, at least 2.
+        seed: Another held-out set than the run's own.
+        progress: Told in words what is done next.
+
+    Returns:
+        The result with its evaluation replaced.
+
+    Raises:
+        ValueError: Fewer than 2 scenarios.
     """
-    run, use = experiment.run, keys(experiment.run.seed)
-    every_key = jnp.concatenate(
-        [
-            scenario_keys(use.training, run.training_scenarios),
-            scenario_keys(use.held_out, run.held_out_scenarios),
-        ]
-    )
-    # All scenarios at once, so that each kind of schedule is compiled once.
-    everywhere = problem(experiment, one, every_key)
-    low, high = experiment.parameters.gain_range
-    gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=everywhere.dtype)
-    constants = _finite_or_infinite(costs_by_scenario(ConstantGain(gains), everywhere))
-    tuned = _finite_or_infinite(
-        costs_by_scenario(jax.tree.map(lambda a: a[None], schedule), everywhere)
-    )
-    best = int(np.argmin(np.mean(constants[: run.training_scenarios], axis=0)))
-
-    def score(costs: np.ndarray) -> Score:
-        return Score(costs[: run.training_scenarios], costs[run.training_scenarios :])
-
-    return Judged(score(tuned[:, 0]), float(gains[best]), score(constants[:, best]))
+    if scenarios < 2:
+        raise ValueError(f"scenarios = {scenarios}; allowed: at least 2")
+    experiment = result.experiment
+    say = progress if progress is not None else lambda _: None
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        one = scenario(experiment)
+        held_out = problem(experiment, one, held_out_keys(experiment, scenarios, seed))
+        tuned = (result.schedule, {"k": result.parameters.tolist()})
+        schedules: dict[str, Baseline] = {TUNED: lambda: tuned, **baselines(result, one)}
+        contenders = {}
+        for name, find in schedules.items():
+            say(name)
+            schedule, description = find()
+            contenders[name] = contender(run(schedule, held_out), held_out, description)
+        return replace(result, evaluation=evaluation(contenders, held_out, seed))
 
 
-def _finite_or_infinite(costs: Array) -> np.ndarray:
-    """Costs as float64, infinite where the filter diverged."""
-    values = np.asarray(costs, np.float64)
-    return np.where(np.isfinite(values), values, np.inf)
+def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
+    """How to find each baseline of a run, by name."""
+    experiment = result.experiment
+    space, optimiser = parameter_space(experiment), make_optimiser(experiment)
+    training = problem(experiment, one, training_keys(experiment))
+    gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
+    use = keys(experiment.run.seed)
+    of_constant, of_random, of_smooth = jax.random.split(use.baselines, 3)
 
+    def constant() -> tuple[GainSchedule, dict[str, Any]]:
+        box = constant_box(gains, dtype)
+        found = search_schedule(optimiser, constant_gain, objective, box, training, of_constant)
+        return constant_gain(found), {"gain": float(found[0])}
 
-def run_scenario(
-    schedule: GainSchedule, one: Scenario, experiment: Experiment, key: Array
-) -> Trajectory:
-    """Truth, estimates, errors and gain over time of one simulation.
+    def random() -> tuple[GainSchedule, dict[str, Any]]:
+        search, box = (
+            RandomSearch(optimiser.agents, optimiser.iterations),
+            Box(space.lower, space.upper),
+        )
+        k = search_schedule(search, fuzzy_gain, objective, box, training, of_random, space)
+        controller = space.controller(k)
+        return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
 
-    Args:
-        schedule: The gain schedule.
-        one: The scenario.
-        experiment: Where the filter's and the signal's settings come from.
-        key: Noise key.
-    """
-    truth: Truth = integrate(one)
-    posed = problem(experiment, one, key[None])
-    tracks, initial = jax.tree.map(lambda a: a[0], (posed.tracks, posed.initial))
-    estimates = simulate(schedule, tracks, initial, posed.settings, posed.signal)
-    return trajectory(truth, estimates)
+    def smooth() -> tuple[GainSchedule, dict[str, Any]]:
+        box = smooth_box(gains, dtype)
+        found = search_schedule(optimiser, smooth_gain, objective, box, training, of_smooth)
+        schedule = smooth_gain(found)
+        return schedule, {name: float(value) for name, value in vars(schedule).items()}
+
+    def best_sequence() -> tuple[GainSchedule, dict[str, Any]]:
+        knots, cost = oracle(problem(experiment, one, scenario_keys(use.oracle, ORACLE_SCENARIOS)))
+        gain = np.exp(np.asarray(knots.log_gain, np.float64))
+        time = np.asarray(knots.time, np.float64)
+        return knots, {"time": time.tolist(), "gain": gain.tolist(), "cost_fitted": cost}
+
+    return {CONSTANT: constant, RANDOM: random, SMOOTH: smooth, ORACLE: best_sequence}

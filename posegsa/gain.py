@@ -120,7 +120,7 @@ class FuzzyGain:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["position_weight", "error_scale", "rate_scale"],
+    data_fields=["position_weight", "smoothing", "error_scale", "rate_scale"],
     meta_fields=["signal"],
 )
 @dataclass(frozen=True)
@@ -130,6 +130,8 @@ class SignalSettings:
     signal: Signal
     position_weight: Array
     """Weight of the position part [1/m]."""
+    smoothing: Array
+    """Time constant of the low-pass filter that the signal passes [s]; 0 passes it as it is."""
     error_scale: Array
     """Signal at which the scaled error is 1."""
     rate_scale: Array
@@ -138,11 +140,13 @@ class SignalSettings:
 
 def signal_settings(settings: config.GainConfig, dtype: DTypeLike) -> SignalSettings:
     """The error signal of a configuration's [gain] section, at a dtype."""
-    weight, error_scale, rate_scale = (
-        jnp.asarray(a, dtype)
-        for a in (settings.position_weight, settings.error_scale, settings.rate_scale)
+    numbers = (
+        settings.position_weight,
+        settings.smoothing,
+        settings.error_scale,
+        settings.rate_scale,
     )
-    return SignalSettings(settings.signal, weight, error_scale, rate_scale)
+    return SignalSettings(settings.signal, *(jnp.asarray(a, dtype) for a in numbers))
 
 
 def pose_errors(state: FilterState, truth: TruePose) -> tuple[Array, Array]:
@@ -174,7 +178,7 @@ class SignalMemory(NamedTuple):
     """What the error signal and the schedule remember from sample to sample."""
 
     error: Array
-    """The last unscaled error signal; negative before the first sample."""
+    """The last error signal, smoothed, unscaled; negative before the first sample."""
     gain: Array
     """The last gain asked for [1/s]."""
 
@@ -191,17 +195,24 @@ def scheduled_gain(
     memory: SignalMemory,
     errors: tuple[Array, Array],
     time: Array,
+    time_step: Array,
     settings: SignalSettings,
-) -> tuple[Array, SignalMemory]:
+) -> tuple[Array, ScheduleInputs, SignalMemory]:
     """The gain K [1/s] that a schedule asks for, from the errors of attitude [1] and position [m].
 
-    e = attitude + weight x position. The schedule sees e / error_scale and, as the rate,
+    e = attitude + weight x position, passed through a first-order low-pass filter (backward Euler,
+    started at the first e). The schedule sees e / error_scale and, as the rate,
     |e_k - e_{k-1}| x rate_scale, both clipped to [0, 1]. The rate is that of e itself, neither
     scaled nor clipped before, and 0 at the first sample.
+
+    Returns:
+        The gain, what the schedule saw, and the memory for the next sample.
     """
     attitude, position = errors
-    e = attitude + settings.position_weight * position
-    previous = jnp.where(memory.error < 0, e, memory.error)
+    now = attitude + settings.position_weight * position
+    previous = jnp.where(memory.error < 0, now, memory.error)
+    # The share of the new value is exactly 1 without smoothing.
+    e = previous + time_step / (settings.smoothing + time_step) * (now - previous)
     inputs = ScheduleInputs(
         error=jnp.clip(e / settings.error_scale, 0.0, 1.0),
         rate=jnp.clip(jnp.abs(e - previous) * settings.rate_scale, 0.0, 1.0),
@@ -209,4 +220,4 @@ def scheduled_gain(
         last=memory.gain,
     )
     gain = schedule(inputs)
-    return gain, SignalMemory(e, gain)
+    return gain, inputs, SignalMemory(e, gain)

@@ -6,13 +6,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.config import Experiment
-from posegsa.cost import CostWeights, cost_weights
+from posegsa.config import Experiment, ObjectiveConfig
+from posegsa.cost import CostWeights, cost_weights, over_scenarios
+from posegsa.family import Family, family, realise
 from posegsa.filter import FilterSettings, FilterState, filter_settings, initial_state
 from posegsa.gain import FuzzyGain, GainSchedule, SignalSettings, signal_settings
 from posegsa.parameters import ParameterSpace
 from posegsa.rollout import Track, simulate_cost, track
-from posegsa.scenario import Scenario, integrate, measure
+from posegsa.scenario import Scenario
+
+MEAN = ObjectiveConfig(name="mean")
 
 
 class Problem(NamedTuple):
@@ -22,6 +25,8 @@ class Problem(NamedTuple):
     """Leaves (S, N)."""
     initial: FilterState
     """Leaves (S,)."""
+    bias: Array
+    """(S, 6) true velocity bias [rad/s, m/s]; only for judging the bias estimate."""
     weights: CostWeights
     settings: FilterSettings
     signal: SignalSettings
@@ -33,25 +38,25 @@ class Problem(NamedTuple):
 
 
 @jax.jit
-def _simulated(scenario: Scenario, keys: Array) -> tuple[Track, FilterState]:
-    truth = integrate(scenario)
-
-    def one(key: Array) -> tuple[Track, FilterState]:
+def _simulated(scenario: Scenario, family: Family, keys: Array) -> tuple[Track, FilterState, Array]:
+    def one(key: Array) -> tuple[Track, FilterState, Array]:
+        drawn, truth, measurements = realise(scenario, family, key)
         initial = initial_state(
-            scenario.rotation_estimate, scenario.position_estimate, scenario.bias_estimate
+            drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate
         )
-        return track(measure(scenario, truth, key), truth.rotation, truth.position), initial
+        return track(measurements, truth.rotation, truth.position), initial, drawn.bias
 
     return jax.vmap(one)(keys)
 
 
 def problem(experiment: Experiment, scenario: Scenario, keys: Array) -> Problem:
-    """The problem of an experiment's scenario with S noise keys (S,)."""
+    """The problem of S scenarios of an experiment's family, one for each key of keys (S,)."""
     dtype = jnp.dtype(experiment.run.dtype)
-    tracks, initial = _simulated(scenario, keys)
+    tracks, initial, bias = _simulated(scenario, family(experiment.family, dtype), keys)
     return Problem(
         tracks,
         initial,
+        bias,
         cost_weights(experiment.cost, scenario.samples, dtype),
         filter_settings(experiment.filter, dtype),
         signal_settings(experiment.gain, dtype),
@@ -81,16 +86,21 @@ def agent_costs(schedules: GainSchedule, problem: Problem) -> Array:
     return jax.vmap(on_scenario)(problem.tracks, problem.initial)
 
 
-def population_costs(vectors: Array, problem: Problem, space: ParameterSpace) -> Array:
-    """Cost (A,) of A parameter vectors (A, 22): the mean over the scenarios (pure, jittable).
+def population_costs(
+    vectors: Array,
+    problem: Problem,
+    space: ParameterSpace,
+    objective: ObjectiveConfig = MEAN,
+) -> Array:
+    """Cost (A,) of A parameter vectors (A, 22), by default the mean over scenarios (jittable).
 
     An agent that diverges costs infinity or NaN, one that is out of order where that is not
     repaired infinity; the search sees to it that neither is ever best.
     """
     schedules = FuzzyGain(jax.vmap(space.controller)(vectors))
-    costs = jnp.mean(agent_costs(schedules, problem), axis=0)
+    costs = over_scenarios(agent_costs(schedules, problem), objective)
     return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
 
 
 costs_by_scenario = jax.jit(agent_costs)
-evaluate_population = jax.jit(population_costs)
+evaluate_population = jax.jit(population_costs, static_argnames="objective")

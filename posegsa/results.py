@@ -13,9 +13,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
-from posegsa import config, plots
+from posegsa import comparison, config, plots
+from posegsa.comparison import CONSTANT, TUNED, Evaluation
 from posegsa.errors import ConfigError, RunFolderError
-from posegsa.evaluate import Judged, Score
 from posegsa.filter import filter_settings, initial_state
 from posegsa.fuzzy import FuzzyController
 from posegsa.gain import FuzzyGain, signal_settings
@@ -24,13 +24,15 @@ from posegsa.optimisers import History
 from posegsa.parameters import parameter_space
 from posegsa.rollout import Estimates, run_filter
 from posegsa.trajectory import Trajectory, read_trajectory
+from posegsa.trust import Trust
 
 VERSION = version("posegsa")
 
 SCHEMA = 1
 """Number of the layout of result.json; it changes when a key changes its meaning."""
 
-RESULT, HISTORY, TRAJECTORY, FIGURES = "result.json", "history.csv", "trajectory.csv", "figures"
+RESULT, EVALUATION, FIGURES = "result.json", "evaluation.json", "figures"
+HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,16 @@ class TuneResult:
     """Least cost that the search found on the training scenarios."""
     parameters: np.ndarray
     """(22,) k1..k22, in order and repaired as configured."""
-    judged: Judged
-    """What it costs on training and held-out scenarios, beside the best constant gain."""
+    training_costs: np.ndarray
+    """(S,) its cost on each training scenario; infinite where it diverged."""
+    constant_gain: float
+    """The constant gain with the least mean cost on the training scenarios [1/s]."""
+    constant_training_costs: np.ndarray
+    """(S,) what that costs on each of them."""
+    evaluation: Evaluation
+    """Both on the held-out scenarios."""
+    trust: Trust
+    """Numerical sensitivity and use of the rules."""
     evaluations: int
     """Number of agents evaluated, each on all training scenarios."""
     non_finite: int
@@ -125,12 +135,12 @@ class TuneResult:
         last = self.trajectory
         settled = last.time >= 0.5 * last.time[-1]
 
-        def row(name: str, score: Score) -> str:
-            bad = int(np.sum(~np.isfinite(score.held_out)))
-            held_out, worst = np.mean(score.held_out), np.max(score.held_out)
+        def row(name: str, label: str, training: np.ndarray) -> str:
+            metrics = self.evaluation.contenders[name].metrics
+            bad = int(np.sum(metrics.diverged))
             return (
-                f"  {name:<28}{np.mean(score.training):>10.4g}{held_out:>12.4g}{worst:>12.4g}"
-                + (f"   diverged on {bad}" if bad else "")
+                f"  {label:<28}{np.mean(training):>10.4g}{np.mean(metrics.cost):>12.4g}"
+                f"{np.max(metrics.cost):>12.4g}" + (f"   diverged on {bad}" if bad else "")
             )
 
         return "\n".join(
@@ -141,16 +151,36 @@ class TuneResult:
                 f"(+ {self.compile_seconds:.2f} s to compile)",
                 "",
                 f"  {'mean cost':<28}{'training':>10}{'held out':>12}{'worst':>12}"
-                f"   ({_count(run.held_out_scenarios, 'unseen noise seed')})",
-                row("tuned fuzzy gain", self.judged.tuned),
-                row(f"best constant gain {self.judged.constant_gain:.4g}/s", self.judged.constant),
+                f"   ({_count(self.evaluation.scenarios, 'unseen scenario')})",
+                row(TUNED, TUNED, self.training_costs),
+                row(
+                    CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs
+                ),
                 "",
                 "  On one unseen scenario, second half: attitude error "
                 f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
                 f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
             ]
-            + [f"  {self.non_finite} agents had no finite cost."] * bool(self.non_finite)
+            + [f"  warning: {warning}" for warning in self.warnings()]
         )
+
+    def warnings(self) -> list[str]:
+        """What a reader of the result must know before trusting it."""
+        found = []
+        t = self.trust
+        if t.sensitive:
+            found.append(
+                f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
+                f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
+                "agree within 1 %. The simulation is chaotic: do not trust this schedule"
+            )
+        if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
+            found.append(f"the tuned filter diverged on {bad} held-out scenarios")
+        if t.uncovered > 0:
+            found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
+        if self.non_finite:
+            found.append(f"{self.non_finite} agents of the search had no finite cost")
+        return found
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write the run's folder.
@@ -170,6 +200,7 @@ class TuneResult:
             # result.json says that a run is complete: the old one goes first, the new comes last.
             (folder / RESULT).unlink(missing_ok=True)
             _write_atomically(folder / HISTORY, self._history_csv())
+            self.save_evaluation(folder)
             self.trajectory.write(folder / TRAJECTORY)
             (folder / FIGURES).mkdir(exist_ok=True)
             for name, figure in self.figures().items():
@@ -179,25 +210,46 @@ class TuneResult:
             raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
         return folder
 
-    def _json(self) -> dict[str, Any]:
-        def score(s: Score) -> dict[str, Any]:
-            return {
-                "training_mean": _number(np.mean(s.training)),
-                "held_out_mean": _number(np.mean(s.held_out)),
-                "held_out_worst": _number(np.max(s.held_out)),
-                "held_out_diverged": int(np.sum(~np.isfinite(s.held_out))),
-                "training": [_number(c) for c in s.training],
-                "held_out": [_number(c) for c in s.held_out],
-            }
+    def save_evaluation(self, folder: str | Path) -> None:
+        """Write the evaluation, as JSON and as a table, beside a run in its folder.
 
+        Raises:
+            RunFolderError: It can't be written.
+        """
+        folder = Path(folder)
+        try:
+            _write_atomically(folder / EVALUATION, self.evaluation.to_json())
+            _write_atomically(folder / "evaluation.txt", self.evaluation.table() + "\n")
+        except OSError as error:
+            raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
+
+    def _json(self) -> dict[str, Any]:
+        tuned, constant = (
+            {
+                "training_mean": _number(np.mean(training)),
+                "held_out_mean": _number(np.mean(held_out)),
+                "held_out_worst": _number(np.max(held_out)),
+                "held_out_diverged": int(np.sum(self.evaluation.contenders[name].metrics.diverged)),
+                "training": [_number(c) for c in training],
+            }
+            for name, training in (
+                (TUNED, self.training_costs),
+                (CONSTANT, self.constant_training_costs),
+            )
+            for held_out in [self.evaluation.contenders[name].metrics.cost]
+        )
+        trust = vars(self.trust) | {"rule_weights": self.trust.rule_weights.tolist()}
         return {
             "schema": SCHEMA,
             "version": self.version,
             "best_cost": _number(self.best_cost),
             "parameters": dict(zip(config.PARAMETERS, self.parameters.tolist(), strict=True)),
-            "tuned": score(self.judged.tuned),
-            "constant_gain": self.judged.constant_gain,
-            "constant": score(self.judged.constant),
+            "tuned": tuned,
+            "constant_gain": self.constant_gain,
+            "constant": constant,
+            "held_out_scenarios": self.evaluation.scenarios,
+            "warnings": self.warnings(),
+            "trust": {k: _number(v) if isinstance(v, float) else v for k, v in trust.items()},
             "evaluations": self.evaluations,
             "non_finite": self.non_finite,
             "compile_seconds": self.compile_seconds,
@@ -237,15 +289,25 @@ def load(folder: str | Path) -> TuneResult:
                 f"{path}: has schema {data['schema']}; this version of posegsa reads {SCHEMA}"
             )
 
-        def score(d: dict[str, Any]) -> Score:
-            return Score(*(np.array([float(c) for c in d[k]]) for k in ("training", "held_out")))
+        def costs(d: dict[str, Any]) -> np.ndarray:
+            return np.array([float(c) for c in d["training"]])
 
+        checked = data["trust"]
         return TuneResult(
             experiment=config.from_dict(data["config"]),
             best_cost=float(data["best_cost"]),
             parameters=np.array([float(data["parameters"][k]) for k in config.PARAMETERS]),
-            judged=Judged(
-                score(data["tuned"]), float(data["constant_gain"]), score(data["constant"])
+            training_costs=costs(data["tuned"]),
+            constant_gain=float(data["constant_gain"]),
+            constant_training_costs=costs(data["constant"]),
+            evaluation=comparison.from_json((folder / EVALUATION).read_text(encoding="utf-8")),
+            trust=Trust(
+                cost_float32=float(checked["cost_float32"]),
+                cost_float64=float(checked["cost_float64"]),
+                cost_perturbed=float(checked["cost_perturbed"]),
+                sensitive=bool(checked["sensitive"]),
+                uncovered=float(checked["uncovered"]),
+                rule_weights=np.array(checked["rule_weights"], np.float64),
             ),
             evaluations=int(data["evaluations"]),
             non_finite=int(data["non_finite"]),
@@ -256,6 +318,10 @@ def load(folder: str | Path) -> TuneResult:
             environment={str(k): str(v) for k, v in data["environment"].items()},
             version=str(data["version"]),
         )
+    except OSError as error:
+        if isinstance(error, RunFolderError):
+            raise
+        raise RunFolderError(f"{folder}: cannot be read: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ConfigError):
             raise RunFolderError(f"{path}: its configuration is not valid: {error}") from None
@@ -312,7 +378,8 @@ def _number(value: float | np.floating) -> float | str:
 
 
 def _count(n: int, what: str) -> str:
-    return f"{n} {what}" + "s" * (n != 1)
+    plural = "es" if what.endswith("ch") else "s"
+    return f"{n} {what}" + plural * (n != 1)
 
 
 def _rms(a: np.ndarray) -> float:

@@ -16,6 +16,7 @@ from posegsa.filter import FilterSettings, FilterState, advance
 from posegsa.gain import (
     GainSchedule,
     PreparedSchedule,
+    ScheduleInputs,
     SignalMemory,
     SignalSettings,
     TruePose,
@@ -46,6 +47,17 @@ class Loop(NamedTuple):
     memory: SignalMemory
 
 
+class Step(NamedTuple):
+    """What happened at a sample, beside the change of state."""
+
+    inputs: ScheduleInputs
+    """What the schedule saw."""
+    gain: Array
+    """The gain K that it asked for [1/s]."""
+    gain_used: Array
+    """The same after the gain limit, mean over the sub-steps [1/s]."""
+
+
 class Estimates(NamedTuple):
     """The filter's output over N samples; sample k is the estimate before its update."""
 
@@ -62,7 +74,9 @@ class Estimates(NamedTuple):
     gain_used: Array
     """(N,) the same after the gain limit, mean over the sub-steps [1/s]."""
     error: Array
-    """(N,) the error signal that the schedule looked at, unscaled."""
+    """(N,) the scaled error that the schedule saw, in [0, 1]."""
+    rate: Array
+    """(N,) the scaled rate that it saw, in [0, 1]."""
 
 
 def track(
@@ -93,8 +107,8 @@ def _advance(
     schedule: PreparedSchedule,
     settings: FilterSettings,
     signal: SignalSettings,
-) -> tuple[Loop, Array, Array]:
-    """One sample of the closed loop: signal, gain, filter step. Returns also K and K used."""
+) -> tuple[Loop, Step]:
+    """One sample of the closed loop: signal, gain, filter step."""
     if signal.signal == "pose":
         if truth is None:
             raise ValueError(
@@ -103,9 +117,11 @@ def _advance(
         errors = pose_errors(loop.state, truth)
     else:
         errors = measured_errors(loop.state, sample)
-    gain, memory = scheduled_gain(schedule, loop.memory, errors, time, signal)
+    gain, inputs, memory = scheduled_gain(
+        schedule, loop.memory, errors, time, sample.time_step, signal
+    )
     state, used = advance(loop.state, sample, gain, settings)
-    return Loop(state, memory), gain, used
+    return Loop(state, memory), Step(inputs, gain, used)
 
 
 def simulate_cost(
@@ -124,7 +140,7 @@ def simulate_cost(
         loop, (transient, steady) = carry
         time, sample, truth, transient_weight, steady_weight = inputs
         error = sample_error(*pose_errors(loop.state, truth), weights)
-        loop, _, _ = _advance(loop, time, sample, truth, prepared, settings, signal)
+        loop, _ = _advance(loop, time, sample, truth, prepared, settings, signal)
         return (
             loop,
             CostParts(transient + transient_weight * error, steady + steady_weight * error),
@@ -149,15 +165,56 @@ def simulate(
 
     def body(loop, inputs):
         time, sample, truth = inputs
-        after, gain, used = _advance(loop, time, sample, truth, prepared, settings, signal)
-        return after, (loop.state, gain, used, after.memory.error)
+        after, step = _advance(loop, time, sample, truth, prepared, settings, signal)
+        return after, (loop.state, step)
 
     start = begin(schedule, initial)
     inputs = (scenario.time, scenario.sample, scenario.truth)
-    _, (states, gain, used, error) = lax.scan(body, start, inputs)
+    _, (states, steps) = lax.scan(body, start, inputs)
     return Estimates(
-        scenario.time, states.rotation, states.position, states.bias, gain, used, error
+        scenario.time,
+        states.rotation,
+        states.position,
+        states.bias,
+        steps.gain,
+        steps.gain_used,
+        steps.inputs.error,
+        steps.inputs.rate,
     )
+
+
+class ErrorTrack(NamedTuple):
+    """True errors of one simulation over N samples, for judging it."""
+
+    attitude: Array
+    """(N,) ||R_err||_I in [0, 1]."""
+    position: Array
+    """(N,) ||P_err|| [m]."""
+    gain: Array
+    """(N,) the gain K that was used, after the limit [1/s]."""
+    bias: Array
+    """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
+
+
+def simulate_errors(
+    schedule: GainSchedule,
+    scenario: Track,
+    initial: FilterState,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> ErrorTrack:
+    """The true errors of one simulation over all its samples (pure, jittable)."""
+    prepared = schedule.prepare()
+
+    def body(loop, inputs):
+        time, sample, truth = inputs
+        errors = pose_errors(loop.state, truth)
+        loop, step = _advance(loop, time, sample, truth, prepared, settings, signal)
+        return loop, (*errors, step.gain_used)
+
+    inputs = (scenario.time, scenario.sample, scenario.truth)
+    last, (attitude, position, gain) = lax.scan(body, begin(schedule, initial), inputs)
+    return ErrorTrack(attitude, position, gain, last.state.bias)
 
 
 def begin(schedule: GainSchedule, initial: FilterState) -> Loop:
@@ -189,8 +246,8 @@ def scheduled_step(
     """
     now = jnp.asarray(time, measurement.time_step.dtype)
     sample = prepare(measurement)
-    after, gain, _ = _advance(loop, now, sample, None, schedule.prepare(), settings, signal)
-    return after, gain
+    after, step = _advance(loop, now, sample, None, schedule.prepare(), settings, signal)
+    return after, step.gain
 
 
 def run_filter(

@@ -27,6 +27,8 @@ _COLUMNS = {
     "position_error": ("position_error_m",),
     "gain": ("gain_1_s",),
     "gain_used": ("gain_used_1_s",),
+    "error": ("scaled_error",),
+    "rate": ("scaled_rate",),
 }
 
 
@@ -56,6 +58,10 @@ class Trajectory:
     """(N,) K that the schedule asked for [1/s]."""
     gain_used: np.ndarray
     """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
+    error: np.ndarray
+    """(N,) the scaled error that the schedule saw, in [0, 1]."""
+    rate: np.ndarray
+    """(N,) the scaled rate that it saw, in [0, 1]."""
 
     def write(self, path: Path) -> None:
         """Write it as CSV, a row a sample; reading it back gives the same numbers."""
@@ -109,5 +115,7 @@ def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
         "position_error": jnp.linalg.norm(P_err, axis=-1),
         "gain": estimates.gain,
         "gain_used": estimates.gain_used,
+        "error": estimates.error,
+        "rate": estimates.rate,
     }
     return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})

@@ -1,10 +1,9 @@
-"""The paper's experiment as the tests vary it: vectors, controllers, scenarios, the reference's run.
+"""The paper's experiment as the tests vary it, and the reference's view of it.
 
 The reference (`reference`) knows nothing of the package; what translates between them is here.
 """
 
 import dataclasses
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -148,10 +147,8 @@ def reference_start(c: config.ScenarioConfig) -> np.ndarray:
     return pose_matrix(rotation, c.initial_position_estimate)
 
 
-@cache
-def reference_truth(c: config.ScenarioConfig) -> np.ndarray:
-    """The true poses (N, 4, 4), from the configured sines."""
-    time = np.arange(c.samples) * c.sampling_time
+def motion(c: config.ScenarioConfig, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """True angular and linear velocity (N, 3), from the configured sines, at times (N,)."""
 
     def profile(axes: config.Profile) -> np.ndarray:
         return np.stack(
@@ -162,9 +159,43 @@ def reference_truth(c: config.ScenarioConfig) -> np.ndarray:
             axis=1,
         )
 
-    return reference.integrate_truth(
-        profile(c.angular_velocity),
-        profile(c.velocity),
-        np.full(c.samples, c.sampling_time),
-        pose_matrix(c.initial_rotation, c.initial_position),
-    )
+    return profile(c.angular_velocity), profile(c.velocity)
+
+
+def reference_truth(c: config.ScenarioConfig, step: np.ndarray | None = None) -> np.ndarray:
+    """The true poses (N, 4, 4), at even time steps or those given (N,)."""
+    step = np.full(c.samples, c.sampling_time) if step is None else step
+    start = pose_matrix(c.initial_rotation, c.initial_position)
+    return reference.integrate_truth(*motion(c, np.cumsum(step) - step), step, start)
+
+
+def sensed(
+    step: np.ndarray, vectors: ArrayLike, landmarks: ArrayLike, *, missing: float = 0.0
+) -> tuple[np.ndarray, Measurements]:
+    """True poses (N, 4, 4) of the paper's motion and what other sensors say of it, by NumPy alone.
+
+    Args:
+        step: (N,) time steps [s].
+        vectors: (n, 3) directions, used as they are, of any length.
+        landmarks: (m, 3) [m].
+        missing: share of vectors and landmarks that have weight 0, and NaN for their value.
+    """
+    rng, N = np.random.default_rng(0), len(step)
+    truth = reference_truth(PAPER.scenario, step)
+    R, P = truth[:, :3, :3], truth[:, :3, 3]
+    omega, v = motion(PAPER.scenario, np.cumsum(step) - step)
+    bias = np.array([PAPER.scenario.angular_velocity_bias, PAPER.scenario.velocity_bias])
+    v_I, p_I = (np.broadcast_to(a, (N, *np.shape(a))) for a in (vectors, landmarks))
+
+    def seen(away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Noisy body coordinates of inertial vectors (N, i, 3), and weights."""
+        body = np.einsum("nji,nkj->nki", R, away) + 0.1 * rng.normal(size=away.shape)
+        weights = rng.uniform(0.4, 1.5, (1, away.shape[1])) * (
+            rng.random(body.shape[:2]) >= missing
+        )
+        return np.where(weights[..., None] > 0, body, np.nan), weights
+
+    v_B, v_weights = seen(v_I)
+    y, y_weights = seen(p_I - P[:, None])
+    noisy = (u + b + 0.1 * rng.normal(size=u.shape) for u, b in zip((omega, v), bias, strict=True))
+    return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import reference
 import skfuzzy
-from setups import RULES, corner_vectors, fuzzy, repaired_terms, search_vectors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import Array
+from setups import RULES, corner_vectors, fuzzy, repaired_terms, search_vectors
 
 from posegsa.config import Experiment
 from posegsa.errors import FuzzyError
@@ -391,3 +391,191 @@ def test_gains_are_never_nan_and_stay_inside_the_output(
 
 
 _called = jax.jit(jax.vmap(FuzzyController.__call__, in_axes=(None, 0, 0, None)))
+
+
+# Continuity and derivatives -----------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gain_is_continuous(seed: int) -> None:
+    inputs, outputs = (t[0] for t in repaired_terms(search_vectors(1, seed)))
+    controller = fuzzy(inputs, outputs)
+    start, end = np.random.default_rng(seed).random((2, 2))
+
+    def largest_jump(steps: int) -> float:
+        line = start + np.linspace(0, 1, steps + 1)[:, None] * (end - start)
+        return float(np.abs(np.diff(evaluated(controller, *line.T))).max())
+
+    # A jump would be as large however short the steps are. A steep place is not a jump: terms may
+    # overlap by 0.01 only, and the gain then changes by tens within a fraction of that.
+    assert largest_jump(1_000_000) < 0.1 * largest_jump(1000)
+
+
+@cache
+def derivatives() -> Callable[..., Array]:
+    """Derivatives (B, 2) of the gain by error and rate; B = 200 always, to compile it once."""
+
+    def gain(x: Array, inputs: Array, outputs: Array) -> Array:
+        return FuzzyController(inputs, outputs, RULES, (0.0, 100.0))(x[0], x[1])
+
+    return jax.jit(jax.vmap(jax.grad(gain)))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_derivatives_are_finite(dtype: str) -> None:
+    vectors = np.concatenate([search_vectors(100), corner_vectors(100)])
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 2, (200, 2))
+    x[::4] = rng.integers(0, 2, (50, 2))
+    with jax.enable_x64(dtype == "float64"):
+        arrays = (jnp.asarray(a, dtype) for a in (x, *repaired_terms(vectors)))
+        slope = np.asarray(derivatives()(*arrays))
+    assert np.isfinite(slope).all()
+    # Clipped inputs have no influence, the others some.
+    clipped = (x < 0) | (x > 1)
+    assert (slope[clipped] == 0).all()
+    assert (slope[~clipped] != 0).mean() > 0.3
+
+
+@pytest.mark.usefixtures("x64")
+def test_derivatives_are_those_of_the_gain() -> None:
+    terms = repaired_terms(search_vectors(200))
+    x, h = np.random.default_rng(0).uniform(0.01, 0.99, (200, 2)), 1e-6
+    along = np.random.default_rng(1).normal(size=(200, 2))
+    slope = np.sum(np.asarray(derivatives()(*map(jnp.asarray, (x, *terms)))) * along, axis=1)
+    before, at, after = (gains_of(*terms, *(x + s * h * along).T) for s in (-1, 0, 1))
+    # min and max make kinks: compare where both sides have the same slope, to rounding and h.
+    smooth = np.abs(after - 2 * at + before) < 1e-3 * np.abs(after - before) + 1e-10
+    assert smooth.mean() > 0.95
+    difference = (after - before) / (2 * h)
+    np.testing.assert_allclose(difference[smooth], slope[smooth], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_derivatives_at_the_ends_of_the_inputs_are_not_the_vertical_edges(dtype: str) -> None:
+    # VS peaks at 0 and VL at 1, with their vertical edge there, at the end of what is looked at.
+    corners = np.array([[0.0, 0], [0, 1], [1, 0], [1, 1]])
+    with jax.enable_x64(dtype == "float64"):
+        arrays = (np.repeat([INPUTS], 200, axis=0), np.repeat([OUTPUTS], 200, axis=0))
+        x = np.repeat(corners, 50, axis=0)
+        slope = np.asarray(derivatives()(*(jnp.asarray(a, dtype) for a in (x, *arrays))))
+    # The steepest edge that is not vertical, over the whole output.
+    widths = np.diff(INPUTS, axis=1)
+    assert np.abs(slope).max() <= 100 / widths[widths > 0].min()
+
+
+# Under JAX's transformations ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"centroid": "sampled"}], ids=["exact", "sampled"])
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_arrays_jit_and_vmap_equal_single_calls(dtype: str, options: dict) -> None:
+    error, rate, last = np.random.default_rng(0).random((3, 2, 4))
+    with jax.enable_x64(dtype == "float64"):
+        controller = fuzzy(GAPPED, OUTPUTS, dtype, **options)
+        arrays = tuple(jnp.asarray(a, dtype) for a in (error, rate, last))
+        called = FuzzyController.__call__
+        each = [
+            [float(controller(*x)) for x in zip(*row, strict=True)]
+            for row in zip(*arrays, strict=True)
+        ]
+        by_vmap = jax.vmap(jax.vmap(called, in_axes=(None, 0, 0, 0)), in_axes=(None, 0, 0, 0))
+        forms = {
+            "vmap": by_vmap(controller, *arrays),
+            "array": controller(*arrays),
+            "jit": jax.jit(called)(controller, *arrays),
+            "jit of vmap": jax.jit(by_vmap)(controller, *arrays),
+        }
+    # Other orders of sums, and fused multiply-adds.
+    tolerance = 100 * np.finfo(dtype).eps
+    for name, gains in forms.items():
+        assert gains.dtype == dtype, name
+        np.testing.assert_allclose(gains, each, rtol=tolerance, err_msg=name)
+    assert (np.asarray(each) == last.astype(dtype)).any()  # some held the last gain
+
+
+def test_inputs_are_clipped_and_broadcast() -> None:
+    controller = fuzzy(INPUTS, OUTPUTS, "float32")
+    ends = evaluated(controller, [0.0, 1.0], [1.0, 0.0])
+    np.testing.assert_array_equal(evaluated(controller, [-3.0, 1.5], [7.0, -0.1]), ends)
+    assert evaluated(controller, np.zeros((3, 2)), 0.5).shape == (3, 2)
+    assert controller(0.3, 0.2).shape == ()
+
+
+def test_the_surfaces_rows_are_the_rate() -> None:
+    controller = fuzzy(INPUTS, OUTPUTS, "float32")
+    error, rate, gains = controller.surface(6)
+    np.testing.assert_array_equal(error, np.linspace(0, 1, 6, dtype=np.float32))
+    np.testing.assert_array_equal(rate, error)
+    for r, e in np.ndindex(6, 6):
+        np.testing.assert_allclose(gains[r, e], controller(error[e], rate[r]), rtol=1e-5)
+    assert not np.allclose(gains, gains.T)
+    assert controller.surface()[2].shape == (101, 101)
+
+
+# What makes no controller -------------------------------------------------------------------------
+
+
+def changed(terms: np.ndarray, i: int, values: list[float]) -> np.ndarray:
+    return np.concatenate([terms[:i], [values], terms[i + 1 :]])
+
+
+REFUSED = {
+    "shape": (
+        {"inputs": np.zeros((5, 2))},
+        r"input_terms: must have the shape \(terms, 3\).*\(5, 2\)",
+    ),
+    "one term flat": ({"outputs": np.zeros(3)}, r"output_terms: must have the shape.*\(3,\)"),
+    "no terms": ({"outputs": np.zeros((0, 3))}, r"output_terms: must have the shape.*\(0, 3\)"),
+    "nan": ({"inputs": changed(INPUTS, 1, [0, np.nan, 0.2])}, "input_terms: must be finite.*nan"),
+    "infinite": (
+        {"outputs": changed(OUTPUTS, 4, [50, 100, np.inf])},
+        "output_terms: must be finite",
+    ),
+    "triangle": (
+        {"inputs": changed(INPUTS, 1, [0.1, 0.05, 0.2])},
+        "input_terms: each term must ascend",
+    ),
+    "across terms": (
+        {"outputs": changed(OUTPUTS, 2, [0, 0, 0])},
+        "output_terms: the a's, b's and c's must each ascend.*centroid=\"sampled\"",
+    ),
+    "few rows": ({"rules": RULES[:4]}, "rules: must be 5 rows of 5"),
+    "short row": ({"rules": (*RULES[:4], (1, 2))}, "rules: must be 5 rows of 5"),
+    "unknown output": (
+        {"rules": (*RULES[:4], (0, 0, 0, 0, 5))},
+        "rules: entries must be output terms 0 to 4",
+    ),
+    "negative output": (
+        {"rules": (*RULES[:4], (0, 0, 0, 0, -1))},
+        "rules: entries must be.*0 to 4",
+    ),
+    "points": ({"centroid": "sampled", "points": 1}, "points: must be at least 2, got 1"),
+    "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
+}
+
+
+@pytest.mark.parametrize(("given", "message"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_is_refused(given: dict, message: str) -> None:
+    with pytest.raises(FuzzyError, match=message):
+        fuzzy(**({"inputs": INPUTS, "outputs": OUTPUTS, "dtype": "float32"} | given))
+
+
+def test_terms_as_numpy_arrays_are_checked_too() -> None:
+    with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
+        FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))  # type: ignore[arg-type]
+
+
+def test_the_sampled_centroid_takes_terms_in_any_order() -> None:
+    controller = fuzzy(INPUTS, OUTPUTS, "float32", centroid="sampled")
+    shuffled = [3, 0, 4, 1, 2]
+    rules = tuple(tuple(shuffled.index(i) for i in row) for row in RULES)
+    again = fuzzy(INPUTS, OUTPUTS[shuffled], "float32", centroid="sampled", rules=rules)
+    np.testing.assert_allclose(again(0.2, 0.3), controller(0.2, 0.3), rtol=1e-6)
+
+
+def test_changing_an_option_of_a_controller_checks_it_again() -> None:
+    controller = fuzzy(INPUTS, OUTPUTS[::-1], "float32", centroid="sampled")
+    with pytest.raises(FuzzyError, match="output_terms: the a's"):
+        dataclasses.replace(controller, centroid="exact")

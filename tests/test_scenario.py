@@ -37,6 +37,9 @@ START = {
 }
 
 
+jitted_integrate, jitted_measure = jax.jit(integrate), jax.jit(measure)
+
+
 def vector(*direction: float, **errors: object) -> Vector:
     return Vector(direction=direction, **({"noise": 0.0} | errors))
 
@@ -56,8 +59,8 @@ def sum_of_sines(axes: tuple[tuple[Sine, ...], ...], time: np.ndarray) -> np.nda
 
 
 def simulated(s: Scenario, seed: int = 0) -> tuple[Truth, Measurements]:
-    truth = jax.jit(integrate)(s)
-    return truth, jax.jit(measure)(s, truth, jax.random.key(seed))
+    truth = jitted_integrate(s)
+    return truth, jitted_measure(s, truth, jax.random.key(seed))
 
 
 def same(got: object, want: object, **tolerance: float) -> None:
@@ -82,7 +85,7 @@ def test_truth_equals_the_references_integration(changes) -> None:
     given = {"duration": 3.0, **changes}
     e = experiment(**given)
     c = e.scenario
-    truth = jax.jit(integrate)(quietly(e))
+    truth = jitted_integrate(quietly(e))
     time = np.arange(c.samples) * c.sampling_time
     omega = sum_of_sines(c.angular_velocity, time)
     v = sum_of_sines(c.velocity, time)
@@ -97,7 +100,7 @@ def test_truth_equals_the_references_integration(changes) -> None:
 
 
 def test_truth_at_rest_stays_where_it_starts() -> None:
-    truth = integrate(quietly(experiment("float32", duration=0.1, **AT_REST, **START)))
+    truth = jitted_integrate(quietly(experiment("float32", duration=0.1, **AT_REST, **START)))
     np.testing.assert_allclose(
         truth.rotation, np.tile(START["initial_rotation"], (10, 1, 1)), atol=4e-7
     )
@@ -142,8 +145,7 @@ def expected_vectors(truth: Truth, *, cross: bool, unit: bool) -> tuple[np.ndarr
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("cross", [False, True])
-@pytest.mark.parametrize("unit", [False, True])
+@pytest.mark.parametrize(("cross", "unit"), [(False, False), (True, False), (True, True)])
 def test_noise_free_vectors_are_the_turned_ones_with_bias(cross, unit) -> None:
     e = experiment(**SENSORS, cross_vector=cross, normalise_vectors=unit)
     truth, m = simulated(quietly(e))
@@ -246,7 +248,7 @@ def residuals() -> dict[str, np.ndarray]:
         truth, silent = simulated(
             quietly(experiment(**given, angular_velocity_noise=0.0, velocity_noise=0.0))
         )
-        noisy = measure(quietly(experiment(**NOISY)), truth, jax.random.key(3))
+        noisy = jitted_measure(quietly(experiment(**NOISY)), truth, jax.random.key(3))
         return noises(noisy, silent)
 
 
@@ -303,12 +305,11 @@ def test_same_key_gives_the_same_and_another_key_other_measurements() -> None:
 
 def test_the_papers_initial_attitude_estimate_is_projected_with_a_warning() -> None:
     e = experiment("float32")
-    with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate .* determinant 0\.943"):
+    with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate.*determinant 0\.943"):
         s = scenario(e)
-    R = np.asarray(s.rotation_estimate, np.float64)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=3e-7)
-    assert np.linalg.det(R) == pytest.approx(1, abs=3e-7)
-    np.testing.assert_allclose(R, e.scenario.initial_rotation_estimate, atol=0.05)
+    U, stretch, Vt = np.linalg.svd(e.scenario.initial_rotation_estimate)
+    assert stretch.min() < 0.95
+    np.testing.assert_allclose(s.rotation_estimate, U @ Vt, atol=1e-7)
 
 
 def test_a_rotation_as_initial_estimate_is_taken_as_it_is_without_a_warning() -> None:
@@ -328,21 +329,21 @@ def test_initial_estimates_are_those_configured() -> None:
 
 @pytest.mark.usefixtures("x64")
 def test_jit_equals_eager() -> None:
-    s, key = quietly(experiment(duration=0.3)), jax.random.key(0)
-    truth = integrate(s)
+    s, key = quietly(experiment(duration=0.1)), jax.random.key(0)
+    truth = jitted_integrate(s)
     # To rounding: fused multiply-adds differ.
-    same(jax.jit(integrate)(s), truth, atol=1e-13)
-    same(jax.jit(measure)(s, truth, key), measure(s, truth, key), atol=1e-13)
+    same(jitted_measure(s, truth, key), measure(s, truth, key), atol=1e-13)
+    with jax.disable_jit():
+        same(truth, integrate(s), atol=1e-13)
 
 
 @pytest.mark.usefixtures("x64")
 def test_vmap_over_keys_equals_a_loop() -> None:
-    s = quietly(experiment(duration=0.3))
-    truth, keys = jax.jit(integrate)(s), jax.random.split(jax.random.key(0), 3)
+    s = quietly(experiment(duration=0.1))
+    truth, keys = jitted_integrate(s), jax.random.split(jax.random.key(0), 3)
     together = jax.jit(jax.vmap(measure, in_axes=(None, None, 0)))(s, truth, keys)
-    one = jax.jit(measure)
-    for i, key in enumerate(keys):
-        same(jax.tree.map(lambda a, i=i: a[i], together), one(s, truth, key), atol=1e-13)
+    loop = [jitted_measure(s, truth, key) for key in keys]
+    same(together, jax.tree.map(lambda *a: np.stack(a), *loop), atol=1e-13)
 
 
 def test_numbers_change_without_compiling_again() -> None:

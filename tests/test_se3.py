@@ -34,6 +34,10 @@ PRINTED = np.array([[-0.829, 0.293, 0.343], [0.399, 0.157, 0.903], [0.210, 0.943
 """The paper's initial attitude estimate, which is not a rotation."""
 
 
+jitted_exp, jitted_quaternion = jax.jit(se3.exp), jax.jit(se3.quaternion)
+jitted_matrix, jitted_euler = jax.jit(se3.rotation_matrix), jax.jit(se3.euler_angles)
+
+
 def epsilon(dtype: type[np.floating]) -> float:
     return float(np.finfo(dtype).eps)
 
@@ -90,21 +94,21 @@ def assert_each_close(got: Array, want: np.ndarray, allowed: np.ndarray) -> None
 def test_exp_equals_scipys_expm_from_no_angle_to_many_turns(dtype) -> None:
     xi = twists(ANGLES, dtype)
     want = np.array([scipy.linalg.expm(reference.wedge(x)) for x in xi.astype(np.float64)])
-    got = jax.jit(se3.exp)(xi)
+    got = jitted_exp(xi)
     assert got.dtype == dtype
     assert_each_close(got, want, tolerance(xi, dtype))
 
 
-@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
-def test_derivatives_of_exp_equal_expms_frechet_derivative(dtype, derivative) -> None:
-    xi = twists(ANGLES, dtype, draws=2)
+def test_derivatives_of_exp_equal_expms_frechet_derivative(dtype) -> None:
+    xi = twists(ANGLES, dtype, draws=1)
     frechet = partial(scipy.linalg.expm_frechet, compute_expm=False)
     generators = [reference.wedge(e) for e in np.eye(6)]
     want = np.array(
         [[frechet(reference.wedge(x), E) for E in generators] for x in xi.astype(np.float64)]
     )
-    got = jax.jit(jax.vmap(derivative(se3.exp)))(xi)
-    assert_each_close(got, want.transpose(0, 2, 3, 1), tolerance(xi, dtype))
+    for derivative in (jax.jacfwd, jax.jacrev):
+        got = jax.jit(jax.vmap(derivative(se3.exp)))(xi)
+        assert_each_close(got, want.transpose(0, 2, 3, 1), tolerance(xi, dtype))
 
 
 def test_second_derivatives_of_exp_at_no_angle_are_those_of_the_series(dtype) -> None:
@@ -131,11 +135,11 @@ def test_exp_equals_jaxlies() -> None:
     angle = np.linalg.norm(xi[:, :3], axis=-1)
     want = np.asarray(jax.jit(jax.vmap(translation_first))(xi))
     allowed = np.where(angle < 0.5, 1e-7, tolerance(xi, np.float64))
-    assert_each_close(jax.jit(se3.exp)(xi), want, allowed)
+    assert_each_close(jitted_exp(xi), want, allowed)
 
 
 def test_exp_without_rotation_is_a_translation_exactly(dtype) -> None:
-    got = jax.jit(se3.exp)(jnp.array([0, 0, 0, 1, -2, 3], dtype))
+    got = jitted_exp(jnp.array([0, 0, 0, 1, -2, 3], dtype))
     want = np.eye(4)
     want[:3, 3] = 1, -2, 3
     assert (np.asarray(got) == want).all()
@@ -143,7 +147,7 @@ def test_exp_without_rotation_is_a_translation_exactly(dtype) -> None:
 
 def test_exp_keeps_any_batch_shape() -> None:
     xi = twists(np.array([0.0, 0.3, 2.0]), np.float32, draws=2)
-    exp = jax.jit(se3.exp)
+    exp = jitted_exp
     assert exp(xi[0]).shape == (4, 4)
     assert exp(xi.reshape(3, 2, 6)).shape == (3, 2, 4, 4)
     np.testing.assert_allclose(exp(xi.reshape(3, 2, 6)).reshape(6, 4, 4), exp(xi), atol=2e-6)
@@ -222,7 +226,7 @@ def test_coefficients_at_many_turns_are_as_good_as_their_angle(dtype) -> None:
 
 @pytest.mark.usefixtures("x64")
 def test_adjoint_equals_jaxlies_and_the_references() -> None:
-    T = np.asarray(se3.exp(twists(np.array([0.0, 0.5, 2.0, 3.0]), np.float64)))
+    T = np.asarray(jitted_exp(twists(np.array([0.0, 0.5, 2.0, 3.0]), np.float64)))
     swap = np.r_[3:6, 0:3]  # jaxlie's tangent vectors are translation first
     theirs = np.array([jaxlie.SE3.from_matrix(t).adjoint() for t in T])[:, swap][:, :, swap]
     got = jax.jit(se3.adjoint)(T)
@@ -233,9 +237,10 @@ def test_adjoint_equals_jaxlies_and_the_references() -> None:
 @pytest.mark.usefixtures("x64")
 def test_adjoint_takes_body_motions_to_spatial_ones() -> None:
     # T exp(xi) = exp(Ad(T) xi) T: the property that it is for.
-    T, xi = se3.exp(twists(np.array([0.3, 2.0]), np.float64)), twists(np.array([1.0, 0.2]), float)
-    spatial = jnp.einsum("nij,nj->ni", se3.adjoint(T), xi)
-    np.testing.assert_allclose(T @ se3.exp(xi), se3.exp(spatial) @ T, atol=1e-12)
+    T = jitted_exp(twists(np.array([0.0, 0.3, 2.0, 3.0]), np.float64))
+    xi = twists(np.array([1.0, 0.2, 2.0, 0.0]), np.float64)
+    spatial = np.einsum("nij,nj->ni", jax.jit(se3.adjoint)(T), xi)
+    np.testing.assert_allclose(T @ jitted_exp(xi), jitted_exp(spatial) @ T, atol=1e-12)
 
 
 def test_hat_equals_the_references() -> None:
@@ -309,16 +314,16 @@ def near_the_branches() -> np.ndarray:
 
 def test_matrix_to_quaternion_and_back_near_all_branches_and_half_turns(dtype) -> None:
     R = near_the_branches().astype(dtype)
-    q = jax.jit(se3.quaternion)(R)
+    q = jitted_quaternion(R)
     assert q.dtype == dtype
     assert (np.asarray(q)[:, 0] >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1, rtol=2 * epsilon(dtype))
-    np.testing.assert_allclose(se3.rotation_matrix(q), R, atol=8 * epsilon(dtype))
+    np.testing.assert_allclose(jitted_matrix(q), R, atol=8 * epsilon(dtype))
 
 
 def test_quaternion_to_matrix_and_back_is_the_same_up_to_sign(dtype) -> None:
     q = np.concatenate([random_quaternions(50), np.eye(4), [[0.5, 0.5, 0.5, 0.5]]]).astype(dtype)
-    back = np.asarray(se3.quaternion(se3.rotation_matrix(jnp.asarray(q))))
+    back = np.asarray(jitted_quaternion(jitted_matrix(q)))
     sign = np.sign(np.sum(q * back, axis=-1, keepdims=True))
     np.testing.assert_allclose(sign * back, q, atol=4 * epsilon(dtype))
 
@@ -327,15 +332,15 @@ def test_quaternion_to_matrix_and_back_is_the_same_up_to_sign(dtype) -> None:
 def test_quaternion_is_hamiltons_scalar_first() -> None:
     R = random_rotations(20)
     theirs = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
-    np.testing.assert_allclose(se3.quaternion(R), theirs, atol=1e-15)
+    np.testing.assert_allclose(jitted_quaternion(R), theirs, atol=1e-15)
 
 
 @pytest.mark.usefixtures("x64")
 def test_compose_is_the_matrix_product_in_the_same_order() -> None:
     p, q = random_quaternions(20, seed=1), random_quaternions(20, seed=2)
     product = se3.compose(se3.split(jnp.asarray(p)), se3.split(jnp.asarray(q)))
-    want = np.asarray(se3.rotation_matrix(p)) @ np.asarray(se3.rotation_matrix(q))
-    np.testing.assert_allclose(se3.rotation_matrix(se3.join(product)), want, atol=1e-15)
+    want = np.asarray(jitted_matrix(p)) @ np.asarray(jitted_matrix(q))
+    np.testing.assert_allclose(jitted_matrix(np.stack(product, -1)), want, atol=1e-15)
 
 
 def test_compose_keeps_the_norm_at_one_over_1e5_float32_steps() -> None:
@@ -368,12 +373,19 @@ def test_compose_squares_the_error_of_the_norm() -> None:
 
 def test_unrotate_undoes_rotate_and_both_are_matrix_products(dtype) -> None:
     q, a = random_quaternions(20).astype(dtype), np.float32(3) * directions(20).astype(dtype)
-    R = np.asarray(se3.rotation_matrix(jnp.asarray(q)), np.float64)
-    rows, parts = se3.rows(se3.split(jnp.asarray(q))), se3.split(jnp.asarray(a))
+    R = np.asarray(jitted_matrix(q), np.float64)
+
+    @jax.jit
+    def turned(q: Array, a: Array) -> tuple[Array, ...]:
+        rows, parts = se3.rows(se3.split(q)), se3.split(a)
+        there = se3.rotate(rows, parts)
+        return tuple(map(se3.join, (there, se3.unrotate(rows, parts), se3.unrotate(rows, there))))
+
+    there, back, there_and_back = turned(q, a)
     close = partial(np.testing.assert_allclose, rtol=0, atol=16 * epsilon(dtype))
-    close(se3.join(se3.rotate(rows, parts)), np.einsum("nij,nj->ni", R, a))
-    close(se3.join(se3.unrotate(rows, parts)), np.einsum("nji,nj->ni", R, a))
-    close(se3.join(se3.unrotate(rows, se3.rotate(rows, parts))), a)
+    close(there, np.einsum("nij,nj->ni", R, a))
+    close(back, np.einsum("nji,nj->ni", R, a))
+    close(there_and_back, a)
 
 
 def test_cross_dot_and_norm_equal_numpys() -> None:
@@ -402,7 +414,7 @@ def distance(p: np.ndarray, q: np.ndarray) -> Array:
 
 def test_attitude_distance_is_a_quarter_of_the_trace_whatever_the_signs(dtype) -> None:
     p, q = (random_quaternions(30, seed=i).astype(dtype) for i in (1, 2))
-    matrices = [np.asarray(se3.rotation_matrix(jnp.asarray(a)), np.float64) for a in (p, q)]
+    matrices = [np.asarray(jitted_matrix(a), np.float64) for a in (p, q)]
     want = [reference.attitude_distance(a @ b.T) for a, b in zip(*matrices, strict=True)]
     for sign in (1, -1):
         np.testing.assert_allclose(distance(sign * p, q), want, atol=4 * epsilon(dtype))
@@ -461,7 +473,7 @@ def test_rotation_angle_is_differentiable_at_zero_distance() -> None:
 def test_euler_angles_equal_scipys() -> None:
     R = random_rotations(200)
     theirs = Rotation.from_matrix(R).as_euler("ZYX")[:, ::-1]
-    np.testing.assert_allclose(jax.jit(se3.euler_angles)(R), theirs, atol=1e-12)
+    np.testing.assert_allclose(jitted_euler(R), theirs, atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
@@ -474,7 +486,7 @@ def test_euler_angles_give_the_rotation_back_at_and_near_gimbal_lock(pitch, away
     up = np.sign(pitch)
     lock = np.array([[0.0, 0.0, up], [0.0, 1.0, 0.0], [-up, 0.0, 0.0]])  # exact, unlike cos(pi/2)
     R = lock @ turn(np.array([0.0, 1.0, 0.0]), -up * away) @ roll
-    got = np.asarray(se3.euler_angles(jnp.asarray(R)))
+    got = np.asarray(jitted_euler(R))
     np.testing.assert_allclose(Rotation.from_euler("ZYX", got[::-1]).as_matrix(), R, atol=1e-7)
 
 
@@ -540,6 +552,6 @@ def test_random_rotations_are_about_uniformly_random_axes() -> None:
 
 @pytest.mark.usefixtures("x64")
 def test_random_rotations_are_the_same_in_both_precisions() -> None:
-    key = jax.random.key(5)
-    single, double = (se3.random_rotation(key, jnp.asarray(1, d)) for d in (np.float32, np.float64))
+    key, rotation = jax.random.key(5), jax.jit(se3.random_rotation)
+    single, double = (rotation(key, jnp.asarray(1, d)) for d in (np.float32, np.float64))
     np.testing.assert_allclose(single, double, atol=1e-6)

@@ -9,9 +9,11 @@ from posegsa.config.experiment import (
     Experiment,
     FilterConfig,
     GsaConfig,
+    ObjectiveConfig,
     RunConfig,
     SearchConfig,
 )
+from posegsa.config.family import FamilyConfig
 from posegsa.config.files import from_dict, load, override, to_toml
 from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
 from posegsa.config.schedule import (
@@ -30,11 +32,13 @@ __all__ = [
     "TERMS",
     "CostConfig",
     "Experiment",
+    "FamilyConfig",
     "FilterConfig",
     "FuzzyConfig",
     "GainConfig",
     "GsaConfig",
     "Landmark",
+    "ObjectiveConfig",
     "ParametersConfig",
     "Profile",
     "RunConfig",

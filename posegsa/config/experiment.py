@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from posegsa.config.family import FamilyConfig
 from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
 from posegsa.config.problems import Problem
 from posegsa.config.scenario import ScenarioConfig
@@ -32,7 +33,7 @@ class FilterConfig(Section):
 
     law: Literal["gradient", "printed"] = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
-    gamma: NonNegative | tuple[NonNegative, NonNegative] = 5.0
+    gamma: NonNegative | tuple[NonNegative, NonNegative] = 10.0
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Count = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
@@ -60,6 +61,18 @@ class CostConfig(Section):
             first, last = window = getattr(self, key)
             if first > last:
                 yield Problem(key, "allowed: a first sample that is not after the last", window)
+
+
+class ObjectiveConfig(Section):
+    """[objective]: what of the costs on the training scenarios is minimised."""
+
+    name: Literal["mean", "median", "worst", "cvar", "mean_std"] = "mean"
+    """"mean", "median", "worst"; "cvar", the mean of the worst scenarios; "mean_std", the mean plus
+    a multiple of the standard deviation."""
+    level: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.75
+    """Of "cvar": the share of scenarios, the best ones, that are left out, no unit."""
+    factor: NonNegative = 1.0
+    """Of "mean_std": the multiple of the standard deviation, no unit."""
 
 
 class SearchConfig(Section):
@@ -97,6 +110,8 @@ class Experiment(Section):
     """Randomness, precision and the number of noise draws."""
     scenario: ScenarioConfig = ScenarioConfig()
     """True motion, sensors and initial estimate."""
+    family: FamilyConfig = FamilyConfig()
+    """What differs from scenario to scenario, beside the noise."""
     filter: FilterConfig = FilterConfig()
     """The observer."""
     gain: GainConfig = GainConfig()
@@ -107,6 +122,8 @@ class Experiment(Section):
     """The boxes of k1..k22."""
     cost: CostConfig = CostConfig()
     """What a schedule is judged by."""
+    objective: ObjectiveConfig = ObjectiveConfig()
+    """What of the costs on several scenarios is minimised."""
     search: SearchConfig = SearchConfig()
     """The optimiser and its size."""
     gsa: GsaConfig = GsaConfig()

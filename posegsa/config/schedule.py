@@ -76,6 +76,9 @@ class GainConfig(Section):
     true errors in attitude and position (an oracle, for simulation only)."""
     position_weight: NonNegative = 0.2
     """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
+    smoothing: NonNegative = 2.0
+    """Time constant of the first-order low-pass filter that e passes before all else [s]; 0 is
+    none."""
     error_scale: Positive = 1.0
     """e is divided by this before it is clipped to [0, 1], in the unit of e."""
     rate_scale: NonNegative = 1.0

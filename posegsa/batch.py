@@ -1,0 +1,34 @@
+"""Results of many searches that ran as one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posegsa.comparison import CONSTANT, TUNED
+from posegsa.results import TuneResult
+
+
+@dataclass(frozen=True)
+class TuneBatch:
+    """Results of a batch, in the order of its experiments and seeds."""
+
+    results: tuple[TuneResult, ...]
+
+    def summary(self) -> str:
+        """Median and range over the batch, of training beside held-out cost."""
+
+        def row(label: str, values: list[float]) -> str:
+            return (
+                f"  {label:<34}{np.median(values):>10.4g}{min(values):>10.4g}{max(values):>10.4g}"
+            )
+
+        def held_out(name: str) -> list[float]:
+            return [r.evaluation.cost(name).mean for r in self.results]
+
+        rows = [
+            f"  {f'{len(self.results)} searches':<34}{'median':>10}{'least':>10}{'largest':>10}",
+            row(f"{TUNED}, training", [r.best_cost for r in self.results]),
+            row(f"{TUNED}, held out", held_out(TUNED)),
+            row(f"{CONSTANT}, held out", held_out(CONSTANT)),
+        ]
+        return "\n".join(rows)

@@ -1,0 +1,50 @@
+"""[family]: what differs from scenario to scenario, beside the noise."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from posegsa.config.fields import Flag, NonNegative, Section
+from posegsa.config.problems import Problem
+
+Angle = Annotated[float, Field(strict=True, ge=0, le=180)]
+Range = tuple[NonNegative, NonNegative]
+"""Least and largest value; drawn uniformly between them."""
+Off = Literal["off"]
+
+
+class FamilyConfig(Section):
+    """[family]: the distribution that scenarios are drawn from; by default only the noise differs.
+
+    Training and held-out scenarios are drawn from the same family with other keys.
+    """
+
+    attitude_error: tuple[Angle, Angle] | Off = "off"
+    """Angle of the initial attitude error about a random axis [deg], least and largest; "off"
+    starts every scenario from scenario.initial_rotation_estimate."""
+    position_error: Range | Off = "off"
+    """Length of the initial position error P_est - R_err P in a random direction [m], least and
+    largest; "off" starts every scenario from scenario.initial_position_estimate."""
+    bias_scale: Range | Off = "off"
+    """Factor on the biases of both velocities, no unit, least and largest."""
+    noise_scale: Range | Off = "off"
+    """Factor on the noise of all sensors, no unit, least and largest."""
+    landmark_spread: NonNegative = 0.0
+    """Each coordinate of each landmark is moved by up to this much, inertial frame [m]."""
+    motion_scale: Range | Off = "off"
+    """Factor on the amplitudes of both velocities' sines, no unit, least and largest."""
+    random_phase: Flag = False
+    """Whether the phase of each sine of both velocities is drawn anew, uniformly."""
+
+    def _conflicts(self) -> Iterator[Problem]:
+        for key in (
+            "attitude_error",
+            "position_error",
+            "bias_scale",
+            "noise_scale",
+            "motion_scale",
+        ):
+            ends = getattr(self, key)
+            if ends != "off" and ends[0] > ends[1]:
+                yield Problem(key, "allowed: a least value that is not above the largest", ends)

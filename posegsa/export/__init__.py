@@ -1,0 +1,22 @@
+"""A tuned schedule out of Python: JSON, a table as CSV, or a C99 file that computes the gain."""
+
+from posegsa.errors import PosegsaError
+from posegsa.export.c import export_c
+from posegsa.export.tables import SCHEMA, export_csv, export_json
+from posegsa.results import TuneResult
+
+__all__ = ["FORMATS", "SCHEMA", "export", "export_c", "export_csv", "export_json"]
+
+FORMATS = {"json": export_json, "csv": export_csv, "c": export_c}
+"""What `export` writes, by name; the name is also the file's usual extension."""
+
+
+def export(result: TuneResult, format: str) -> str:
+    """The text of a tuned schedule in one of `FORMATS`.
+
+    Raises:
+        PosegsaError: There is no such format.
+    """
+    if format not in FORMATS:
+        raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
+    return FORMATS[format](result)

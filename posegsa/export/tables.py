@@ -1,0 +1,142 @@
+"""The schedule and its control surface as JSON and CSV.
+
+Numbers are written with as many digits as they have: what is read back, at the run's precision, is
+what the run computed with.
+"""
+
+import json
+from typing import Any
+
+import jax
+import numpy as np
+
+from posegsa.comparison import CONSTANT, TUNED
+from posegsa.config import PARAMETERS, TERMS
+from posegsa.errors import PosegsaError
+from posegsa.results import VERSION, TuneResult
+
+SCHEMA = 1
+"""Number of the layout of the JSON; it changes when a key changes its meaning."""
+
+RESOLUTION = 101
+"""Points along each input in the control surface."""
+
+_ABOUT = (
+    "Gain schedule of a pose filter on SE(3): K = 1 + centroid [1/s] by Mamdani inference, min for "
+    "AND and implication, max for aggregation. Terms are [left foot, peak, right foot], shared by "
+    "both inputs. Rows of rules and of the control surface are the rate, columns the error, both "
+    "ascending. Inputs are clipped to [0, 1]. Where no rule fires, 'hold' keeps the last gain; the "
+    "control surface shows initial_gain_1_s there."
+)
+
+
+def export_json(result: TuneResult) -> str:
+    """The schedule, what it is worth and its control surface as JSON.
+
+    Reading a number back as the run's dtype gives it exactly; a cost that is not finite is text, as
+    in result.json.
+    """
+    experiment = result.experiment
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        controller = result.controller
+        initial_gain = float(controller.initial_gain())
+    error, rate, gains = _surface(result, RESOLUTION)
+    data = {
+        "schema": SCHEMA,
+        "about": _ABOUT,
+        "version": VERSION,
+        "tuned_with": result.version,
+        "dtype": experiment.run.dtype,
+        "controller": {
+            "input_terms": _terms(controller.input_terms),
+            "output_terms_1_s": _terms(controller.output_terms),
+            "rules": [[TERMS[output] for output in row] for row in controller.rules],
+            "rule_indices": controller.rules,
+            "output_range_1_s": controller.output_range,
+            "centroid": controller.centroid,
+            "sampled_points": controller.points,
+            "sampled_rule": controller.sampled_rule,
+            "no_rule": controller.no_rule,
+            "initial_gain_1_s": initial_gain,
+        },
+        "gain": experiment.gain.model_dump(mode="json"),
+        "filter": experiment.filter.model_dump(mode="json"),
+        "parameters": dict(zip(PARAMETERS, result.parameters.tolist(), strict=True)),
+        "costs": {
+            "tuned": _costs(result, TUNED, result.training_costs),
+            "constant_gain_1_s": result.constant_gain,
+            "constant": _costs(result, CONSTANT, result.constant_training_costs),
+        },
+        "sensitive": result.trust.sensitive,
+        "control_surface": {
+            "error": error.tolist(),
+            "rate": rate.tolist(),
+            "gain_1_s": gains.tolist(),
+        },
+    }
+    return _json_text(data) + "\n"
+
+
+def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
+    """The control surface as a table: error, rate (no unit, 0 to 1) and gain, a row a point.
+
+    Where no rule fires and the last gain is to be held, it shows the initial gain.
+
+    Args:
+        result: The tuned schedule.
+        resolution: Points along each input.
+
+    Raises:
+        PosegsaError: The resolution is below 2.
+    """
+    if resolution < 2:
+        raise PosegsaError(f"resolution: must be at least 2, got {resolution}")
+    errors, rates, gains = (a.tolist() for a in _surface(result, resolution))
+    lines = ["error,rate,gain_1_s"]
+    for rate, row in zip(rates, gains, strict=True):
+        lines += [f"{error!r},{rate!r},{gain!r}" for error, gain in zip(errors, row, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _surface(result: TuneResult, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors, rates and gains (rate, error) at the run's precision."""
+    with jax.enable_x64(result.experiment.run.dtype == "float64"):
+        error, rate, gains = result.controller.surface(resolution)
+        return np.asarray(error), np.asarray(rate), np.asarray(gains)
+
+
+def _terms(terms: jax.Array) -> dict[str, list[float]]:
+    return dict(zip(TERMS, np.asarray(terms).tolist(), strict=True))
+
+
+def _costs(result: TuneResult, name: str, training: np.ndarray) -> dict[str, Any]:
+    """Costs of a contender; the interval is that of 95 % of the mean."""
+    mean, low, high = result.evaluation.cost(name)
+    held_out = result.evaluation.contenders[name].metrics.cost
+    return {
+        "training_scenarios": len(training),
+        "training_mean": _number(np.mean(training)),
+        "held_out_scenarios": len(held_out),
+        "held_out_mean": _number(mean),
+        "held_out_interval": [_number(low), _number(high)],
+        "held_out_worst": _number(np.max(held_out)),
+    }
+
+
+def _number(value: float | np.floating) -> float | str:
+    return float(value) if np.isfinite(value) else str(float(value))
+
+
+def _json_text(value: Any, indent: str = "") -> str:
+    """JSON with an object's keys on lines of their own and a list of numbers on one line."""
+    inner = indent + "  "
+    if isinstance(value, dict):
+        parts = [f"{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items()]
+        opening, closing = "{", "}"
+    elif isinstance(value, list | tuple) and any(isinstance(v, list | tuple) for v in value):
+        parts = [_json_text(v, inner) for v in value]
+        opening, closing = "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    lines = ",\n".join(inner + part for part in parts)
+    return f"{opening}\n{lines}\n{indent}{closing}"

@@ -1,0 +1,35 @@
+"""Random keys, named by use."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, random
+
+
+class Keys(NamedTuple):
+    """The random keys of an experiment; all come from its seed, and none from another."""
+
+    search: Array
+    """The optimiser's."""
+    training: Array
+    """Of the scenarios that the search sees."""
+    held_out: Array
+    """Of the scenarios that only judge."""
+    validation: Array
+    """Of the scenarios that choices between configurations are made on."""
+    oracle: Array
+    """Of the scenarios that the oracle is fitted to."""
+    baselines: Array
+    """Of the searches for the baselines."""
+
+
+def keys(seed: int) -> Keys:
+    """The keys of a seed. A use added at the end changes none of those before it."""
+    root = random.key(seed)
+    return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
+
+
+def scenario_keys(key: Array, count: int) -> Array:
+    """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
+    return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))

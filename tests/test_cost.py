@@ -1,0 +1,74 @@
+"""The cost: its windows by hand, against the reference, and run up inside a simulation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from setups import lasting, paper, posed, search_vectors, space
+
+from posegsa.config import CostConfig
+from posegsa.cost import cost_weights, sample_error, trajectory_cost
+from posegsa.filter import initial_state
+from posegsa.gain import FuzzyGain, pose_errors
+from posegsa.rollout import simulate, simulate_cost
+
+HAND = CostConfig(
+    transient_weight=0.5,
+    steady_weight=3.0,
+    position_weight=0.25,
+    transient_window=(1, 3),
+    steady_window=(5, 6),
+)
+
+
+POWERS = jnp.asarray([2.0**k for k in range(8)])
+"""Powers of two: a sum of them says which samples are in it."""
+
+
+def test_windows_include_both_ends() -> None:
+    parts = trajectory_cost(POWERS, jnp.zeros(8), cost_weights(HAND, 8, jnp.dtype("float32")))
+    assert float(parts.transient) == 0.5 * (2 + 4 + 8)
+    assert float(parts.steady) == 3 * (32 + 64)
+    assert float(parts.total) == 0.5 * 14 + 3 * 96
+
+
+def test_the_position_error_is_weighted_against_the_attitude_error() -> None:
+    weights = cost_weights(HAND, 8, jnp.dtype("float32"))
+    parts = trajectory_cost(jnp.zeros(8), POWERS, weights)
+    assert float(parts.total) == 0.25 * (0.5 * 14 + 3 * 96)
+    assert float(sample_error(jnp.asarray(0.5), jnp.asarray(8.0), weights)) == 2.5
+
+
+def test_windows_may_overlap_and_hold_one_sample() -> None:
+    config = CostConfig(transient_window=(0, 2), steady_window=(2, 2), transient_weight=1.0)
+    parts = trajectory_cost(POWERS[:3], jnp.zeros(3), cost_weights(config, 3, jnp.dtype("float32")))
+    assert (float(parts.transient), float(parts.steady)) == (7, 4)
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_papers_cost_against_the_reference() -> None:
+    attitude, position = np.random.default_rng(0).random((2, 5, 1500))
+    weights = cost_weights(CostConfig(), 1500, jnp.dtype("float64"))
+    costs = trajectory_cost(jnp.asarray(attitude), jnp.asarray(position), weights).total
+    expected = [reference.cost(*errors) for errors in zip(attitude, position, strict=True)]
+    np.testing.assert_allclose(costs, expected, rtol=1e-13)  # 1100 terms, summed in other orders
+
+
+# float32: sums of up to 1000 numbers in two orders, each rounded to 6e-8.
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-12), ("float32", 2e-5)])
+def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: float) -> None:
+    with jax.enable_x64(dtype == "float64"):
+        run = posed(paper(*lasting(3.0), dtype=dtype))
+        tracks, initial = jax.tree.map(lambda a: a[0], (run.tracks, run.initial))
+        vector = jnp.asarray(search_vectors(1, seed=1)[0], dtype)
+        schedule = FuzzyGain(space(dtype=dtype).controller(vector))
+        running = jax.jit(simulate_cost)(
+            schedule, tracks, initial, run.weights, run.settings, run.signal
+        )
+        estimates = simulate(schedule, tracks, initial, run.settings, run.signal)
+        errors = pose_errors(initial_state(estimates.rotation, estimates.position), tracks.truth)
+        whole = trajectory_cost(*errors, run.weights)
+    assert running.total.dtype == whole.total.dtype == dtype
+    np.testing.assert_allclose(running, whole, rtol=tolerance)
+    assert float(running.transient) > 0 < float(running.steady)

@@ -1,0 +1,241 @@
+"""Gain schedules and the error signal, against the reference."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from builders import as_arrays, random_measurements, random_poses, reference_sample
+from jax import Array
+from scipy.spatial.transform import Rotation
+from setups import fuzzy
+
+from posegsa.config import GainConfig
+from posegsa.filter import FilterState, initial_state
+from posegsa.gain import (
+    ConstantGain,
+    FuzzyGain,
+    ScheduleInputs,
+    SignalMemory,
+    TruePose,
+    initial_memory,
+    measured_errors,
+    pose_errors,
+    scheduled_gain,
+    signal_settings,
+)
+from posegsa.measurements import Measurements, prepare
+from posegsa.se3 import quaternion, split
+
+N = 60
+
+
+def states(poses: np.ndarray) -> FilterState:
+    """Filter states of estimated poses (N, 4, 4)."""
+    return initial_state(jnp.asarray(poses[:, :3, :3]), jnp.asarray(poses[:, :3, 3]))
+
+
+def true_poses(poses: np.ndarray) -> TruePose:
+    origin = np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    w, x, y, z = split(quaternion(jnp.asarray(poses[:, :3, :3])))
+    return TruePose((w, x, y, z), split(jnp.asarray(origin)))  # type: ignore[arg-type]
+
+
+class Listener(NamedTuple):
+    """A schedule whose gain is what it is told of one input."""
+
+    field: str
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        return getattr(inputs, self.field)
+
+
+def told(errors: list[tuple[float, float]], field: str, **settings: float) -> np.ndarray:
+    """What a schedule is told of `field` at each sample, given its attitude and position errors."""
+    memory = SignalMemory(jnp.asarray(-1.0), jnp.asarray(0.0))
+    heard = []
+    for k, now in enumerate(errors):
+        gain, memory = listen(Listener(field), memory, now, 0.01 * k, **settings)
+        heard.append(gain)
+    return np.array(heard)
+
+
+def listen(
+    schedule: Any, memory: SignalMemory, errors: tuple[float, float], time: float, **settings: float
+) -> tuple[Array, SignalMemory]:
+    """One sample of `schedule` at steps of 0.01 s, and what it leaves in memory."""
+    made = signal_settings(GainConfig(**settings), jnp.float32)
+    now = jnp.asarray(errors[0]), jnp.asarray(errors[1])
+    gain, inputs, memory = scheduled_gain(
+        schedule, memory, now, jnp.asarray(time), jnp.asarray(0.01), made
+    )
+    assert inputs.time == jnp.asarray(time)
+    return gain, memory
+
+
+# The two error signals ----------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("position_weight", [0.2, 1.5, 0.0])
+@pytest.mark.parametrize(("vectors", "landmarks"), [(3, 1), (2, 2), (4, 3), (3, 0), (0, 2)])
+def test_measured_signal_against_the_reference(
+    vectors: int, landmarks: int, position_weight: float
+) -> None:
+    rng = np.random.default_rng(vectors)
+    poses = random_poses(rng, N)
+    sensed = random_measurements(rng, N, vectors, landmarks, missing=0.3)
+    attitude, position = measured_errors(states(poses), prepare(as_arrays(sensed, jnp.float64)))
+    expected = [
+        reference.error_signal(T, reference_sample(sensed, k), T, "measured", position_weight)
+        for k, T in enumerate(poses)
+    ]
+    # A difference of sums of a few squares, so their rounding and no more.
+    np.testing.assert_allclose(
+        attitude + position_weight * position, expected, rtol=1e-13, atol=1e-14
+    )
+    # What is missing takes no part, and some samples have nothing at all.
+    weights = sensed.vector_weights.sum(axis=1), sensed.landmark_weights.sum(axis=1)
+    for part, weight in zip((attitude, position), weights, strict=True):
+        np.testing.assert_array_equal(np.asarray(part)[weight == 0], 0)
+    assert (weights[0] == 0).any() or vectors > 3
+
+
+@pytest.mark.usefixtures("x64")
+def test_pose_signal_against_the_reference() -> None:
+    rng = np.random.default_rng(0)
+    estimates, truths = random_poses(rng, N), random_poses(rng, N)
+    errors = pose_errors(states(estimates), true_poses(truths))
+    expected = [reference.pose_errors(*pair) for pair in zip(estimates, truths, strict=True)]
+    np.testing.assert_allclose(np.stack(errors, axis=1), expected, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+def test_attitude_parts_are_equal_for_orthonormal_vectors_without_noise() -> None:
+    rng = np.random.default_rng(1)
+    estimates, truths = random_poses(rng, N), random_poses(rng, N)
+    frame = Rotation.random(rng=rng).as_matrix()  # its rows are the vectors
+    body = np.einsum("nji,vj->nvi", truths[:, :3, :3], frame)
+    still = np.zeros((N, 3))
+    sensed = Measurements.from_arrays(
+        time_step=0.01,
+        angular_velocity=still,
+        velocity=still,
+        vectors=body,
+        vector_references=frame,
+        vector_weights=0.7,
+        dtype=np.float64,
+    )
+    measured, _ = measured_errors(states(estimates), prepare(sensed))
+    true, _ = pose_errors(states(estimates), true_poses(truths))
+    np.testing.assert_allclose(measured, true, rtol=1e-12)
+    # Not so for two of them: the third direction is not seen.
+    two = sensed._replace(vector_weights=sensed.vector_weights.at[:, 2].set(0.0))
+    assert np.abs(measured_errors(states(estimates), prepare(two))[0] - true).max() > 0.05
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> None:
+    # A difference that is 0 but for rounding; below 0, the rate would take it for the first sample.
+    with jax.enable_x64(dtype == "float64"):
+        rng = np.random.default_rng(2)
+        poses = random_poses(rng, 500)
+        known = rng.normal(size=(3, 3))
+        sensed = random_measurements(rng, 500, 3, 1)._replace(
+            vectors=np.einsum("nji,vj->nvi", poses[:, :3, :3], known),
+            vector_references=np.broadcast_to(known, (500, 3, 3)),
+        )
+        state = jax.tree.map(lambda a: a.astype(dtype), states(poses))
+        attitude = np.asarray(measured_errors(state, prepare(as_arrays(sensed, dtype)))[0])
+    assert (attitude >= 0).all()
+    assert (attitude < 20 * np.finfo(dtype).eps).all()
+
+
+# What the schedule is told ------------------------------------------------------------------------
+
+ERRORS = [(0.5, 10.0), (0.4, 8.0), (0.4, 2.0), (0.1, 1.0), (0.1, 1.0), (0.3, 0.0)]
+"""Unscaled signals 2.5, 2.0, 0.8, 0.3, 0.3, 0.3 at the weight 0.2."""
+
+
+def test_the_error_is_scaled_then_clipped() -> None:
+    np.testing.assert_allclose(told(ERRORS, "error"), [1, 1, 0.8, 0.3, 0.3, 0.3], rtol=1e-6)
+    scaled = told(ERRORS, "error", error_scale=2.0)
+    np.testing.assert_allclose(scaled, [1, 1, 0.4, 0.15, 0.15, 0.15], rtol=1e-6)
+    weighted = told(ERRORS, "error", position_weight=0.0)
+    np.testing.assert_allclose(weighted, [0.5, 0.4, 0.4, 0.1, 0.1, 0.3], rtol=1e-6)
+
+
+def test_the_rate_is_that_of_the_signal_before_scaling_and_clipping() -> None:
+    rate = [0, 0.5, 1, 0.5, 0, 0]  # 2.5 to 2.0 is seen, both of them clipped; 1.2 is clipped
+    np.testing.assert_allclose(told(ERRORS, "rate"), rate, atol=1e-6)
+    np.testing.assert_allclose(told(ERRORS, "rate", error_scale=5.0), rate, atol=1e-6)
+    halved = told(ERRORS, "rate", rate_scale=0.5)
+    np.testing.assert_allclose(halved, [0, 0.25, 0.6, 0.25, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(told(ERRORS, "rate", rate_scale=0.0), 0)
+
+
+def test_the_rate_is_zero_at_the_first_sample_only() -> None:
+    # Also where the signal was 0: that is not "no sample yet".
+    assert told([(0.0, 0.0), (0.25, 0.0)], "rate").tolist() == [0, 0.25]
+    assert told([(0.9, 0.0)], "rate").tolist() == [0]
+
+
+def test_a_schedule_is_told_the_time_and_its_own_last_gain() -> None:
+    np.testing.assert_allclose(told(ERRORS[:3], "time"), [0, 0.01, 0.02], rtol=1e-6)
+    memory = SignalMemory(jnp.asarray(-1.0), jnp.asarray(12.5))
+    gain, after = listen(Listener("last"), memory, (0.5, 0.0), 0.0)
+    assert gain == after.gain == 12.5
+    assert listen(Listener("error"), memory, (0.5, 0.0), 0.0)[0] == 0.5
+
+
+def test_smoothing_is_a_low_pass_filter_before_all_else() -> None:
+    # Backward Euler, started at the first value: with a time constant of three steps a quarter of
+    # the difference at each sample. Without scaling the rate is the smoothed signal's change.
+    signal = [(0.8, 0.0), (0.0, 0.0), (0.0, 0.0), (0.8, 0.0)]
+    smoothed = [0.8, 0.6, 0.45, 0.5375]
+    np.testing.assert_allclose(told(signal, "error", smoothing=0.03), smoothed, rtol=1e-6)
+    rate = [0, 0.2, 0.15, 0.0875]
+    np.testing.assert_allclose(told(signal, "rate", smoothing=0.03), rate, rtol=1e-5)
+    np.testing.assert_array_equal(told(signal, "error"), np.float32([0.8, 0, 0, 0.8]))
+
+
+def test_settings_come_from_the_configuration_at_the_dtype() -> None:
+    configured = GainConfig(signal="pose", position_weight=0.5, error_scale=3.0, rate_scale=7.0)
+    made = signal_settings(configured, jnp.float32)
+    assert (made.signal, made.position_weight, made.error_scale, made.rate_scale) == (
+        "pose",
+        0.5,
+        3,
+        7,
+    )
+    assert made.rate_scale.dtype == jnp.float32
+
+
+# Schedules ----------------------------------------------------------------------------------------
+
+
+def test_a_fuzzy_gain_is_held_from_sample_to_sample_where_nothing_fires() -> None:
+    inputs = [[0, 0, 0.1], [0.3, 0.3, 0.4], [0.35, 0.5, 0.6], [0.55, 0.7, 0.8], [0.75, 1, 1]]
+    outputs = [[0, 0, 10], [5, 10, 20], [20, 30, 40], [40, 60, 70], [60, 100, 100]]
+    schedule = FuzzyGain(fuzzy(inputs, outputs, "float32"))
+    prepared = schedule.prepare()
+    memory = initial_memory(schedule, jnp.asarray(0.0))
+    assert memory.gain == 51
+    # Scaled errors: a gap, then fired, then the gap twice, then fired anew; the rate is scaled off.
+    gains = []
+    for e in (0.2, 0.5, 0.2, 0.25, 0.9):
+        gain, memory = listen(prepared, memory, (e, 0.0), 0.0, rate_scale=0.0)
+        gains.append(float(gain))
+    fired, later = (float(schedule.controller(e, 0.0)) for e in (0.5, 0.9))
+    np.testing.assert_allclose(gains, [51, fired, fired, fired, later], rtol=1e-6)
+    assert len({51.0, fired, later}) == 3
+
+
+def test_a_constant_gain_is_constant() -> None:
+    schedule = ConstantGain(jnp.asarray(7.5))
+    assert schedule.initial_gain() == 7.5
+    inputs = ScheduleInputs(*(jnp.linspace(0, 1, 4) for _ in range(4)))
+    assert schedule.prepare()(inputs).tolist() == [7.5] * 4
+    assert initial_memory(schedule, jnp.zeros(3)).gain.tolist() == [7.5] * 3

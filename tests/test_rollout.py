@@ -1,0 +1,290 @@
+"""Whole simulations, against the reference: the compiled chain in float64, agent by agent."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from builders import as_arrays
+from jax import Array
+from setups import (
+    PAPER,
+    lasting,
+    paper,
+    reference_samples,
+    reference_start,
+    reference_truth,
+    repaired_terms,
+    search_vectors,
+    sensed,
+    space,
+    world,
+)
+
+from posegsa.config import Experiment
+from posegsa.cost import cost_weights
+from posegsa.filter import FilterState, filter_settings, initial_state
+from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
+from posegsa.measurements import Measurements
+from posegsa.rollout import Estimates, Track, run_filter, simulate, simulate_cost, track
+from posegsa.scenario import Truth
+from posegsa.trajectory import trajectory
+
+VECTOR = search_vectors(1, seed=1)[0]
+"""A schedule with nothing special about it; its gains run from 11 to 75 in the paper's scenario."""
+THREE = [[1.0, 0.2, -0.3], [-0.2, 0.8, 0.4], [0.1, -0.5, 1.4]]
+"""Vectors that are independent, neither orthogonal nor of one length."""
+cost_of = jax.jit(simulate_cost)
+
+
+def fuzzy_schedule() -> FuzzyGain:
+    return FuzzyGain(space().controller(jnp.asarray(VECTOR)))
+
+
+def reference_gain(experiment: Experiment) -> Callable[[float, float, float], float]:
+    """The gain function of `VECTOR` as the reference evaluates it."""
+    inputs, outputs = (t[0] for t in repaired_terms(VECTOR[None]))
+    sampled = experiment.fuzzy.centroid == "sampled"
+    points = experiment.fuzzy.sampled_points
+    options: dict[str, Any] = {"no_rule": experiment.fuzzy.no_rule}
+    if sampled:
+        options["centroid"] = lambda h, t: reference.sampled_centroid(h, t, 0.0, 100.0, points)
+
+    def gain(error: float, rate: float, last: float) -> float:
+        rules = reference.PAPER_RULES
+        return reference.fuzzy_gain(error, rate, inputs, outputs, rules, last, **options)
+
+    return gain
+
+
+def reference_run(
+    experiment: Experiment,
+    measurements: Measurements,
+    truth: np.ndarray,
+    gain: Callable[[float, float, float], float],
+) -> reference.Trajectory:
+    """The reference's trajectory, at an experiment's settings."""
+    f, g = experiment.filter, experiment.gain
+    gamma = f.gamma if isinstance(f.gamma, tuple) else (f.gamma, f.gamma)
+    return reference.run(
+        reference_samples(measurements),
+        reference_start(PAPER.scenario),
+        np.array(PAPER.scenario.initial_bias_estimate),
+        truth,
+        gain,
+        signal=g.signal,
+        position_weight=g.position_weight,
+        error_scale=g.error_scale,
+        rate_scale=g.rate_scale,
+        law=f.law,
+        gamma=gamma,
+        substeps=f.substeps,
+        gain_limit=None if f.gain_limit == "off" else f.gain_limit,
+    )
+
+
+def start() -> FilterState:
+    T = jnp.asarray(reference_start(PAPER.scenario))
+    return initial_state(T[:3, :3], T[:3, 3])
+
+
+def assert_same_run(
+    estimates: Estimates, expected: reference.Trajectory, signal: SignalSettings
+) -> None:
+    """Every signal within 1e-8 of its largest magnitude."""
+    change = np.abs(np.diff(expected.e, prepend=expected.e[0]))
+    pairs = {
+        "rotation": (estimates.rotation, expected.T_est[:, :3, :3]),
+        "position": (estimates.position, expected.T_est[:, :3, 3]),
+        "bias": (estimates.bias, expected.b_est),
+        "gain": (estimates.gain, expected.gain),
+        "error": (estimates.error, np.clip(expected.e / signal.error_scale, 0, 1)),
+        "rate": (estimates.rate, np.clip(change * signal.rate_scale, 0, 1)),
+    }
+    for name, (ours, theirs) in pairs.items():
+        off = np.abs(np.asarray(ours) - theirs).max()
+        assert off <= 1e-8 * np.abs(theirs).max(), f"{name}: {off}"
+
+
+def assert_same_errors(truth: Truth, estimates: Estimates, expected: reference.Trajectory) -> None:
+    made = trajectory(truth, estimates)
+    for ours, theirs in (
+        (made.attitude_distance, expected.attitude_error),
+        (made.position_error, expected.position_error),
+    ):
+        assert np.abs(ours - theirs).max() <= 1e-8 * theirs.max()
+
+
+# The whole chain ----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_papers_experiment_against_the_reference() -> None:
+    experiment = paper()
+    truth, measurements, scenario, initial = world(experiment)
+    true_poses = reference_truth(experiment.scenario)
+    expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
+    settings = filter_settings(experiment.filter, "float64")
+    signal = signal_settings(experiment.gain, "float64")
+
+    estimates = simulate(fuzzy_schedule(), scenario, initial, settings, signal)
+    assert_same_run(estimates, expected, signal)
+    assert_same_errors(truth, estimates, expected)
+
+    weights = cost_weights(experiment.cost, 1500, jnp.dtype("float64"))
+    cost = cost_of(fuzzy_schedule(), scenario, initial, weights, settings, signal)
+    theirs = reference.cost(expected.attitude_error, expected.position_error)
+    np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
+
+    # The gain limit is at work: K_used = min(K, c / (dt L)) is not K.
+    samples = reference_samples(measurements)
+    curvature = np.array(
+        [
+            reference.curvature(T, s.y, s.p, s.sL, s.vB, s.vI, s.sR)
+            for T, s in zip(expected.T_est, samples, strict=True)
+        ]
+    )
+    limited = np.minimum(expected.gain, 1.5 / (0.01 * curvature))
+    np.testing.assert_allclose(estimates.gain_used, limited, rtol=1e-8)
+    assert (limited < expected.gain).sum() > 10
+    np.testing.assert_allclose(estimates.time, 0.01 * np.arange(1500), rtol=1e-12)
+
+
+CHAINS: dict[str, tuple[tuple[str, ...], list, list]] = {
+    # settings, vectors, landmarks
+    "printed law": (("filter.law=printed", "filter.gamma=1.0"), THREE[:2], [[0.5, 1.4, 1]]),
+    "two landmarks": ((), THREE[:2], [[0.5, 1.4, 1], [-1, 0.3, 2]]),
+    "three vectors": (("filter.gamma=[4.0, 6.0]",), THREE, [[0.5, 1.4, 1]]),
+    "two sub-steps": (("filter.substeps=2",), THREE[:2], [[0.5, 1.4, 1]]),
+    "no gain limit": (("filter.substeps=8", "filter.gain_limit=off"), THREE[:2], [[0.5, 1.4, 1]]),
+    "pose signal": (("gain.signal=pose",), THREE[:2], [[0.5, 1.4, 1]]),
+    "scaled signal": (
+        ("gain.error_scale=0.5", "gain.rate_scale=3.0", "gain.position_weight=0.4"),
+        THREE[:2],
+        [[0.5, 1.4, 1]],
+    ),
+}
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize(("changes", "vectors", "landmarks"), CHAINS.values(), ids=CHAINS.keys())
+def test_the_chain_against_the_reference(
+    changes: tuple[str, ...], vectors: list, landmarks: list
+) -> None:
+    experiment = paper(*lasting(3.0), *changes)
+    true_poses, measurements = sensed(np.full(300, 0.01), vectors, landmarks)
+    expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
+    scenario = tracked(as_arrays(measurements, "float64"), true_poses)
+    settings = filter_settings(experiment.filter, "float64")
+    signal = signal_settings(experiment.gain, "float64")
+
+    estimates = simulate(fuzzy_schedule(), scenario, start(), settings, signal)
+    assert_same_run(estimates, expected, signal)
+    c = experiment.cost
+    weights = cost_weights(c, 300, jnp.dtype("float64"))
+    cost = cost_of(fuzzy_schedule(), scenario, start(), weights, settings, signal)
+    theirs = reference.cost(
+        expected.attitude_error,
+        expected.position_error,
+        transient=c.transient_window,
+        steady=c.steady_window,
+    )
+    np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
+
+
+def tracked(measurements: Measurements, truth: np.ndarray) -> Track:
+    return jax.jit(track)(measurements, jnp.asarray(truth[:, :3, :3]), jnp.asarray(truth[:, :3, 3]))
+
+
+# A user's own measurements ------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_run_filter_with_missing_measurements_and_uneven_steps_against_the_reference() -> None:
+    step = np.random.default_rng(1).uniform(0.002, 0.02, 300)
+    landmarks = [[0.5, 1.4, 1], [-1, 0.3, 2]]
+    true_poses, measurements = sensed(step, THREE, landmarks, missing=0.4)
+    nothing = (measurements.vector_weights.sum(axis=1) == 0) & (
+        measurements.landmark_weights.sum(axis=1) == 0
+    )
+    assert nothing.any()  # some samples have only the velocities
+    experiment = paper()
+    expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
+    settings = filter_settings(experiment.filter, "float64")
+    signal = signal_settings(experiment.gain, "float64")
+    own = as_arrays(measurements, "float64")
+    estimates = run_filter(fuzzy_schedule(), own, start(), settings, signal)
+    assert_same_run(estimates, expected, signal)
+    np.testing.assert_allclose(estimates.time, np.cumsum(step) - step, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(np.asarray(estimates.gain_used)[nothing], estimates.gain[nothing])
+    assert (np.asarray(estimates.error)[nothing] == 0).all()
+
+
+def user_measurements(samples: int, dtype: str) -> Measurements:
+    _, measurements = sensed(np.full(samples, 0.01), THREE[:2], [[0.5, 1.4, 1]])
+    return as_arrays(measurements, dtype)
+
+
+def test_run_filter_refuses_the_pose_signal() -> None:
+    experiment = paper("gain.signal=pose", dtype="float32")
+    with pytest.raises(ValueError, match='signal "pose" needs the true pose; use "measured"'):
+        run_filter(
+            ConstantGain(jnp.asarray(10.0)),
+            user_measurements(5, "float32"),
+            initial_state(jnp.eye(3), jnp.zeros(3)),
+            filter_settings(experiment.filter, "float32"),
+            signal_settings(experiment.gain, "float32"),
+        )
+
+
+# Under JAX's transformations ----------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_compiled_equals_eager() -> None:
+    experiment = paper()
+    inputs = (
+        fuzzy_schedule(),
+        user_measurements(4, "float64"),
+        start(),
+        filter_settings(experiment.filter, "float64"),
+        signal_settings(experiment.gain, "float64"),
+    )
+    compiled = run_filter(*inputs)
+    with jax.disable_jit():
+        eager = run_filter(*inputs)
+    # Fused multiply-adds and other orders of sums, over four samples.
+    for ours, theirs in zip(compiled, eager, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.usefixtures("x64")
+def test_derivatives_of_the_cost_by_the_parameters_are_those_of_the_cost() -> None:
+    experiment = paper(*lasting(1.5))
+    true_poses, measurements = sensed(np.full(150, 0.01), THREE[:2], [[0.5, 1.4, 1]])
+    scenario = tracked(as_arrays(measurements, "float64"), true_poses)
+    made = space()
+    settings = filter_settings(experiment.filter, "float64")
+    signal = signal_settings(experiment.gain, "float64")
+    weights = cost_weights(experiment.cost, 150, jnp.dtype("float64"))
+
+    def cost(k: Array) -> Array:
+        schedule = FuzzyGain(made.controller(k))
+        return simulate_cost(schedule, scenario, start(), weights, settings, signal).total
+
+    k = jnp.asarray(VECTOR)
+    slope = jax.jit(lambda k, along: jax.jvp(cost, (k,), (along,))[1])
+    cost = jax.jit(cost)
+    rng, h = np.random.default_rng(0), 1e-6
+    width = reference.PAPER_UPPER - reference.PAPER_LOWER
+    slopes = []
+    for along in rng.normal(size=(4, 22)) * width:
+        ahead, behind = (float(cost(k + s * h * jnp.asarray(along))) for s in (1, -1))
+        slopes.append(float(slope(k, jnp.asarray(along))))
+        # Rounding of the difference, 1e-13 / h, and the kinks of min and max that h steps over.
+        assert slopes[-1] == pytest.approx((ahead - behind) / (2 * h), rel=1e-4)
+    assert np.isfinite(slopes).all()
+    assert np.abs(slopes).min() > 1e-3
