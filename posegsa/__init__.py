@@ -20,7 +20,7 @@ from posegsa.results import VERSION as __version__
 from posegsa.results import TuneResult, load
 from posegsa.rollout import Estimates, begin, run_filter, scheduled_step
 from posegsa.runtime import enable_fast_path
-from posegsa.tuning import tune
+from posegsa.tuning import tune, tune_batch
 
 __all__ = [
     "GSA",
@@ -55,4 +55,5 @@ __all__ = [
     "signal_settings",
     "step",
     "tune",
+    "tune_batch",
 ]

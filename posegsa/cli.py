@@ -1,13 +1,14 @@
-"""The command line: `posegsa tune` and `posegsa evaluate`."""
+"""The command line: `posegsa tune`, `evaluate` and `export`."""
 
 import argparse
 import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 from posegsa.errors import PosegsaError, PosegsaWarning
-from posegsa.runtime import enable_fast_path
+from posegsa.runtime import enable_compilation_cache, enable_fast_path
 
 # Everything that starts JAX is imported inside the commands, after the fast path is set.
 
@@ -19,6 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
         enable_fast_path()
+        enable_compilation_cache()
         try:
             return options.command(options)
         except PosegsaError as error:
@@ -88,6 +90,16 @@ def _parser() -> argparse.ArgumentParser:
         help="another held-out set than the run's own; any whole number from 0",
     )
     evaluate.set_defaults(command=_evaluate)
+    export = commands.add_parser(
+        "export",
+        help="write a tuned schedule as JSON, CSV or C",
+        description="Writes the schedule of a finished run: json holds all of it at full "
+        "precision, csv the control surface, c a C99 file without dependencies for the gain.",
+    )
+    export.add_argument("run", metavar="RUN", help="folder of a finished run")
+    export.add_argument("--format", choices=("json", "csv", "c"), required=True)
+    export.add_argument("--out", metavar="FILE", help="file to write; default standard output")
+    export.set_defaults(command=_export)
     return parser
 
 
@@ -112,6 +124,22 @@ def _evaluate(options: argparse.Namespace) -> int:
     result.save_evaluation(options.run)
     print(result.evaluation.table())
     print(f"\nWritten to {options.run}: evaluation.json, evaluation.txt, figures/")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from posegsa.export import export
+    from posegsa.results import load
+
+    text = export(load(options.run), options.format)
+    if options.out is None:
+        sys.stdout.write(text)
+        return 0
+    try:
+        Path(options.out).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PosegsaError(f"{options.out}: cannot be written: {error.strerror}") from None
+    print(f"Written: {options.out}")
     return 0
 
 

@@ -181,13 +181,14 @@ class SignalMemory(NamedTuple):
     """The last error signal, smoothed, unscaled; negative before the first sample."""
     gain: Array
     """The last gain asked for [1/s]."""
+    time_step: Array
+    """Time since the last sample [s]; before the first one any positive number."""
 
 
 def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
     """Memory before the first sample, at the shape and dtype of `like`."""
-    return SignalMemory(
-        jnp.full_like(like, -1.0), jnp.broadcast_to(schedule.initial_gain(), like.shape)
-    )
+    gain = jnp.broadcast_to(schedule.initial_gain(), like.shape)
+    return SignalMemory(jnp.full_like(like, -1.0), gain, jnp.ones_like(like))
 
 
 def scheduled_gain(
@@ -211,8 +212,10 @@ def scheduled_gain(
     attitude, position = errors
     now = attitude + settings.position_weight * position
     previous = jnp.where(memory.error < 0, now, memory.error)
-    # The share of the new value is exactly 1 without smoothing.
-    e = previous + time_step / (settings.smoothing + time_step) * (now - previous)
+    # Backward Euler over the time since the last sample. Without smoothing the share of the old
+    # value is exactly 0; at the first sample both values are the same.
+    old = settings.smoothing / (settings.smoothing + memory.time_step)
+    e = old * previous + (1 - old) * now
     inputs = ScheduleInputs(
         error=jnp.clip(e / settings.error_scale, 0.0, 1.0),
         rate=jnp.clip(jnp.abs(e - previous) * settings.rate_scale, 0.0, 1.0),
@@ -220,4 +223,4 @@ def scheduled_gain(
         last=memory.gain,
     )
     gain = schedule(inputs)
-    return gain, inputs, SignalMemory(e, gain)
+    return gain, inputs, SignalMemory(e, gain, jnp.broadcast_to(time_step, e.shape))

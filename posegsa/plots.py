@@ -1,16 +1,9 @@
 """The figures of a tuning run, for print and screen.
 
-Each function returns a `matplotlib.figure.Figure` of its own, without pyplot and without a trace in
-the process; save it with `figure.savefig(path, dpi=DPI)`. The look does not depend on the user's
-settings. Curves differ in colour (after Okabe and Ito's palette) and in line style or weight, to be
-told apart in grey print and by colour-blind readers. Quantities without a unit are marked [-].
+Each function returns a `matplotlib.figure.Figure` of its own, in the look that `figure_style` sets.
 """
 
-from collections.abc import Sequence
-from typing import Any
-
 import jax
-import matplotlib.style
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -19,84 +12,75 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.config import TERMS
+from posegsa.figure_style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LOG_RATIO,
+    PURPLE,
+    SKY,
+    TICK_SIZE,
+    VERMILION,
+    Style,
+    finish_time,
+    finite,
+    legend_above,
+    panels,
+    style_ticks,
+    styled,
+)
 from posegsa.fuzzy import FuzzyController
 from posegsa.optimisers import History
 from posegsa.trajectory import Trajectory
 
-DPI = 200
-"""Resolution for print [dots per inch]."""
-
 ZOOM = 1.0
 """Length of the start that `plot_gain` shows enlarged [s]."""
 
-_WIDTH = 6.5  # [in]: one column of a page, or both of a two-column one
 _RESOLUTION = 401  # points along each side of the control surface
-_LOG_RATIO = 30.0  # costs that differ by more than this factor are drawn over a logarithmic axis
 _NO_RULE = "no rule fires"
 
-_BLACK, _BLUE, _GREEN, _VERMILION, _PURPLE, _SKY = (
-    *("#000000", "#0072B2", "#009E73", "#D55E00"),
-    *("#AA4499", "#56B4E9"),
+_TERM_STYLES: tuple[Style, ...] = (
+    {"color": BLACK, "linestyle": "-"},
+    {"color": BLUE, "linestyle": "--"},
+    {"color": GREEN, "linestyle": "-."},
+    {"color": VERMILION, "linestyle": (0, (1, 1))},
+    {"color": PURPLE, "linestyle": (0, (7, 1.5))},
 )
-_Style = dict[str, Any]
-_TERM_STYLES: tuple[_Style, ...] = (
-    {"color": _BLACK, "linestyle": "-"},
-    {"color": _BLUE, "linestyle": "--"},
-    {"color": _GREEN, "linestyle": "-."},
-    {"color": _VERMILION, "linestyle": (0, (1, 1))},
-    {"color": _PURPLE, "linestyle": (0, (7, 1.5))},
-)
-_TRUE: _Style = {"label": "true", "color": _BLACK, "linewidth": 1.8}
-_ESTIMATED: _Style = {"label": "estimated", "color": _VERMILION, "linestyle": (0, (4, 2))}
-
-_FONT_SIZE, _TICK_SIZE = 11, 10
-_STYLE = {
-    "font.size": _FONT_SIZE,
-    "axes.labelsize": _FONT_SIZE,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.4,
-    "legend.fontsize": _TICK_SIZE,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "hatch.linewidth": 0.6,
-}
-_styled = matplotlib.style.context(["default", _STYLE])
-"""Decorator: matplotlib's own defaults and the style above, while a figure is built."""
+_TRUE: Style = {"label": "true", "color": BLACK, "linewidth": 1.8}
+_ESTIMATED: Style = {"label": "estimated", "color": VERMILION, "linestyle": (0, (4, 2))}
 
 
-@_styled
+@styled
 def plot_input_terms(controller: FuzzyController) -> Figure:
     """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
-    figure, (ax,) = _panels(1, 3.2)
+    figure, (ax,) = panels(1, 3.2)
     _plot_terms(ax, np.asarray(controller.input_terms), (0.0, 1.0))
     ax.set_xlabel("Scaled error, scaled rate [-]")
     gaps = _gaps(controller)
     for start, end in gaps:
         ax.axvspan(start, end, **_hatched())
     if gaps:
-        _legend_above(figure, ax)
+        legend_above(figure, ax)
     return figure
 
 
-@_styled
+@styled
 def plot_output_terms(controller: FuzzyController) -> Figure:
     """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
-    figure, (ax,) = _panels(1, 3.2)
+    figure, (ax,) = panels(1, 3.2)
     _plot_terms(ax, np.asarray(controller.output_terms), controller.output_range)
     ax.set_xlabel(r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid")
     return figure
 
 
-@_styled
+@styled
 def plot_surface(controller: FuzzyController) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
 
     The axes go by the square root, because a filter spends its time at small errors. Where no rule
     fires the surface is blank and hatched; the legend says what the gain is there.
     """
-    figure, (ax,) = _panels(1, 4.3)
+    figure, (ax,) = panels(1, 4.3)
     axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
     gain = np.asarray(_gains(controller, axis), np.float64)
     gaps = _gaps(controller)
@@ -111,7 +95,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
     bar = figure.colorbar(mesh, ax=ax, pad=0.02)
     bar.set_label("Gain $K$ [1/s]")
-    _style_ticks(bar.ax)
+    style_ticks(bar.ax)
     if gain.count():
         _plot_contours(ax, axis, gain)
     low, high = controller.output_range
@@ -121,7 +105,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
         ax.axvspan(start, end, zorder=3, **_hatched(meaning))
         ax.axhspan(start, end, zorder=3, **_hatched(meaning))
     if gaps:
-        _legend_above(figure, ax)
+        legend_above(figure, ax)
     for side in (ax.xaxis, ax.yaxis):
         side.set_ticks((0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1))
         side.set_major_formatter("{x:g}")
@@ -129,7 +113,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def plot_convergence(history: History) -> Figure:
     """Best cost so far, mean and worst cost of each iteration, and the costs that were not finite.
 
@@ -138,17 +122,17 @@ def plot_convergence(history: History) -> Figure:
     failures = np.asarray(history.non_finite)
     iteration = np.arange(1, len(failures) + 1)
     marker = "o" if len(iteration) < 30 else None
-    figure, (ax, *below) = _panels(2 if failures.any() else 1, 3.6, ratios=(3, 1))
-    curves: tuple[tuple[str, Array, _Style], ...] = (
-        ("best so far", history.best, {"color": _BLUE, "linewidth": 2.2}),
-        ("mean", history.mean, {"color": _GREEN, "linestyle": "--"}),
-        ("worst", history.worst, {"color": _PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.2}),
+    figure, (ax, *below) = panels(2 if failures.any() else 1, 3.6, ratios=(3, 1))
+    curves: tuple[tuple[str, Array, Style], ...] = (
+        ("best so far", history.best, {"color": BLUE, "linewidth": 2.2}),
+        ("mean", history.mean, {"color": GREEN, "linestyle": "--"}),
+        ("worst", history.worst, {"color": PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.2}),
     )
     for name, values, style in curves:
-        ax.plot(iteration, _finite(values), label=name, marker=marker, markersize=3, **style)
-    costs = np.concatenate([_finite(values) for _, values, _ in curves])
+        ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **style)
+    costs = np.concatenate([finite(values) for _, values, _ in curves])
     costs = costs[np.isfinite(costs)]
-    if costs.size and 0 < costs.min() * _LOG_RATIO < costs.max():
+    if costs.size and 0 < costs.min() * LOG_RATIO < costs.max():
         ax.set_yscale("log")
     ax.set_ylabel("Cost [-]")
     for panel in below:
@@ -159,14 +143,14 @@ def plot_convergence(history: History) -> Figure:
     last.set_xlabel("Iteration [-]")
     last.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
     ax.set_xlim(0.5, len(iteration) + 0.5)
-    _legend_above(figure, ax)
+    legend_above(figure, ax)
     return figure
 
 
-@_styled
+@styled
 def plot_euler(trajectory: Trajectory) -> Figure:
     """True and estimated roll, pitch and yaw [deg] over time [s], broken where they wrap."""
-    figure, axes = _panels(3, 5.2)
+    figure, axes = panels(3, 5.2)
     for i, (ax, name) in enumerate(
         zip(axes, (r"Roll $\phi$", r"Pitch $\theta$", r"Yaw $\psi$"), strict=True)
     ):
@@ -174,44 +158,44 @@ def plot_euler(trajectory: Trajectory) -> Figure:
         ax.plot(*_broken_at_wraps(trajectory.time, trajectory.euler_est[:, i]), **_ESTIMATED)
         ax.set_ylabel(f"{name} [deg]")
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 9, 10]))
-    _finish_time(axes, trajectory.time)
-    _legend_above(figure, axes[0])
+    finish_time(axes, trajectory.time)
+    legend_above(figure, axes[0])
     return figure
 
 
-@_styled
+@styled
 def plot_position(trajectory: Trajectory) -> Figure:
     """True and estimated position [m] in the inertial frame over time [s]."""
-    figure, axes = _panels(3, 5.2)
+    figure, axes = panels(3, 5.2)
     for i, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
-        ax.plot(trajectory.time, _finite(trajectory.position[:, i]), **_TRUE)
-        ax.plot(trajectory.time, _finite(trajectory.position_est[:, i]), **_ESTIMATED)
+        ax.plot(trajectory.time, finite(trajectory.position[:, i]), **_TRUE)
+        ax.plot(trajectory.time, finite(trajectory.position_est[:, i]), **_ESTIMATED)
         ax.set_ylabel(f"${name}$ [m]")
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    _finish_time(axes, trajectory.time)
-    _legend_above(figure, axes[0])
+    finish_time(axes, trajectory.time)
+    legend_above(figure, axes[0])
     return figure
 
 
-@_styled
+@styled
 def plot_errors(trajectory: Trajectory) -> Figure:
     """Attitude error [deg] and position error [m] over time [s], on logarithmic axes."""
-    figure, axes = _panels(2, 4.4)
+    figure, axes = panels(2, 4.4)
     for ax, name, values in (
         (axes[0], "Attitude error [deg]", trajectory.attitude_error),
         (axes[1], "Position error [m]", trajectory.position_error),
     ):
-        errors = _finite(values)
-        ax.plot(trajectory.time, errors, color=_BLUE, linewidth=1.0)
+        errors = finite(values)
+        ax.plot(trajectory.time, errors, color=BLUE, linewidth=1.0)
         if (errors > 0).any():
             ax.set_yscale("log", nonpositive="mask")
         ax.set_ylabel(name)
         ax.grid(axis="y", color="0.88", linewidth=0.6)
-    _finish_time(axes, trajectory.time)
+    finish_time(axes, trajectory.time)
     return figure
 
 
-@_styled
+@styled
 def plot_gain(trajectory: Trajectory) -> Figure:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
 
@@ -220,45 +204,18 @@ def plot_gain(trajectory: Trajectory) -> Figure:
     time = trajectory.time
     start = time <= time[0] + ZOOM
     enlarge = time[-1] - time[0] >= 2 * ZOOM
-    figure, axes = _panels(2 if enlarge else 1, 4.6 if enlarge else 3.4, share=False)
+    figure, axes = panels(2 if enlarge else 1, 4.6 if enlarge else 3.4, share=False)
     for ax, part, width in zip(axes, (slice(None), start), (0.5, 1.4), strict=False):
         for name, gain, style in (
-            ("asked for", trajectory.gain, {"color": _SKY, "linewidth": 2 * width}),
-            ("used, after the limit", trajectory.gain_used, {"color": _BLACK, "linewidth": width}),
+            ("asked for", trajectory.gain, {"color": SKY, "linewidth": 2 * width}),
+            ("used, after the limit", trajectory.gain_used, {"color": BLACK, "linewidth": width}),
         ):
-            ax.plot(time[part], _finite(gain)[part], label=name, **style)
+            ax.plot(time[part], finite(gain)[part], label=name, **style)
         ax.set_ylabel("Gain $K$ [1/s]")
         ax.set_ylim(bottom=0)
-        _finish_time([ax], time[part])
-    _legend_above(figure, axes[0])
+        finish_time([ax], time[part])
+    legend_above(figure, axes[0])
     return figure
-
-
-def _panels(
-    count: int, height: float, *, ratios: Sequence[float] = (), share: bool = True
-) -> tuple[Figure, list[Axes]]:
-    """A figure of panels below each other.
-
-    Args:
-        count: Number of panels.
-        height: Height of the figure [in].
-        ratios: Heights of the panels relative to each other; default equal.
-        share: Whether they share the x axis.
-    """
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    axes = figure.subplots(
-        count, sharex=share, squeeze=False, height_ratios=ratios[:count] or None
-    )[:, 0]
-    for ax in axes:
-        _style_ticks(ax)
-    figure.align_ylabels(axes)
-    return figure, list(axes)
-
-
-def _style_ticks(ax: Axes) -> None:
-    """Set the look of ticks, which are made when the figure is drawn, after the style has gone."""
-    ax.tick_params(labelsize=_TICK_SIZE, color="0.3", length=3.5, width=0.8)
-    ax.tick_params(which="minor", color="0.3", length=2, width=0.6)
 
 
 def _plot_terms(ax: Axes, terms: np.ndarray, universe: tuple[float, float]) -> None:
@@ -325,7 +282,7 @@ def _square(x: np.ndarray) -> np.ndarray:
     return np.copysign(np.square(x), x)
 
 
-def _hatched(meaning: str = "") -> _Style:
+def _hatched(meaning: str = "") -> Style:
     """Look and legend entry of a region where no rule fires."""
     label = f"{_NO_RULE}: {meaning}" if meaning else _NO_RULE
     look = {"facecolor": "white", "edgecolor": "0.35", "hatch": "////", "linewidth": 0.6}
@@ -353,30 +310,9 @@ def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
         best = np.argmax(room)
         taken = np.vstack([taken, seen[best]])
         ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-        style: _Style = {"size": _TICK_SIZE, "ha": "center", "va": "center", "bbox": ground}
+        style: Style = {"size": TICK_SIZE, "ha": "center", "va": "center", "bbox": ground}
         x, y = longest[best]
         ax.text(x, y, f"{level:g}", zorder=4, **style)
-
-
-def _legend_above(figure: Figure, ax: Axes) -> None:
-    """A legend above all panels, where it hides nothing; entries of the same name are one."""
-    handles, labels = ax.get_legend_handles_labels()
-    entries = dict(zip(labels, handles, strict=True))
-    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=len(entries))
-
-
-def _finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:
-    """The time axis below the last of some panels, with room for what happens at once."""
-    axes[-1].set_xlabel("Time [s]")
-    margin = 0.01 * (time[-1] - time[0])
-    if margin > 0:
-        axes[-1].set_xlim(time[0] - margin, time[-1] + margin)
-
-
-def _finite(values: ArrayLike) -> np.ndarray:
-    """Values as an array with NaN, which breaks a line, for those that are not finite."""
-    numbers = np.asarray(values, np.float64)
-    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -385,7 +321,7 @@ def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, n
     Where neighbours differ by more than 180 the way round is the shorter one. Three points are put
     between them, all at the time of the crossing: the end of the range, NaN, and its other end.
     """
-    angle = _finite(angle)
+    angle = finite(angle)
     before = np.flatnonzero(np.abs(np.diff(angle)) > 180)
     after = before + 1
     end = np.copysign(180.0, angle[before])

@@ -1,8 +1,9 @@
 """The result of a tuning run, and its folder: JSON, tables and figures."""
 
-import csv
 import json
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,15 +14,18 @@ import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
-from posegsa import comparison, config, plots
+from posegsa import comparison, config, plots, plots_evaluation
 from posegsa.comparison import CONSTANT, TUNED, Evaluation
 from posegsa.errors import ConfigError, RunFolderError
+from posegsa.figure_style import png
 from posegsa.filter import filter_settings, initial_state
 from posegsa.fuzzy import FuzzyController
 from posegsa.gain import FuzzyGain, signal_settings
+from posegsa.history import history_csv, read_history
 from posegsa.measurements import Measurements
 from posegsa.optimisers import History
 from posegsa.parameters import parameter_space
+from posegsa.report import report_html
 from posegsa.rollout import Estimates, run_filter
 from posegsa.trajectory import Trajectory, read_trajectory
 from posegsa.trust import Trust
@@ -31,8 +35,8 @@ VERSION = version("posegsa")
 SCHEMA = 1
 """Number of the layout of result.json; it changes when a key changes its meaning."""
 
-RESULT, EVALUATION, FIGURES = "result.json", "evaluation.json", "figures"
-HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
+RESULT, EVALUATION, REPORT = "result.json", "evaluation.json", "report.html"
+HISTORY, TRAJECTORY, FIGURES = "history.csv", "trajectory.csv", "figures"
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class TuneResult:
             )
 
     def figures(self) -> dict[str, Figure]:
-        """The run's figures by name: the paper's five, convergence, gain, control surface."""
+        """The figures by name: the paper's five, convergence, the schedule, the evaluation."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
             controller = self.controller
             return {
@@ -127,6 +131,8 @@ class TuneResult:
                 "convergence": plots.plot_convergence(self.history),
                 "gain": plots.plot_gain(self.trajectory),
                 "control_surface": plots.plot_surface(controller),
+                "rules": plots_evaluation.plot_rules(self.trust),
+                **plots_evaluation.evaluation_figures(self.evaluation),
             }
 
     def summary(self) -> str:
@@ -196,32 +202,32 @@ class TuneResult:
             RunFolderError: It holds a run already, or can't be written.
         """
         folder = claim(folder, overwrite=overwrite)
-        try:
+        with _writing(folder):
             # result.json says that a run is complete: the old one goes first, the new comes last.
             (folder / RESULT).unlink(missing_ok=True)
-            _write_atomically(folder / HISTORY, self._history_csv())
-            self.save_evaluation(folder)
+            _write_atomically(folder / HISTORY, history_csv(self.history))
             self.trajectory.write(folder / TRAJECTORY)
-            (folder / FIGURES).mkdir(exist_ok=True)
-            for name, figure in self.figures().items():
-                figure.savefig(folder / FIGURES / f"{name}.png", dpi=plots.DPI)
+            self.save_evaluation(folder)
             _write_atomically(folder / RESULT, json.dumps(self._json(), indent=2) + "\n")
-        except OSError as error:
-            raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
         return folder
 
     def save_evaluation(self, folder: str | Path) -> None:
-        """Write the evaluation, as JSON and as a table, beside a run in its folder.
+        """Write the evaluation to a run's folder: JSON, a table, all figures and the report.
 
         Raises:
             RunFolderError: It can't be written.
         """
         folder = Path(folder)
-        try:
+        pictures = {name: png(figure) for name, figure in self.figures().items()}
+        with _writing(folder):
             _write_atomically(folder / EVALUATION, self.evaluation.to_json())
             _write_atomically(folder / "evaluation.txt", self.evaluation.table() + "\n")
-        except OSError as error:
-            raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
+            (folder / FIGURES).mkdir(exist_ok=True)
+            for name in plots_evaluation.NAMES:  # not all evaluations have all of them
+                (folder / FIGURES / f"{name}.png").unlink(missing_ok=True)
+            for name, picture in pictures.items():
+                (folder / FIGURES / f"{name}.png").write_bytes(picture)
+            _write_atomically(folder / REPORT, report_html(self, pictures))
 
     def _json(self) -> dict[str, Any]:
         tuned, constant = (
@@ -257,14 +263,6 @@ class TuneResult:
             "environment": self.environment,
             "config": self.experiment.model_dump(mode="json"),
         }
-
-    def _history_csv(self) -> str:
-        h = self.history
-        lines = ["iteration,best,mean,worst,non_finite"]
-        columns = (h.best.tolist(), h.mean.tolist(), h.worst.tolist(), h.non_finite.tolist())
-        for i, (best, mean, worst, bad) in enumerate(zip(*columns, strict=True), start=1):
-            lines.append(f"{i},{best!r},{mean!r},{worst!r},{bad}")
-        return "\n".join(lines) + "\n"
 
 
 def load(folder: str | Path) -> TuneResult:
@@ -313,7 +311,7 @@ def load(folder: str | Path) -> TuneResult:
             non_finite=int(data["non_finite"]),
             compile_seconds=float(data["compile_seconds"]),
             search_seconds=float(data["search_seconds"]),
-            history=_read_history(folder / HISTORY),
+            history=read_history(folder / HISTORY),
             trajectory=read_trajectory(folder / TRAJECTORY),
             environment={str(k): str(v) for k, v in data["environment"].items()},
             version=str(data["version"]),
@@ -351,24 +349,22 @@ def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
     return folder
 
 
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """What can't be written says so by the folder's name."""
+    try:
+        yield
+    except RunFolderError:
+        raise
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
+
+
 def _write_atomically(path: Path, text: str) -> None:
     """Write a file so that it is either whole or not there."""
     temporary = path.with_name(path.name + ".part")
     temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)
-
-
-def _read_history(path: Path) -> History:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        columns = {
-            name: np.array([float(row[name]) for row in rows]) for name in ("best", "mean", "worst")
-        }
-        bad = np.array([int(row["non_finite"]) for row in rows])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path}: cannot be read as a history: {error}") from None
-    return History._make([columns["best"], columns["mean"], columns["worst"], bad])
 
 
 def _number(value: float | np.floating) -> float | str:

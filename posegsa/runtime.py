@@ -10,6 +10,7 @@ import importlib
 import os
 import platform
 import warnings
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -52,6 +53,19 @@ def enable_fast_path() -> bool:
         return False
     os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""))
     return True
+
+
+def enable_compilation_cache() -> None:
+    """Keep compiled programs on disk, so that a second process need not compile them again.
+
+    They go to `posegsa` in the user's cache folder (XDG_CACHE_HOME, else ~/.cache), unless JAX has
+    been given a folder already (JAX_COMPILATION_CACHE_DIR). The command line calls this for itself.
+    """
+    if jax.config.jax_compilation_cache_dir is None:
+        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "posegsa"))
+    # Most programs here compile in under a second; together they are most of a short run.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def _jax_has_started() -> bool:

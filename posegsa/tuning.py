@@ -53,7 +53,7 @@ class Progress(NamedTuple):
     """Time since the search began, compiling not counted."""
 
 
-class _Task(NamedTuple):
+class Task(NamedTuple):
     """One experiment made ready."""
 
     experiment: config.Experiment
@@ -65,7 +65,7 @@ class _Task(NamedTuple):
     optimiser: Optimiser
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """What a search found, and how long it took [s]."""
 
     search: Search
@@ -106,8 +106,8 @@ def tune(
     if out is not None:
         results.claim(out, overwrite=overwrite)
     with jax.enable_x64(one.run.dtype == "float64"):
-        task = _task(one)
-        result = _result(task, _search(task, progress))
+        task = make_ready(one)
+        result = _result(task, run_search(task, progress))
     if out is not None:
         result.save(out, overwrite=True)
     return result
@@ -145,7 +145,7 @@ def tune_batch(
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
     with jax.enable_x64(many[0].run.dtype == "float64"):
-        tasks = [_task(one) for one in many]
+        tasks = [make_ready(one) for one in many]
         found = _search_batch(tasks, progress)
         return TuneBatch(tuple(_result(t, f) for t, f in zip(tasks, found, strict=True)))
 
@@ -156,11 +156,12 @@ def _experiment(experiment: config.Experiment | str | Path | None) -> config.Exp
     return experiment if isinstance(experiment, config.Experiment) else config.load(experiment)
 
 
-def _task(experiment: config.Experiment) -> _Task:
+def make_ready(experiment: config.Experiment) -> Task:
+    """An experiment's scenarios, parameter space and optimiser."""
     one, count = scenario(experiment), experiment.run.training_scenarios
     held_out = held_out_keys(experiment, experiment.run.held_out_scenarios)
     everywhere = problem(experiment, one, jnp.concatenate([training_keys(experiment), held_out]))
-    return _Task(
+    return Task(
         experiment,
         one,
         everywhere,
@@ -219,7 +220,7 @@ def _run(
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
-) -> _Found:
+) -> Found:
     """Compile a search, run it in chunks, and time both."""
     begun = time.perf_counter()
     # No iterations yet: this compiles, unless a search of this structure has run in this process.
@@ -234,10 +235,11 @@ def _run(
         if progress is not None:
             best, seconds = float(jnp.min(search.best_cost)), time.perf_counter() - compiled
             progress(Progress(stop, iterations, best, seconds))
-    return _Found(search, compiled - begun, time.perf_counter() - compiled)
+    return Found(search, compiled - begun, time.perf_counter() - compiled)
 
 
-def _search(task: _Task, progress: Callable[[Progress], object] | None) -> _Found:
+def run_search(task: Task, progress: Callable[[Progress], object] | None = None) -> Found:
+    """Search a task's parameter space; nothing held out is looked at."""
     experiment, space, optimiser = task.experiment, task.space, task.optimiser
     search = start(optimiser, Box(space.lower, space.upper), keys(experiment.run.seed).search)
 
@@ -248,8 +250,8 @@ def _search(task: _Task, progress: Callable[[Progress], object] | None) -> _Foun
 
 
 def _search_batch(
-    tasks: Sequence[_Task], progress: Callable[[Progress], object] | None
-) -> list[_Found]:
+    tasks: Sequence[Task], progress: Callable[[Progress], object] | None
+) -> list[Found]:
     """Search all tasks in one compiled call."""
     optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
     for name, differs in (
@@ -279,7 +281,7 @@ def _search_batch(
     found = _run(go, search, optimiser.iterations, progress)
     share = len(tasks)
     return [
-        _Found(
+        Found(
             jax.tree.map(lambda a, i=i: a[i], found.search),
             found.compile_seconds / share,
             found.search_seconds / share,
@@ -288,7 +290,7 @@ def _search_batch(
     ]
 
 
-def _result(task: _Task, found: _Found) -> TuneResult:
+def _result(task: Task, found: Found) -> TuneResult:
     """Judge what a search found."""
     experiment, everywhere, search = task.experiment, task.everywhere, found.search
     count = experiment.run.training_scenarios

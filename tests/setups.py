@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import reference
 import scipy.linalg
-from builders import reference_sample
+from builders import as_arrays, reference_sample
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -199,3 +199,15 @@ def sensed(
     y, y_weights = seen(p_I - P[:, None])
     noisy = (u + b + 0.1 * rng.normal(size=u.shape) for u, b in zip((omega, v), bias, strict=True))
     return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)
+
+
+def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Track:
+    """What a simulation reads, of measurements and true poses (N, 4, 4)."""
+    rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
+    return jax.jit(track)(as_arrays(measurements, dtype), rotation, position)
+
+
+def start(dtype: str) -> FilterState:
+    """The paper's initial estimate."""
+    T = jnp.asarray(reference_start(PAPER.scenario), dtype)
+    return initial_state(T[:3, :3], T[:3, 3])

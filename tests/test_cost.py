@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from setups import lasting, paper, posed, search_vectors, space
+from setups import PAPER, lasting, paper, search_vectors, sensed, space, start, tracked
 
 from posegsa.config import CostConfig
 from posegsa.cost import cost_weights, sample_error, trajectory_cost
-from posegsa.filter import initial_state
-from posegsa.gain import FuzzyGain, pose_errors
+from posegsa.filter import filter_settings, initial_state
+from posegsa.gain import FuzzyGain, pose_errors, signal_settings
 from posegsa.rollout import simulate, simulate_cost
 
 HAND = CostConfig(
@@ -49,7 +49,7 @@ def test_windows_may_overlap_and_hold_one_sample() -> None:
 @pytest.mark.usefixtures("x64")
 def test_the_papers_cost_against_the_reference() -> None:
     attitude, position = np.random.default_rng(0).random((2, 5, 1500))
-    weights = cost_weights(CostConfig(), 1500, jnp.dtype("float64"))
+    weights = cost_weights(PAPER.cost, 1500, jnp.dtype("float64"))
     costs = trajectory_cost(jnp.asarray(attitude), jnp.asarray(position), weights).total
     expected = [reference.cost(*errors) for errors in zip(attitude, position, strict=True)]
     np.testing.assert_allclose(costs, expected, rtol=1e-13)  # 1100 terms, summed in other orders
@@ -58,17 +58,19 @@ def test_the_papers_cost_against_the_reference() -> None:
 # float32: sums of up to 1000 numbers in two orders, each rounded to 6e-8.
 @pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-12), ("float32", 2e-5)])
 def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: float) -> None:
+    experiment = paper(*lasting(2.0), dtype=dtype)
+    truth, measurements = sensed(np.full(200, 0.01), [[0.6, 0, 0.8], [0, 1, 0]], [[0.5, 1.4, 1]])
     with jax.enable_x64(dtype == "float64"):
-        run = posed(paper(*lasting(3.0), dtype=dtype))
-        tracks, initial = jax.tree.map(lambda a: a[0], (run.tracks, run.initial))
+        scenario, initial = tracked(measurements, truth, dtype), start(dtype)
         vector = jnp.asarray(search_vectors(1, seed=1)[0], dtype)
         schedule = FuzzyGain(space(dtype=dtype).controller(vector))
-        running = jax.jit(simulate_cost)(
-            schedule, tracks, initial, run.weights, run.settings, run.signal
-        )
-        estimates = simulate(schedule, tracks, initial, run.settings, run.signal)
-        errors = pose_errors(initial_state(estimates.rotation, estimates.position), tracks.truth)
-        whole = trajectory_cost(*errors, run.weights)
+        settings = filter_settings(experiment.filter, dtype)
+        signal = signal_settings(experiment.gain, dtype)
+        weights = cost_weights(experiment.cost, 200, jnp.dtype(dtype))
+        running = jax.jit(simulate_cost)(schedule, scenario, initial, weights, settings, signal)
+        estimates = simulate(schedule, scenario, initial, settings, signal)
+        poses = initial_state(estimates.rotation, estimates.position)
+        whole = trajectory_cost(*pose_errors(poses, scenario.truth), weights)
     assert running.total.dtype == whole.total.dtype == dtype
     np.testing.assert_allclose(running, whole, rtol=tolerance)
     assert float(running.transient) > 0 < float(running.steady)

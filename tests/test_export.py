@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import corner_vectors, search_vectors
+from setups import corner_vectors, paper, search_vectors
 
 import posegsa
 from posegsa import config
@@ -35,13 +35,14 @@ WARNINGS = [
 ]
 needs_cc = pytest.mark.skipif(CC is None, reason="there is no C compiler")
 PRECISIONS = {"float": (np.float32, ctypes.c_float), "double": (np.float64, ctypes.c_double)}
+COUNT = 10_000
 TOLERANCE = {"float": 1e-5, "double": 1e-12}
 """Relative; measured are 0 for the exact centroid, and 4e-7 and 7e-16 for the sampled one."""
 
 
 def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) -> TuneResult:
     """A result with this vector k; what a search would say of itself is made up."""
-    experiment = config.override(config.Experiment(), [f"run.dtype={dtype}", *settings])
+    experiment = paper(*settings, dtype=dtype)
     with jax.enable_x64(dtype == "float64"):
         space = posegsa.parameter_space(experiment)
         vector = space.vector(space.controller(space.checked(k)))
@@ -77,8 +78,8 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
     return TuneResult(**values | fields)
 
 
-K = search_vectors(1, seed=5)[0]
-"""A vector with nothing special about it."""
+K, *DRAWN = search_vectors(1, seed=5)[0], *search_vectors(4)
+"""A vector with nothing special about it, and others; DRAWN[0], [1] and [3] leave gaps if let."""
 GAPS = ("fuzzy.coverage=false",)
 MIDRANGE = (*GAPS, "fuzzy.no_rule=midrange")
 SAMPLED = ("fuzzy.centroid=sampled",)
@@ -101,40 +102,42 @@ TINY = [
 """Widths down to below the least normal number of float."""
 
 CASES = {
-    "exact": (search_vectors(4)[0], ()),
-    "another": (search_vectors(4)[1], ()),
-    "gaps, hold": (search_vectors(4)[2], GAPS),
-    "gaps, hold, another": (search_vectors(4)[0], GAPS),
-    "gaps, midrange": (search_vectors(4)[2], MIDRANGE),
-    "corner": (corner_vectors(2)[0], ()),
-    "corner, gaps": (corner_vectors(2)[1], GAPS),
-    "sampled": (search_vectors(4)[3], SAMPLED),
-    "sampled, gaps, midrange": (search_vectors(4)[2], (*SAMPLED, *MIDRANGE)),
+    "exact": (K, ()),
+    "another": (DRAWN[2], ()),
+    "gaps, hold": (DRAWN[0], GAPS),
+    "other gaps, hold": (DRAWN[3], GAPS),
+    "gaps, midrange": (DRAWN[1], MIDRANGE),
+    "corner": (corner_vectors(2)[1], ()),
+    "corner, gaps": (corner_vectors(4)[3], GAPS),
+    "sampled": (DRAWN[2], SAMPLED),
+    "sampled, gaps, midrange": (DRAWN[0], (*SAMPLED, *MIDRANGE)),
     "trapezoid": (
-        search_vectors(4)[1],
-        (*SAMPLED, "fuzzy.sampled_rule=trapezoid", "fuzzy.sampled_points=501"),
+        DRAWN[1],
+        (*SAMPLED, "fuzzy.sampled_rule=trapezoid", "fuzzy.sampled_points=201"),
     ),
-    "disordered": (search_vectors(4)[3], (*SAMPLED, *GAPS, "fuzzy.ordering=false")),
-    "another range": (search_vectors(4)[0], ("parameters.gain_range=[0.0,300.0]", *MIDRANGE)),
-    "no width": (np.array(NO_WIDTH), WIDE),
-    "no width, sampled": (np.array(NO_WIDTH), (*SAMPLED, *WIDE)),
+    "disordered": (DRAWN[3], (*SAMPLED, *GAPS, "fuzzy.ordering=false")),
+    "another range, gaps": (DRAWN[0], ("parameters.gain_range=[0.0,300.0]", *MIDRANGE)),
+    "no width, gaps": (np.array(NO_WIDTH), WIDE),
+    "no width, sampled, gaps": (np.array(NO_WIDTH), (*SAMPLED, *WIDE)),
     "spikes": (np.array(SPIKES), WIDE),
 }
+"""Vectors k and settings; "gaps" where some inputs fire no rule."""
 
 
 Gain = Callable[[float, float, float], float]
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory) -> Callable[[str, str], ctypes.CDLL]:
+def compiled(tmp_path_factory) -> Callable[..., ctypes.CDLL]:
     """Compiles an exported file in one precision, without a warning, and loads it."""
     folder, count = tmp_path_factory.mktemp("c"), itertools.count()
 
-    def build(source: str, real: str) -> ctypes.CDLL:
+    def build(source: str, real: str, *how: str) -> ctypes.CDLL:
         path = folder / f"gain{next(count)}.c"
         path.write_text(source, encoding="ascii")
         library = path.with_suffix(".so")
-        options = ["-std=c99", "-O1", *WARNINGS, "-shared", "-fPIC", f"-DPOSEGSA_REAL={real}"]
+        how = how or ("-std=c99", "-O1")
+        options = [*how, *WARNINGS, "-shared", "-fPIC", f"-DPOSEGSA_REAL={real}"]
         subprocess.run([CC, *options, path, "-o", library], check=True)
         loaded = ctypes.CDLL(str(library))
         number = PRECISIONS[real][1]
@@ -146,18 +149,19 @@ def compiled(tmp_path_factory) -> Callable[[str, str], ctypes.CDLL]:
     return build
 
 
-def inputs(count: int) -> np.ndarray:
-    """Errors, rates and last gains (3, count): over all of [0, 1] and beyond, and often small."""
+def inputs() -> np.ndarray:
+    """Errors, rates and last gains (3, COUNT): over all of [0, 1] and beyond, and often small."""
     rng = np.random.default_rng(0)
-    error, rate = rng.uniform(-0.1, 1.1, (2, count))
-    small = slice(count // 2)
-    return np.stack(
-        [
-            np.r_[error[small] ** 2, error[count // 2 :]],
-            np.r_[np.abs(rate[small]) ** 3, rate[count // 2 :]],
-            rng.uniform(1, 101, count),
-        ]
-    )
+    error, rate = rng.uniform(-0.1, 1.1, (2, COUNT))
+    error[::2], rate[::2] = error[::2] ** 2, np.abs(rate[::2]) ** 3
+    return np.stack([error, rate, rng.uniform(1, 101, COUNT)])
+
+
+def evaluated(controller: FuzzyController, given: np.ndarray) -> np.ndarray:
+    """Gains of (error, rate, last gain) (3, n) or (error, rate) (2, n), at one shape for all n."""
+    padded = np.resize(given.T, (COUNT, len(given))).T
+    gains = controller(*(jnp.asarray(x, controller.output_terms.dtype) for x in padded))
+    return np.asarray(gains)[: given.shape[1]]
 
 
 def in_python(result: TuneResult, real: str, given: np.ndarray) -> np.ndarray:
@@ -170,7 +174,7 @@ def in_python(result: TuneResult, real: str, given: np.ndarray) -> np.ndarray:
             input_terms=jnp.asarray(np.asarray(controller.input_terms, dtype)),
             output_terms=jnp.asarray(np.asarray(controller.output_terms, dtype)),
         )
-        return np.asarray(controller(*(jnp.asarray(x) for x in given.astype(dtype))))
+        return evaluated(controller, given)
 
 
 def in_c(gain: Gain, real: str, given: np.ndarray) -> np.ndarray:
@@ -183,22 +187,27 @@ def in_c(gain: Gain, real: str, given: np.ndarray) -> np.ndarray:
 
 @needs_cc
 @pytest.mark.parametrize("real", PRECISIONS)
-@pytest.mark.parametrize(("k", "settings"), CASES.values(), ids=CASES.keys())
-def test_the_c_gain_is_the_jax_gain(compiled, k, settings, real):
+@pytest.mark.parametrize("case", CASES)
+def test_the_c_gain_is_the_jax_gain(compiled, case, real):
+    k, settings = CASES[case]
     result = tuned(k, *settings)
     library = compiled(export_c(result), real)
-    given = inputs(10_000)
+    given = inputs()
     got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
     np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
-    assert library.posegsa_initial_gain() == result.controller.initial_gain()
+    initial = library.posegsa_initial_gain()
+    assert initial == result.controller.initial_gain()
+    if "gaps" in case:
+        idle = given[2].astype(got.dtype) if result.controller.no_rule == "hold" else initial
+        assert 0.01 < (got == idle).mean() < 0.9
 
 
 @needs_cc
 @pytest.mark.parametrize("real", PRECISIONS)
 def test_the_c_gain_of_a_run_in_float64(compiled, real):
-    result = tuned(K, *GAPS, dtype="float64")
+    result = tuned(DRAWN[0], *GAPS, dtype="float64")
     assert (result.parameters != result.parameters.astype(np.float32)).any()
-    gain, given = compiled(export_c(result), real).posegsa_gain, inputs(10_000)
+    gain, given = compiled(export_c(result), real).posegsa_gain, inputs()
     np.testing.assert_allclose(
         in_c(gain, real, given), in_python(result, real, given), rtol=TOLERANCE[real]
     )
@@ -206,9 +215,24 @@ def test_the_c_gain_of_a_run_in_float64(compiled, real):
 
 @needs_cc
 @pytest.mark.parametrize("real", PRECISIONS)
+def test_the_c_gain_where_the_compiler_fuses_multiply_and_add(compiled, real):
+    how = ("-std=gnu99", "-O3", "-ffp-contract=fast")
+    # The last has an output term of no width at 0, beside one whose input term has its foot at 0.
+    for k in (DRAWN[0], corner_vectors(4)[3], corner_vectors(12, seed=9)[7]):
+        result, given = tuned(k, *GAPS), inputs()
+        try:  # where such instructions are not in every processor of a kind
+            library = compiled(export_c(result), real, *how, "-march=native")
+        except subprocess.CalledProcessError:
+            library = compiled(export_c(result), real, *how)
+        got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
+        np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
+
+
+@needs_cc
+@pytest.mark.parametrize("real", PRECISIONS)
 @pytest.mark.parametrize("settings", [(), GAPS, MIDRANGE, SAMPLED], ids=str)
 def test_the_c_gain_at_the_edges(compiled, settings, real):
-    result = tuned(K, *settings)
+    result = tuned(DRAWN[0], *settings)
     gain = compiled(export_c(result), real).posegsa_gain
     ends = [0.0, 1.0, -0.0, -3.5, 7.0, 1e30, -1e30, np.inf, -np.inf, 1e-40, 0.5]
     given = np.array([(e, r, 7.25) for e in ends for r in ends]).T
@@ -344,20 +368,19 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
         for field in dataclasses.fields(FuzzyController):
             np.testing.assert_array_equal(getattr(again, field.name), getattr(own, field.name))
         assert again.output_terms.dtype == dtype
-        given = [jnp.asarray(x, dtype) for x in inputs(10_000)]
-        np.testing.assert_array_equal(again(*given), own(*given))
+        np.testing.assert_array_equal(evaluated(again, inputs()), evaluated(own, inputs()))
         assert data["controller"]["initial_gain_1_s"] == own.initial_gain()
         error, rate = (np.asarray(surface[key], dtype) for key in ("error", "rate"))
         np.testing.assert_allclose(error, np.linspace(0, 1, 101), rtol=np.finfo(dtype).eps)
         np.testing.assert_array_equal(rate, error)
-        some = np.s_[::10]
-        expected = own(*np.meshgrid(error[some], rate[some]))
+        cells = np.stack(np.meshgrid(error, rate)).reshape(2, -1)[:, :COUNT]
+        expected = evaluated(own, cells)
     gains = np.array(surface["gain_1_s"])
     assert gains.shape == (101, 101)
     assert (gains == gains.astype(dtype)).all()
     # Compiled otherwise, with fused multiply-adds.
     tolerance = 100 * np.finfo(dtype).eps
-    np.testing.assert_allclose(gains[some, some], expected, rtol=tolerance)
+    np.testing.assert_allclose(gains.ravel()[:COUNT], expected, rtol=tolerance)
 
 
 def test_json_says_all_of_the_schedule():
@@ -386,19 +409,17 @@ def test_json_says_all_of_the_schedule():
 
 
 def test_csv_is_the_control_surface():
-    result = tuned(K, *GAPS)
+    result = tuned(DRAWN[0], *GAPS)
     header, *rows = csv.reader(io.StringIO(export_csv(result, resolution=21)))
     assert header == ["error", "rate", "gain_1_s"]
-    table = np.array(rows, np.float64).reshape(21, 21, 3)
+    table = np.array(rows, np.float64)
     assert (table == table.astype(np.float32)).all()
-    error, rate, gains = np.moveaxis(table.astype(np.float32), 2, 0)
-    for values, expected in zip(
-        (error[0], rate[:, 0], gains), result.controller.surface(21), strict=True
-    ):
-        np.testing.assert_array_equal(values, expected)
-    assert (error == error[0]).all()
-    assert (rate[:, 0] == rate.T).all()
-    np.testing.assert_allclose(gains, result.controller(error, rate), rtol=1e-5)
+    error, rate, gains = table.T
+    axis = np.linspace(0, 1, 21)
+    # The error runs fastest.
+    np.testing.assert_allclose(error.reshape(21, 21), np.tile(axis, (21, 1)), rtol=1e-6)
+    np.testing.assert_allclose(rate.reshape(21, 21), np.tile(axis[:, None], 21), rtol=1e-6)
+    np.testing.assert_allclose(gains, evaluated(result.controller, table.T[:2]), rtol=1e-5)
     assert (gains == 51).any(), "the initial gain where no rule fires"
 
 

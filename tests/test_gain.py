@@ -10,7 +10,7 @@ import reference
 from builders import as_arrays, random_measurements, random_poses, reference_sample
 from jax import Array
 from scipy.spatial.transform import Rotation
-from setups import fuzzy
+from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
 from posegsa.filter import FilterState, initial_state
@@ -66,7 +66,7 @@ def listen(
     schedule: Any, memory: SignalMemory, errors: tuple[float, float], time: float, **settings: float
 ) -> tuple[Array, SignalMemory]:
     """One sample of `schedule` at steps of 0.01 s, and what it leaves in memory."""
-    made = signal_settings(GainConfig(**settings), jnp.float32)
+    made = signal_settings(GainConfig(**PAPER.gain.model_dump() | settings), jnp.float32)
     now = jnp.asarray(errors[0]), jnp.asarray(errors[1])
     gain, inputs, memory = scheduled_gain(
         schedule, memory, now, jnp.asarray(time), jnp.asarray(0.01), made

@@ -9,6 +9,7 @@ LAYERS = [
     "errors",
     "observability",
     "optimisers",
+    "history",
     "config",
     "se3",
     "measurements",
@@ -27,7 +28,10 @@ LAYERS = [
     "keys",
     "comparison",
     "trust",
+    "figure_style",
     "plots",
+    "plots_evaluation",
+    "report",
     "runtime",
     "results",
     "export",
@@ -47,9 +51,19 @@ def layer(path: Path) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """The layers of posegsa that a file imports, inside functions too."""
+    """The layers of posegsa that a file imports, inside functions too, but not for types alone."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for_types = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    for node in ast.walk(tree):
+        if node in for_types:
+            continue
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

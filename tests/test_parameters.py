@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from setups import RULES, corner_vectors, search_vectors, space
+from setups import PAPER, RULES, corner_vectors, search_vectors, space
 
-from posegsa.config import Experiment
 from posegsa.errors import FuzzyError
 from posegsa.fuzzy import membership, slopes
-from posegsa.parameters import ParameterSpace, in_order, parameter_space, rule_indices
+from posegsa.parameters import ParameterSpace, in_order, rule_indices
 
 KINDS = [search_vectors, corner_vectors]
 REPAIRS = {
@@ -57,12 +56,12 @@ def test_terms_against_the_reference(
 
 
 @pytest.mark.usefixtures("x64")
-def test_the_papers_boxes_and_overlap_are_the_defaults() -> None:
+def test_the_papers_boxes_and_overlap_are_the_configured_ones() -> None:
     made = space()
     np.testing.assert_array_equal(made.lower, reference.PAPER_LOWER)
     np.testing.assert_array_equal(made.upper, reference.PAPER_UPPER)
     assert made.overlap == 0.01
-    assert made.rules == RULES == rule_indices(Experiment().fuzzy.rules)
+    assert made.rules == RULES == rule_indices(PAPER.fuzzy.rules)
 
 
 @pytest.mark.usefixtures("x64")
@@ -199,7 +198,7 @@ def test_the_gain_range_bounds_the_output_terms() -> None:
 
 
 def test_checked_takes_what_a_result_file_holds() -> None:
-    made = parameter_space(Experiment())
+    made = space(dtype="float32")
     k = search_vectors(1)[0]
     checked = made.checked(k.tolist())
     assert checked.dtype == jnp.float32
@@ -230,4 +229,4 @@ def replaced(i: int, value: float) -> np.ndarray:
 )
 def test_checked_refuses(k: object, message: str) -> None:
     with pytest.raises(FuzzyError, match=message):
-        parameter_space(Experiment()).checked(k)  # type: ignore[arg-type]
+        space(dtype="float32").checked(k)  # type: ignore[arg-type]

@@ -277,6 +277,9 @@ def test_noises_are_independent_between_sensors_axes_and_samples(residuals) -> N
         assert abs(np.mean(columns[:, i] * columns[:, j])) < limit, (i, j)
     later = np.mean(columns[1:] * columns[:-1], axis=0)
     assert (np.abs(later) < limit).all()
+    # Nor is any draw used twice, at whatever sample: but for chance (1 %) all values differ.
+    values = np.round(columns, 6)
+    assert len(np.unique(values)) > 0.95 * values.size
 
 
 def test_same_key_gives_the_same_measurements_in_both_precisions() -> None:
@@ -328,13 +331,11 @@ def test_initial_estimates_are_those_configured() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_jit_equals_eager() -> None:
-    s, key = quietly(experiment(duration=0.1)), jax.random.key(0)
+def test_measuring_under_jit_equals_measuring_eagerly() -> None:
+    s, key = quietly(experiment(duration=0.03)), jax.random.key(0)
     truth = jitted_integrate(s)
     # To rounding: fused multiply-adds differ.
     same(jitted_measure(s, truth, key), measure(s, truth, key), atol=1e-13)
-    with jax.disable_jit():
-        same(truth, integrate(s), atol=1e-13)
 
 
 @pytest.mark.usefixtures("x64")

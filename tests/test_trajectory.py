@@ -25,7 +25,7 @@ def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
     rng = np.random.default_rng(0)
     T, T_est = random_poses(rng, N), random_poses(rng, N)
     with jax.enable_x64(dtype == "float64"):
-        time, gain, used, error = (jnp.asarray(x, dtype) for x in rng.random((4, N)))
+        time, gain, used, error, rate = (jnp.asarray(x, dtype) for x in rng.random((5, N)))
         R, P, R_est, P_est = (
             jnp.asarray(part, dtype)
             for pose in (T, T_est)

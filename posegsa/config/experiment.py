@@ -33,7 +33,7 @@ class FilterConfig(Section):
 
     law: Literal["gradient", "printed"] = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
-    gamma: NonNegative | tuple[NonNegative, NonNegative] = 10.0
+    gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Count = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""

@@ -221,7 +221,7 @@ def _signal(result: TuneResult) -> list[str]:
     if gain.smoothing > 0:
         smoothed = (
             f"e = before + dt / ({gain.smoothing!r} s + dt) (now - before)   [smoothed; dt: the "
-            "sample's time step]"
+            "time since the last sample]"
         )
     return [
         *(f"    {line}" for line in parts),

@@ -74,7 +74,8 @@ static POSEGSA_REAL posegsa_membership(POSEGSA_REAL x, const POSEGSA_REAL term[3
     if (!(distance > 0)) {
         return 1;
     }
-    return width > 0 ? posegsa_max(0, 1 - distance * (1 / width)) : 0;
+    /* min before the difference: a fused multiply-add would leave a little of 0 at the foot. */
+    return width > 0 ? 1 - posegsa_min(distance * (1 / width), 1) : 0;
 }
 """
 

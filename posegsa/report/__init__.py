@@ -1,0 +1,50 @@
+"""One page that shows a result: a single HTML file that needs no network and runs no script."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import files
+from string import Template
+from typing import TYPE_CHECKING
+
+from posegsa.comparison import TUNED
+from posegsa.figure_style import png
+from posegsa.report import sections
+from posegsa.report.markup import cost, element, join
+
+if TYPE_CHECKING:
+    from posegsa.results import TuneResult
+
+
+def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None) -> str:
+    """A result as one HTML page.
+
+    Args:
+        result: The result.
+        pictures: Its figures as PNG files, by name; drawn here by default.
+    """
+    if pictures is None:
+        pictures = {name: png(figure) for name, figure in result.figures().items()}
+    here = files(__name__)
+    page = Template((here / "page.html").read_text(encoding="utf-8"))
+    held_out = cost(result.evaluation.cost(TUNED).mean)
+    return page.substitute(
+        title=element("title", f"Tuned gain schedule: held-out cost {held_out}"),
+        style=(here / "style.css").read_text(encoding="utf-8"),
+        about=sections.about(result),
+        sections=join(
+            [
+                sections.headline(result),
+                sections.warnings(result),
+                sections.what_was_run(result),
+                sections.contenders(result, pictures),
+                sections.schedule(result, pictures),
+                sections.trust(result),
+                sections.one_run(result, pictures),
+                sections.search(pictures),
+                sections.configuration(result),
+                sections.environment(result),
+            ],
+            "\n",
+        ),
+    )

@@ -1,0 +1,196 @@
+"""Baselines, comparison and `evaluate`, on real runs of a tiny size."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from builders import quietly
+from test_tuning import tiny
+
+import posegsa
+from posegsa import baselines, comparison
+from posegsa.baselines import KnotGain, SmoothGain, constant_box, constant_gain, search_schedule
+from posegsa.comparison import (
+    CONSTANT,
+    ORACLE,
+    RANDOM,
+    SMOOTH,
+    TUNED,
+    best_constant,
+    from_json,
+    held_out_keys,
+    interval,
+    training_keys,
+)
+from posegsa.config import ObjectiveConfig
+from posegsa.evaluate import evaluate
+from posegsa.gain import ConstantGain, ScheduleInputs
+from posegsa.optimisers import GSA
+from posegsa.population import costs_by_scenario, problem
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+@pytest.fixture(scope="module")
+def evaluated():
+    """A tiny run, evaluated against every baseline; the oracle's descent is cut short."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(baselines, "ORACLE_STEPS", 12)
+    patch.setattr(baselines, "KNOTS", 6)
+    told: list[str] = []
+    tuned = posegsa.tune(tiny())
+    yield tuned, evaluate(tuned, scenarios=12, progress=told.append), told
+    patch.undo()
+
+
+@pytest.fixture(scope="module")
+def training():
+    experiment = tiny()
+    return problem(experiment, quietly(experiment), training_keys(experiment))
+
+
+def inputs(error, time=0.0) -> ScheduleInputs:
+    return ScheduleInputs(
+        jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1)
+    )
+
+
+def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
+    _, result, told = evaluated
+    assert list(result.evaluation.contenders) == [TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE]
+    assert told == list(result.evaluation.contenders)
+    starts = [c.metrics.initial_angle for c in result.evaluation.contenders.values()]
+    assert all((s == starts[0]).all() for s in starts)
+    assert all(len(s) == 12 for s in starts)
+
+
+def test_the_first_held_out_scenarios_are_those_that_tune_judged_on(evaluated):
+    tuned, result, _ = evaluated
+    few = tuned.evaluation.contenders[TUNED].metrics.cost
+    many = result.evaluation.contenders[TUNED].metrics.cost
+    np.testing.assert_allclose(many[: len(few)], few, rtol=1e-4)
+
+
+def test_another_seed_is_another_held_out_set():
+    experiment = tiny()
+    own, other, training = (
+        {tuple(k) for k in jax.random.key_data(keys).tolist()}
+        for keys in (
+            held_out_keys(experiment, 1000),
+            held_out_keys(experiment, 1000, seed=0),
+            training_keys(experiment),
+        )
+    )
+    assert len(own | other | training) == 2002
+
+
+def test_differences_are_paired(evaluated):
+    evaluation = evaluated[1].evaluation
+    tuned, constant = (evaluation.contenders[n].metrics.cost for n in (TUNED, CONSTANT))
+    found = evaluation.difference(CONSTANT)
+    assert found.mean == pytest.approx(np.mean(tuned - constant))
+    assert found.low < found.mean < found.high
+    half = 1.96 * np.std(tuned - constant, ddof=1) / math.sqrt(12)
+    assert found.high - found.mean == pytest.approx(half)
+
+
+def test_the_gap_closed_is_between_constant_and_oracle(evaluated):
+    evaluation = evaluated[1].evaluation
+    tuned, constant, best = (evaluation.cost(n).mean for n in (TUNED, CONSTANT, ORACLE))
+    closed = evaluation.gap_closed()
+    if constant > best:
+        assert closed == pytest.approx((constant - tuned) / (constant - best))
+    else:
+        assert closed is None
+    assert evaluated[0].evaluation.gap_closed() is None, "tune does not run the oracle"
+
+
+def test_json_gives_everything_back(evaluated):
+    evaluation = evaluated[1].evaluation
+    again = from_json(evaluation.to_json())
+    assert again.table() == evaluation.table()
+    assert list(again.contenders) == list(evaluation.contenders)
+    for name, contender in evaluation.contenders.items():
+        for a, b in zip(contender.metrics, again.contenders[name].metrics, strict=True):
+            np.testing.assert_array_equal(a, b)
+        for a, b in zip(contender.bands, again.contenders[name].bands, strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert again.contenders[name].schedule == contender.schedule
+
+
+def test_a_diverged_contender_is_told_and_not_averaged_away(evaluated):
+    evaluation = evaluated[1].evaluation
+    first = evaluation.contenders[CONSTANT]
+    cost = first.metrics.cost.copy()
+    cost[3] = np.inf
+    diverged = first.metrics.diverged.copy()
+    diverged[3] = True
+    metrics = first.metrics._replace(cost=cost, diverged=diverged)
+    contenders = evaluation.contenders | {CONSTANT: first._replace(metrics=metrics)}
+    bad = dataclasses.replace(evaluation, contenders=contenders)
+    assert bad.cost(CONSTANT).mean == math.inf
+    assert math.isnan(bad.difference(CONSTANT).low)
+    assert bad.gap_closed() is None
+    assert "8.3%" in bad.table()
+    assert from_json(bad.to_json()).cost(CONSTANT).mean == math.inf
+
+
+def test_interval_of_known_values():
+    found = interval(np.array([1.0, 2.0, 3.0, 4.0]))
+    assert found.mean == 2.5
+    assert found.high - found.mean == pytest.approx(1.96 * np.std([1, 2, 3, 4], ddof=1) / 2)
+    assert math.isnan(interval(np.array([1.0])).low)
+
+
+def test_the_constant_found_by_the_optimiser_is_the_grids_best(training):
+    box = constant_box((0.0, 100.0), training.dtype)
+    optimiser = GSA(20, 20)
+    found = search_schedule(
+        optimiser, constant_gain, ObjectiveConfig(), box, training, jax.random.key(0)
+    )
+    grid = best_constant(training, (0.0, 100.0))
+    costs = [
+        float(jnp.mean(costs_by_scenario(ConstantGain(k), training)))
+        for k in (found, grid.gain[None])
+    ]
+    assert costs[0] == pytest.approx(costs[1], rel=2e-3)
+
+
+def test_the_smooth_schedule_is_half_way_at_half():
+    schedule = SmoothGain(jnp.float32(2), jnp.float32(50), jnp.float32(0.3))
+    assert float(schedule(inputs(0.0))) == 2
+    assert float(schedule(inputs(0.3))) == pytest.approx(26)
+    assert float(schedule(inputs(1.0))) < 50
+
+
+def test_the_knot_schedule_passes_its_knots_and_holds_its_ends():
+    knots = KnotGain(jnp.float32([0, 1, 3]), jnp.log(jnp.float32([100, 10, 1])))
+    for time, gain in ((0, 100), (1, 10), (2, math.sqrt(10)), (3, 1), (9, 1)):
+        assert float(knots(inputs(0.1, time))) == pytest.approx(gain, rel=1e-5)
+
+
+def test_the_oracle_improves_on_its_starts(training, monkeypatch):
+    monkeypatch.setattr(baselines, "ORACLE_STEPS", 25)
+    monkeypatch.setattr(baselines, "KNOTS", 6)
+    knots, cost = baselines.oracle(training)
+    starts = ConstantGain(jnp.float32(baselines.ORACLE_STARTS))
+    assert cost < float(jnp.min(jnp.mean(costs_by_scenario(starts, training), axis=0)))
+    again = costs_by_scenario(jax.tree.map(lambda a: a[None], knots), training)
+    # The descent's program is another one: rounding only, since the gain limit is on.
+    assert float(jnp.mean(again)) == pytest.approx(cost, rel=1e-4)
+
+
+def test_too_few_scenarios_are_refused(evaluated):
+    with pytest.raises(ValueError, match="scenarios = 1"):
+        evaluate(evaluated[0], scenarios=1)
+
+
+def test_the_table_holds_every_contender(evaluated):
+    text = evaluated[1].evaluation.table()
+    for name in (TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE):
+        assert text.count(name) == 2
+    assert "12 scenarios" in text
+    assert comparison.TUNED in text

@@ -1,0 +1,83 @@
+"""Trust checks: a chaotic result is marked, a sound one is not, and rules are counted right."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from test_tuning import tiny
+
+import posegsa
+from posegsa.fuzzy import FuzzyController
+from posegsa.trust import rule_weights, uncovered
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return posegsa.tune(tiny())
+
+
+def test_with_the_gain_limit_a_result_is_not_sensitive(sound):
+    trust = sound.trust
+    assert not trust.sensitive
+    assert trust.cost_float32 == pytest.approx(sound.best_cost, rel=1e-4)
+    assert trust.cost_float64 == pytest.approx(trust.cost_float32, rel=1e-3)
+    assert trust.cost_perturbed != trust.cost_float32, "the start was changed"
+    assert trust.cost_perturbed == pytest.approx(trust.cost_float32, rel=1e-3)
+    assert not any("SENSITIVE" in w for w in sound.warnings())
+
+
+def test_without_it_the_chaos_is_marked():
+    settings = ["filter.gain_limit=off", "filter.substeps=1", "search.optimiser=random_search"]
+    # Boxes that only allow gains far over the stable ones.
+    settings += [f"parameters.lower.{i}=90.0" for i in range(13, 22)]
+    settings += [f"parameters.upper.{i}=100.0" for i in range(12, 22)]
+    settings += ["parameters.lower.11=80.0", "parameters.upper.11=100.0"]
+    settings += ["parameters.lower.12=80.0", "gain.smoothing=0.0"]
+    result = posegsa.tune(tiny(*settings))
+    assert result.trust.sensitive
+    assert any("SENSITIVE" in warning for warning in result.warnings())
+    assert "SENSITIVE" in result.summary()
+
+
+def test_the_uncovered_share_is_counted(sound):
+    assert uncovered(sound.controller) == 0, "coverage repair leaves no gap"
+    gap = np.array(sound.controller.input_terms)
+    gap[:, 0], gap[:, 1], gap[:, 2] = gap[:, 1], gap[:, 1], gap[:, 1]
+    gap[4] = (0.5, 1.0, 1.0)  # only errors and rates over 0.5 have a term
+    gap[:4] = 0.0
+    controller = FuzzyController(
+        jnp.asarray(gap),
+        sound.controller.output_terms,
+        sound.controller.rules,
+        sound.controller.output_range,
+    )
+    # Over half of each axis a term fires, and at 0 itself (1 of 201 points).
+    assert uncovered(controller) == pytest.approx(0.75, abs=0.01)
+
+
+def test_rule_weights_are_mean_firing_strengths(sound):
+    rng = np.random.default_rng(0)
+    error, rate = rng.uniform(size=(2, 50))
+    terms = np.asarray(sound.controller.input_terms, np.float64)
+    expected = np.zeros((5, 5))
+    for e, r in zip(error, rate, strict=True):
+        for i in range(5):
+            for j in range(5):
+                expected[i, j] += min(
+                    reference.triangle(r, *terms[i]), reference.triangle(e, *terms[j])
+                )
+    np.testing.assert_allclose(
+        rule_weights(sound.controller, error, rate), expected / 50, atol=1e-5
+    )
+
+
+def test_warnings_name_what_went_wrong(sound):
+    trust = dataclasses.replace(sound.trust, uncovered=0.125)
+    result = dataclasses.replace(sound, trust=trust, non_finite=3)
+    text = " ".join(result.warnings())
+    assert "12.5 %" in text
+    assert "3 agents" in text
