@@ -1,100 +1,136 @@
-"""What tuning gives on unseen noise: the result table of the README.
+"""What tuning gives on unseen scenarios: the result tables of the README.
 
-Tunes each configuration for several seeds, by the gravitational search and by random search at the
-same number of evaluations, and judges every result, and the best constant gain, on held-out noise.
+1. The recommended experiment and the family of random starts and motions: the tuned schedule beside
+   every baseline on 1000 held-out scenarios.
+2. Each configuration over several seeds: training beside held-out cost.
 
-    python benchmarks/results.py [--seeds 5] [--readme]
+    python benchmarks/results.py [--scenarios 1000] [--seeds 3] [--readme]
 """
 
 import argparse
 import warnings
-from pathlib import Path
 
 import numpy as np
+from readme import ROOT, write_block
 from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.evaluate import Score
+from posegsa.comparison import CONSTANT, TUNED, Evaluation
+from posegsa.evaluate import evaluate
 from posegsa.runtime import environment
 
-ROOT = Path(__file__).parent.parent
-CONFIGS = ("recommended", "paper", "paper_literal")
-SEARCHES = {"gsa": "fuzzy gain, GSA", "random_search": "fuzzy gain, random search"}
-BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
+JUDGED = {"recommended": "the paper's scenario", "family": "random starts and motions"}
+SEEDED = ("recommended", "paper", "paper_literal")
 
 
-def scores(name: str, seeds: int) -> tuple[dict[str, list[Score]], float]:
-    """Scores of each contender for each seed, and the median time of a gravitational search [s]."""
-    experiment = config.load(ROOT / "configs" / f"{name}.toml")
-    found: dict[str, list[Score]] = {label: [] for label in (*SEARCHES.values(), "constant gain")}
-    seconds = []
-    for seed in range(seeds):
-        for search, label in SEARCHES.items():
-            one = config.override(experiment, [f"search.optimiser={search}", f"run.seed={seed}"])
-            result = posegsa.tune(one)
-            found[label].append(result.judged.tuned)
-            if search == "gsa":
-                found["constant gain"].append(result.judged.constant)
-                seconds.append(result.search_seconds)
-    return found, float(np.median(seconds))
+def load(name: str) -> config.Experiment:
+    """A configuration of this repository."""
+    return config.load(ROOT / "configs" / f"{name}.toml")
+
+
+def comparison(title: str, training: float, evaluation: Evaluation) -> list[str]:
+    """Markdown rows of one evaluation."""
+    lines = []
+    for name, contender in evaluation.contenders.items():
+        m, cost = contender.metrics, evaluation.cost(name)
+        versus = "-"
+        if name != TUNED:
+            d = evaluation.difference(name)
+            versus = f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
+        own = f" (training {training:.2f})" if name == TUNED else ""
+        lines.append(
+            f"| {title} | {name} | {cost.mean:.2f} ± {0.5 * (cost.high - cost.low):.2f}{own} "
+            f"| {np.max(m.cost):.1f} | {versus} | {np.mean(m.rms_attitude):.1f}° "
+            f"{100 * np.mean(m.rms_position):.1f} cm | {100 * np.mean(m.diverged):.1f} % |"
+        )
+    return lines
+
+
+def judged(scenarios: int) -> str:
+    """The first table."""
+    lines = [
+        "| scenarios | schedule | held-out cost, mean ± 95 % | worst | tuned minus this [95 %] "
+        "| steady RMS error | diverged |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    closed = []
+    for name, title in JUDGED.items():
+        result = posegsa.tune(load(name))
+        found = evaluate(result, scenarios=scenarios, progress=tqdm.write).evaluation
+        lines += comparison(title, result.best_cost, found)
+        if (share := found.gap_closed()) is not None:
+            closed.append(f"{100 * share:.0f} % on {title}")
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "Share of the gap from the best constant gain to the oracle that the tuned schedule "
+            f"closes: {', '.join(closed)}. {scenarios} held-out scenarios each.",
+        ]
+    )
 
 
 def spread(values: list[float]) -> str:
-    """Median and range over seeds; `inf` where a filter diverged."""
-    if not np.isfinite(values).all():
-        return f"{min(values):.4g} to {max(values):.4g}"
-    return f"{np.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
+    """Median and range over seeds."""
+    return f"{np.median(values):.4g} ({min(values):.4g} to {max(values):.4g})"
 
 
-def table(seeds: int) -> str:
-    """The table in Markdown."""
+def seeded(seeds: int) -> str:
+    """The second table."""
     lines = [
-        "| configuration | schedule | training cost | held-out cost | worst held out | diverged |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| configuration | schedule | training cost | held-out cost | worst held out |",
+        "| --- | --- | --- | --- | --- |",
     ]
     times = []
-    for name in tqdm(CONFIGS, desc="configurations"):
-        found, seconds = scores(name, seeds)
-        times.append(f"{name} {seconds:.2f} s")
-        for label, each in found.items():
-            held_out = np.concatenate([s.held_out for s in each])
+    for name in tqdm(SEEDED, desc="configurations"):
+        rows: dict[str, list[tuple[float, float, float]]] = {}
+        for search in ("gsa", "random_search"):
+            experiment = config.override(load(name), [f"search.optimiser={search}"])
+            results = posegsa.tune_batch(experiment, seeds=range(seeds)).results
+            for result in results:
+                contenders = result.evaluation.contenders
+                for label, training, which in (
+                    (f"fuzzy gain, {search}", result.best_cost, TUNED),
+                    (CONSTANT, float(np.mean(result.constant_training_costs)), CONSTANT),
+                ):
+                    cost = contenders[which].metrics.cost
+                    row = (training, float(np.mean(cost)), float(np.max(cost)))
+                    if which == TUNED or search == "gsa":
+                        rows.setdefault(label, []).append(row)
+            if search == "gsa":
+                times.append(f"{name} {results[0].search_seconds:.1f} s")
+        for label, each in rows.items():
+            training, held_out, worst = zip(*each, strict=True)
             lines.append(
-                f"| {name} | {label} | {spread([float(np.mean(s.training)) for s in each])} "
-                f"| {spread([float(np.mean(s.held_out)) for s in each])} | {held_out.max():.4g} "
-                f"| {int(np.sum(~np.isfinite(held_out)))} of {held_out.size} |"
+                f"| {name} | {label} | {spread(list(training))} | {spread(list(held_out))} "
+                f"| {max(worst):.4g} |"
             )
     machine = environment()
-    lines += [
-        "",
-        f"Median (least to largest) over {seeds} seeds, each judged on noise seeds of its own that "
-        "the search never saw; lower is better. Search time, compiled: "
-        + ", ".join(times)
-        + f" ({machine['device']}, jax {machine['jax']}). Made by "
-        f"`python benchmarks/results.py --seeds {seeds} --readme`.",
-    ]
-    return "\n".join(lines)
-
-
-def write_readme(text: str) -> None:
-    """Put the table between its marks in the README."""
-    readme = ROOT / "README.md"
-    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
-    _, after = rest.split(END)
-    readme.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"Median (least to largest) over {seeds} seeds. A search of 25 000 agents, compiled, "
+            f"takes: {', '.join(times)} ({machine['device']}, jax {machine['jax']}).",
+        ]
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Result table of the README.")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds for each contender")
-    parser.add_argument("--readme", action="store_true", help="write the table into README.md")
+    parser = argparse.ArgumentParser(description="Result tables of the README.")
+    parser.add_argument("--scenarios", type=int, default=1000, help="held-out scenarios")
+    parser.add_argument("--seeds", type=int, default=3, help="searches of each configuration")
+    parser.add_argument("--readme", action="store_true", help="write the tables into README.md")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    text = table(options.seeds)
+    command = f"`python benchmarks/results.py --scenarios {options.scenarios} --seeds"
+    command += f" {options.seeds} --readme`"
+    text = f"{judged(options.scenarios)}\n\n{seeded(options.seeds)} Both tables: {command}."
     print(text)
     if options.readme:
-        write_readme(text)
+        write_block("results", text)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,4 @@
-"""What a tuned schedule has to beat, and the oracle that shows how far schedules can go.
-
-All but the oracle are searched on the training scenarios with as many evaluations as the tuned
-schedule had.
-"""
+"""What a tuned schedule has to beat, and the oracle that shows how far schedules can go."""
 
 import math
 from collections.abc import Callable

@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         "tune",
         help="tune a gain schedule and judge it on unseen noise",
         description="Tunes a gain schedule and judges it on noise that it was not tuned on. Writes "
-        "result.json, history.csv, trajectory.csv and figures/ to a folder.",
+        "report.html, result.json, history.csv, trajectory.csv and figures/ to a folder.",
     )
     tune.add_argument(
         "config",
@@ -123,7 +123,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
     result.save_evaluation(options.run)
     print(result.evaluation.table())
-    print(f"\nWritten to {options.run}: evaluation.json, evaluation.txt, figures/")
+    print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0
 
 
@@ -162,7 +162,8 @@ def _tune(options: argparse.Namespace) -> int:
     result = tune(experiment, out=options.out, overwrite=True, progress=show)
     show.close()
     print(result.summary())
-    print(f"\nWritten to {options.out}: result.json, history.csv, trajectory.csv, figures/")
+    written = "report.html, result.json, history.csv, trajectory.csv, figures/"
+    print(f"\nWritten to {options.out}: {written}")
     return 0
 
 

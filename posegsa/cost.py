@@ -89,6 +89,8 @@ def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> C
         weights: for N samples.
     """
     error = sample_error(attitude, position, weights)
-    return CostParts(
-        jnp.sum(weights.transient * error, axis=-1), jnp.sum(weights.steady * error, axis=-1)
-    )
+
+    def total(weight: Array) -> Array:
+        return jnp.einsum("...n,n->...", error, weight, precision="highest")
+
+    return CostParts(total(weights.transient), total(weights.steady))

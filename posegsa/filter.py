@@ -133,13 +133,17 @@ def initial_state(
     """Filter state from arrays.
 
     Args:
-        rotation: (..., 3, 3) R_est, body to inertial; must be a rotation (see
-        `se3.project_rotation`).
+        rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
         position: (..., 3) P_est [m], inertial frame.
         bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
     """
-    R, P = jnp.asarray(rotation), jnp.asarray(position)
-    b = jnp.zeros((*P.shape[:-1], 6), P.dtype) if bias is None else jnp.asarray(bias)
+    given = [jnp.asarray(a) for a in (rotation, position) if a is not None]
+    given += [] if bias is None else [jnp.asarray(bias)]
+    dtype = jnp.result_type(
+        float, *(a.dtype for a in given if jnp.issubdtype(a.dtype, jnp.floating))
+    )
+    R, P = (a.astype(dtype) for a in given[:2])
+    b = given[2].astype(dtype) if bias is not None else jnp.zeros((*P.shape[:-1], 6), dtype)
     w, x, y, z = split(quaternion(R))
     px, py, pz = split(P)
     b0, b1, b2, b3, b4, b5 = split(b)
@@ -232,10 +236,11 @@ def advance(
         W = correction(state, U, settings)
         used = gain
         if settings.gain_limit is not None:
-            # K h L <= c < 2: a gradient step that does not overshoot. L = 0 only without
-            # measurements.
-            floor = jnp.finfo(gain.dtype).tiny
-            used = jnp.minimum(gain, settings.gain_limit / jnp.maximum(h * U.curvature, floor))
+            # K h L <= c < 2: a gradient step that does not overshoot. L = 0 without measurements,
+            # where there is nothing to limit, nor a derivative of a division by 0.
+            length = h * U.curvature
+            limit = settings.gain_limit / jnp.where(length > 0, length, 1.0)
+            used = jnp.where(length > 0, jnp.minimum(gain, limit), gain)
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:
@@ -254,7 +259,7 @@ def advance(
 
 @jax.jit
 def step(
-    state: FilterState, measurement: Measurements, gain: Array, settings: FilterSettings
+    state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
 ) -> FilterState:
     """One sample, for use on-line: the estimate at the next sample from one measurement.
 
@@ -264,4 +269,5 @@ def step(
         gain: K [1/s], scalar, e.g. from `FuzzyController`.
         settings: from `posegsa.filter_settings(config)`, or made by hand.
     """
-    return advance(state, prepare(measurement), gain, settings)[0]
+    K = jnp.asarray(gain, state.place[0].dtype)
+    return advance(state, prepare(measurement), K, settings)[0]

@@ -90,7 +90,7 @@ class ConstantGain:
 
     def __call__(self, inputs: ScheduleInputs) -> Array:
         """K, at the inputs' shape."""
-        return jnp.broadcast_to(self.gain, jnp.shape(inputs.error))
+        return jnp.broadcast_to(jnp.asarray(self.gain, inputs.error.dtype), inputs.error.shape)
 
 
 class _PreparedFuzzyGain(NamedTuple):
@@ -187,7 +187,7 @@ class SignalMemory(NamedTuple):
 
 def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
     """Memory before the first sample, at the shape and dtype of `like`."""
-    gain = jnp.broadcast_to(schedule.initial_gain(), like.shape)
+    gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
     return SignalMemory(jnp.full_like(like, -1.0), gain, jnp.ones_like(like))
 
 

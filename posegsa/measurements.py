@@ -95,7 +95,7 @@ class Measurements(NamedTuple):
         samples = omega.shape[0]
         step = _checked(
             "time_step",
-            np.broadcast_to(np.asarray(time_step, np.float64), _first(time_step, samples)),
+            np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step,
             (samples,),
         )
         if samples == 0:
@@ -222,20 +222,11 @@ def with_cross_vector(vectors: Array) -> Array:
     return jnp.concatenate([vectors, product[..., None, :]], axis=-2)
 
 
-def _first(value: ArrayLike, samples: int) -> tuple[int, ...]:
-    """Shape to give a per-sample quantity: scalars are spread over all samples, arrays kept."""
-    shape = np.shape(value)
-    return shape or (samples,)
-
-
 def _checked(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
 ) -> np.ndarray:
     """The argument as a float64 array of the wanted shape (None: any length)."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise MeasurementError(f"{name}: must be an array of numbers ({error})") from None
+    array = _numbers(name, value)
     fits = array.ndim == len(shape) and all(
         w in (None, h) for w, h in zip(shape, array.shape, strict=True)
     )
@@ -246,6 +237,14 @@ def _checked(
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise MeasurementError(f"{name}: must be finite, got {array[where]} at {where}")
     return array
+
+
+def _numbers(name: str, value: ArrayLike) -> np.ndarray:
+    """The argument as a float64 array of any shape."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeasurementError(f"{name}: must be an array of numbers ({error})") from None
 
 
 def _sightings(
@@ -264,19 +263,20 @@ def _sightings(
         raise MeasurementError(f"{name}s and {name}_references: give both or neither")
     values = _checked(f"{name}s", body, (samples, None, 3), finite=False)
     count = values.shape[1]
-    known = np.asarray(references, np.float64)
+    known = _numbers(f"{name}_references", references)
     known = _checked(
         f"{name}_references", known, (count, 3) if known.ndim == 2 else (samples, count, 3)
     )
-    weight = np.asarray(1.0 if weights is None else weights, np.float64)
+    weight = _numbers(f"{name}_weights", 1.0 if weights is None else weights)
     if weight.shape not in ((), (count,), (samples, count)):
         raise MeasurementError(
             f"{name}_weights: must be a scalar or have the shape ({count},) or "
             f"({samples}, {count}), got {weight.shape}"
         )
-    if not (np.isfinite(weight).all() and (weight >= 0).all()):
+    bad = ~(np.isfinite(weight) & (weight >= 0))
+    if bad.any():
         raise MeasurementError(
-            f"{name}_weights: must be finite and not negative, got {weight.min()}"
+            f"{name}_weights: must be finite and not negative, got {weight[bad][0]}"
         )
     weight = np.broadcast_to(weight, (samples, count))
     infinite = np.isinf(values) & (weight > 0)[..., None]

@@ -104,6 +104,8 @@ def plot_costs(evaluation: Evaluation) -> Figure:
             end = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             panel.annotate(text, (1, row), (6, 0), va="center", size=TICK_SIZE, **end)
         _name_rows(panel, [_wrapped(name) for name in others])
+        if not panel.collections and len(panel.lines) == 1:  # no difference is finite
+            panel.set_xticks([0])
         panel.set_xlabel("Tuned minus this, cost [-]; below 0 tuned is better")
     return figure
 
@@ -280,9 +282,9 @@ def _scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
 def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Medians of angle [deg] and of cost over neighbours by angle; NaN where that is infinite."""
     order = np.argsort(angle, kind="stable")
-    width = min(len(angle), max(5, len(angle) // 10)) // 2 * 2 - 1  # odd: the median is one of them
+    width = min(len(angle), max(5, len(angle) // 10))
+    width -= width % 2 == 0  # odd: the median is one of them
     windows = np.lib.stride_tricks.sliding_window_view
-    width = max(width, 1)
     middle = windows(angle[order], width)[:, width // 2]
     costs = np.where(np.isnan(cost), np.inf, cost)[order]
     return middle, finite(np.median(windows(costs, width), axis=1))

@@ -180,6 +180,8 @@ class TuneResult:
                 f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
                 "agree within 1 %. The simulation is chaotic: do not trust this schedule"
             )
+        if self.experiment.gain.signal == "pose":
+            found.append("signal pose: the gain looks at the true errors, which no vehicle knows")
         if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
             found.append(f"the tuned filter diverged on {bad} held-out scenarios")
         if t.uncovered > 0:
@@ -208,11 +210,10 @@ class TuneResult:
             _write_atomically(folder / HISTORY, history_csv(self.history))
             self.trajectory.write(folder / TRAJECTORY)
             self.save_evaluation(folder)
-            _write_atomically(folder / RESULT, json.dumps(self._json(), indent=2) + "\n")
         return folder
 
     def save_evaluation(self, folder: str | Path) -> None:
-        """Write the evaluation to a run's folder: JSON, a table, all figures and the report.
+        """Write what the evaluation changes in a run's folder: tables, figures, report, result.
 
         Raises:
             RunFolderError: It can't be written.
@@ -228,6 +229,7 @@ class TuneResult:
             for name, picture in pictures.items():
                 (folder / FIGURES / f"{name}.png").write_bytes(picture)
             _write_atomically(folder / REPORT, report_html(self, pictures))
+            _write_atomically(folder / RESULT, json.dumps(self._json(), indent=2) + "\n")
 
     def _json(self) -> dict[str, Any]:
         tuned, constant = (

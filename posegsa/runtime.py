@@ -61,7 +61,7 @@ def enable_compilation_cache() -> None:
     They go to `posegsa` in the user's cache folder (XDG_CACHE_HOME, else ~/.cache), unless JAX has
     been given a folder already (JAX_COMPILATION_CACHE_DIR). The command line calls this for itself.
     """
-    if jax.config.jax_compilation_cache_dir is None:
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
         cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "posegsa"))
     # Most programs here compile in under a second; together they are most of a short run.

@@ -257,11 +257,15 @@ def euler_angles(R: Array) -> Array:
     """Roll, pitch and yaw (..., 3) [rad], the paper's (phi, theta, psi).
 
     R = Rz(yaw) Ry(pitch) Rx(roll). Pitch is in [-pi/2, pi/2]; where it is exactly +-pi/2, only
-    yaw -+ roll is defined.
+    yaw -+ roll is defined, and roll is 0.
     """
     roll = jnp.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = jnp.arctan2(-R[..., 2, 0], jnp.hypot(R[..., 2, 1], R[..., 2, 2]))
-    yaw = jnp.arctan2(R[..., 1, 0], R[..., 0, 0])
+    # From what is left of R once the roll is taken off it: defined at every pitch.
+    sine, cosine = jnp.sin(roll), jnp.cos(roll)
+    yaw = jnp.arctan2(
+        sine * R[..., 0, 2] - cosine * R[..., 0, 1], cosine * R[..., 1, 1] - sine * R[..., 1, 2]
+    )
     return jnp.stack([roll, pitch, yaw], axis=-1)
 
 

@@ -81,10 +81,11 @@ def read_trajectory(path: Path) -> Trajectory:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header, *rows = csv.reader(file)
-        table = np.array(rows, dtype=np.float64)
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
     except (OSError, ValueError) as error:
         raise RunFolderError(f"{path}: cannot be read as a trajectory: {error}") from None
-    if header != [column for group in _COLUMNS.values() for column in group]:
+    columns = [column for group in _COLUMNS.values() for column in group]
+    if header != columns or len(rows) == 0 or table.shape[1] != len(columns):
         raise RunFolderError(f"{path}: its columns are not those of a trajectory: {header}")
     values, start = {}, 0
     for field in fields(Trajectory):

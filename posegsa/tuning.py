@@ -144,6 +144,8 @@ def tune_batch(
         many = [config.override(one, [f"run.seed={seed}"]) for one in many for seed in each]
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
+    if len({one.run.dtype for one in many}) > 1:
+        raise ConfigError("run.dtype: differs within the batch; allowed: the same in all of it")
     with jax.enable_x64(many[0].run.dtype == "float64"):
         tasks = [make_ready(one) for one in many]
         found = _search_batch(tasks, progress)
@@ -255,7 +257,6 @@ def _search_batch(
     """Search all tasks in one compiled call."""
     optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
     for name, differs in (
-        ("run.dtype", len({t.experiment.run.dtype for t in tasks}) > 1),
         ("search or gsa", any(t.optimiser != optimiser for t in tasks)),
         ("objective", any(t.experiment.objective != objective for t in tasks)),
     ):

@@ -57,11 +57,16 @@ def search_vectors(count: int, seed: int = 0) -> np.ndarray:
 
 
 def corner_vectors(count: int, seed: int = 0) -> np.ndarray:
-    """The same with entries on an end of their box: half of them, or in every second vector all."""
+    """The same with entries on an end of their box: half of them, or in every second vector all.
+
+    The first two vectors are the upper and the lower bounds themselves.
+    """
     rng = np.random.default_rng(seed)
     ends = np.where(rng.random((count, 22)) < 0.5, reference.PAPER_LOWER, reference.PAPER_UPPER)
     share = np.where(np.arange(count) % 2, 1.0, 0.5)[:, None]
-    return np.where(rng.random((count, 22)) < share, ends, search_vectors(count, seed + 1))
+    vectors = np.where(rng.random((count, 22)) < share, ends, search_vectors(count, seed + 1))
+    vectors[:2] = reference.PAPER_UPPER, reference.PAPER_LOWER
+    return vectors
 
 
 def repaired_terms(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -165,7 +165,7 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("scenario.vectors.0.nose=3", 'did you mean "scenario.vectors.0.noise"?'),
         ("scenario.normalize_vectors=false", 'did you mean "scenario.normalise_vectors"?'),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
-        ("x.y=3", "known here: run, scenario, filter"),
+        ("x.y=3", "known here: run, scenario, family, filter"),
     ],
 )
 def test_a_misspelt_key_gets_the_nearest(setting: str, hint: str) -> None:
@@ -187,7 +187,7 @@ def test_all_problems_are_listed() -> None:
 
 @pytest.mark.parametrize("data", [[1], "run", None, {1: 2}])
 def test_what_is_not_a_table_of_sections_is_refused(data: Any) -> None:
-    assert "run, scenario, filter" in refusal(from_dict, data)
+    assert "run, scenario, family, filter" in refusal(from_dict, data)
 
 
 def test_sections_made_by_hand_say_the_same() -> None:

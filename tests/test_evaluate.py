@@ -53,9 +53,7 @@ def training():
 
 
 def inputs(error, time=0.0) -> ScheduleInputs:
-    return ScheduleInputs(
-        jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1)
-    )
+    return ScheduleInputs(jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1))
 
 
 def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):

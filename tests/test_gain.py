@@ -52,9 +52,14 @@ class Listener(NamedTuple):
         return getattr(inputs, self.field)
 
 
+def nothing_yet(gain: float) -> SignalMemory:
+    """Memory before the first sample, of a schedule that starts at this gain."""
+    return initial_memory(ConstantGain(jnp.asarray(gain)), jnp.asarray(0.0))
+
+
 def told(errors: list[tuple[float, float]], field: str, **settings: float) -> np.ndarray:
     """What a schedule is told of `field` at each sample, given its attitude and position errors."""
-    memory = SignalMemory(jnp.asarray(-1.0), jnp.asarray(0.0))
+    memory = nothing_yet(0.0)
     heard = []
     for k, now in enumerate(errors):
         gain, memory = listen(Listener(field), memory, now, 0.01 * k, **settings)
@@ -63,15 +68,19 @@ def told(errors: list[tuple[float, float]], field: str, **settings: float) -> np
 
 
 def listen(
-    schedule: Any, memory: SignalMemory, errors: tuple[float, float], time: float, **settings: float
+    schedule: Any,
+    memory: SignalMemory,
+    errors: tuple[float, float],
+    time: float,
+    step: float = 0.01,
+    **settings: float,
 ) -> tuple[Array, SignalMemory]:
-    """One sample of `schedule` at steps of 0.01 s, and what it leaves in memory."""
+    """One sample of `schedule`, and what it leaves in memory."""
     made = signal_settings(GainConfig(**PAPER.gain.model_dump() | settings), jnp.float32)
     now = jnp.asarray(errors[0]), jnp.asarray(errors[1])
-    gain, inputs, memory = scheduled_gain(
-        schedule, memory, now, jnp.asarray(time), jnp.asarray(0.01), made
+    gain, _, memory = scheduled_gain(
+        schedule, memory, now, jnp.asarray(time), jnp.asarray(step), made
     )
-    assert inputs.time == jnp.asarray(time)
     return gain, memory
 
 
@@ -184,7 +193,7 @@ def test_the_rate_is_zero_at_the_first_sample_only() -> None:
 
 def test_a_schedule_is_told_the_time_and_its_own_last_gain() -> None:
     np.testing.assert_allclose(told(ERRORS[:3], "time"), [0, 0.01, 0.02], rtol=1e-6)
-    memory = SignalMemory(jnp.asarray(-1.0), jnp.asarray(12.5))
+    memory = nothing_yet(12.5)
     gain, after = listen(Listener("last"), memory, (0.5, 0.0), 0.0)
     assert gain == after.gain == 12.5
     assert listen(Listener("error"), memory, (0.5, 0.0), 0.0)[0] == 0.5
@@ -197,8 +206,17 @@ def test_smoothing_is_a_low_pass_filter_before_all_else() -> None:
     smoothed = [0.8, 0.6, 0.45, 0.5375]
     np.testing.assert_allclose(told(signal, "error", smoothing=0.03), smoothed, rtol=1e-6)
     rate = [0, 0.2, 0.15, 0.0875]
-    np.testing.assert_allclose(told(signal, "rate", smoothing=0.03), rate, rtol=1e-5)
+    np.testing.assert_allclose(told(signal, "rate", smoothing=0.03), rate, atol=1e-6)
     np.testing.assert_array_equal(told(signal, "error"), np.float32([0.8, 0, 0, 0.8]))
+
+
+def test_smoothing_goes_by_the_time_since_the_last_sample() -> None:
+    memory, heard = nothing_yet(0.0), []
+    for e, step in ((0.8, 0.01), (0.0, 0.03), (0.0, 0.01)):
+        gain, memory = listen(Listener("error"), memory, (e, 0.0), 0.0, step, smoothing=0.03)
+        heard.append(float(gain))
+    # 0.01 s passed before the second sample, 0.03 s before the third.
+    np.testing.assert_allclose(heard, [0.8, 0.8 * 0.75, 0.8 * 0.75 * 0.5], rtol=1e-6)
 
 
 def test_settings_come_from_the_configuration_at_the_dtype() -> None:

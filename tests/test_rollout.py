@@ -137,17 +137,19 @@ def test_the_papers_experiment_against_the_reference() -> None:
     np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
 
     # The gain limit is at work: K_used = min(K, c / (dt L)) is not K.
-    samples = reference_samples(measurements)
-    curvature = np.array(
-        [
-            reference.curvature(T, s.y, s.p, s.sL, s.vB, s.vI, s.sR)
-            for T, s in zip(expected.T_est, samples, strict=True)
-        ]
-    )
-    limited = np.minimum(expected.gain, 1.5 / (0.01 * curvature))
+    limited = np.minimum(expected.gain, gain_limits(measurements, expected, 1.5, 0.01))
     np.testing.assert_allclose(estimates.gain_used, limited, rtol=1e-8)
     assert (limited < expected.gain).sum() > 10
     np.testing.assert_allclose(estimates.time, 0.01 * np.arange(1500), rtol=1e-12)
+
+
+def gain_limits(
+    measurements: Measurements, expected: reference.Trajectory, c: float, step: float
+) -> np.ndarray:
+    """c / (step L) at each sample (N,)."""
+    pairs = zip(expected.T_est, reference_samples(measurements), strict=True)
+    curvature = [reference.curvature(T, s.y, s.p, s.sL, s.vB, s.vI, s.sR) for T, s in pairs]
+    return c / (step * np.array(curvature))
 
 
 CHAINS: dict[str, tuple[tuple[str, ...], list, list]] = {
@@ -180,6 +182,11 @@ def test_the_chain_against_the_reference(
 
     estimates = simulate(fuzzy_schedule(), scenario, start("float64"), settings, signal)
     assert_same_run(estimates, expected, signal)
+    # In sub-steps too, a gain well under the limit is used as it is.
+    limits = gain_limits(measurements, expected, 1.5, 0.01 / settings.substeps)
+    free = expected.gain < 0.5 * limits
+    assert free.sum() > 10
+    np.testing.assert_allclose(estimates.gain_used[free], expected.gain[free], rtol=1e-8)
     # The cost of the trajectory; that the running form is the same is shown once, above and in
     # test_cost, because it is one more compilation for each case.
     c = experiment.cost

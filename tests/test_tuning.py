@@ -9,8 +9,9 @@ import pytest
 
 import posegsa
 from posegsa import config
+from posegsa.comparison import TUNED
 from posegsa.errors import ConfigError, RunFolderError
-from posegsa.evaluate import keys, scenario_keys
+from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
 from posegsa.tuning import Progress, make_optimiser
@@ -50,7 +51,7 @@ def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
     again = evaluate_population(space.checked(result.parameters)[None], training, space)
     # Another batch size and another kernel: float32 rounding over 200 steps, no chaos.
     np.testing.assert_allclose(again[0], result.best_cost, rtol=1e-4)
-    np.testing.assert_allclose(np.mean(result.judged.tuned.training), result.best_cost, rtol=1e-4)
+    np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
 
 
 def test_training_and_held_out_scenarios_have_different_noise():
@@ -73,7 +74,8 @@ def test_history_and_counts(run):
     assert result.history.best[-1] == np.float32(result.best_cost)
     assert result.evaluations == 24
     assert result.non_finite == result.history.non_finite.sum() == 0
-    assert len(result.judged.tuned.held_out) == len(result.judged.constant.held_out) == 3
+    for contender in result.evaluation.contenders.values():
+        assert len(contender.metrics.cost) == 3
 
 
 def test_progress_begins_at_zero_and_ends_at_the_end(run):
@@ -91,7 +93,7 @@ def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
 
 
 def test_the_best_constant_gain_is_the_best_of_those_tried(run):
-    from posegsa.evaluate import CONSTANT_GAINS
+    from posegsa.comparison import CONSTANT_GAINS
     from posegsa.gain import ConstantGain
     from posegsa.population import costs_by_scenario
 
@@ -101,12 +103,13 @@ def test_the_best_constant_gain_is_the_best_of_those_tried(run):
     )
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
     costs = np.mean(costs_by_scenario(ConstantGain(jax.numpy.asarray(gains)), training), axis=0)
-    assert result.judged.constant_gain == gains[np.argmin(costs)]
+    assert result.constant_gain == gains[np.argmin(costs)]
 
 
 def test_the_folder_holds_what_is_promised(run):
     result, folder, _ = run
     data = json.loads((folder / "result.json").read_text())
+    held_out = result.evaluation.contenders[TUNED].metrics.cost
     assert data["schema"] == 1
     assert data["version"] == posegsa.__version__
     assert data["best_cost"] == result.best_cost
@@ -115,8 +118,8 @@ def test_the_folder_holds_what_is_promised(run):
     assert data["compile_seconds"] > 0
     assert data["search_seconds"] > 0
     assert data["non_finite"] == 0
-    assert data["tuned"]["held_out_mean"] == pytest.approx(np.mean(result.judged.tuned.held_out))
-    assert data["tuned"]["held_out_worst"] == np.max(result.judged.tuned.held_out)
+    assert data["tuned"]["held_out_mean"] == pytest.approx(np.mean(held_out))
+    assert data["tuned"]["held_out_worst"] == np.max(held_out)
     assert config.from_dict(data["config"]) == result.experiment
     assert {"jax", "numpy", "device"} <= set(data["environment"])
     header, *rows = (folder / "history.csv").read_text().splitlines()
@@ -125,7 +128,9 @@ def test_the_folder_holds_what_is_promised(run):
     assert len((folder / "trajectory.csv").read_text().splitlines()) == 201
     figures = {path.stem for path in (folder / "figures").glob("*.png")}
     assert figures == set(result.figures())
-    assert len(figures) == 8
+    paper = {"input_terms", "output_terms", "euler_angles", "position", "errors"}
+    assert paper | {"convergence", "gain", "control_surface"} <= figures
+    assert (folder / "report.html").read_text().startswith("<!doctype html>")
 
 
 def test_load_gives_the_same_from_the_folder(run):
@@ -175,7 +180,7 @@ def test_literal_settings_run_and_divergence_is_told():
 
 def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch):
     _, folder, _ = run
-    monkeypatch.setattr("posegsa.tuning._tune", lambda *_: pytest.fail("it searched"))
+    monkeypatch.setattr("posegsa.tuning.run_search", lambda *_: pytest.fail("it searched"))
     with pytest.raises(RunFolderError, match="holds a run already"):
         posegsa.tune(tiny(), out=folder)
     assert posegsa.load(folder).best_cost == run[0].best_cost
@@ -226,3 +231,45 @@ def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
 def test_a_bad_seed_names_its_key():
     with pytest.raises(ConfigError, match=r"run\.seed"):
         posegsa.tune(tiny(), seed=-1)
+
+
+def test_a_batch_gives_what_single_runs_give(run):
+    batch = posegsa.tune_batch(tiny(), seeds=[0, 5])
+    assert len(batch.results) == 2
+    assert batch.results[0].best_cost == run[0].best_cost
+    assert (batch.results[0].parameters == run[0].parameters).all()
+    assert batch.results[1].experiment.run.seed == 5
+    assert batch.results[1].best_cost != run[0].best_cost
+    for words in ("2 searches", "training", "held out", "median"):
+        assert words in batch.summary()
+
+
+def test_a_batch_of_traced_values_is_compiled_once():
+    from posegsa.tuning import _advance_batch
+
+    many = [tiny(f"filter.gamma={g}", f"scenario.velocity_noise={g / 100}") for g in (2.0, 8.0)]
+    costs = [r.best_cost for r in posegsa.tune_batch(many).results]
+    assert costs[0] != costs[1]
+    compiled = _advance_batch._cache_size()
+    again = [config.override(one, ["gain.error_scale=0.7", "run.seed=9"]) for one in many]
+    posegsa.tune_batch(again)
+    assert _advance_batch._cache_size() == compiled
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("filter.substeps=3", "structure"),
+        ("run.dtype=float64", "run.dtype"),
+        ("search.agents=7", "search or gsa"),
+        ("objective.name=worst", "objective"),
+    ],
+)
+def test_a_batch_that_differs_in_structure_is_refused(setting, said):
+    with pytest.raises(ConfigError, match=said):
+        posegsa.tune_batch([tiny(), tiny(setting)])
+
+
+def test_an_empty_batch_is_refused():
+    with pytest.raises(ConfigError, match="nothing to tune"):
+        posegsa.tune_batch(tiny(), seeds=[])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from posegsa.comparison import TUNED
 from posegsa.figure_style import png
-from posegsa.report import sections
+from posegsa.report import headline, sections
 from posegsa.report.markup import cost, element, join
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None)
         about=sections.about(result),
         sections=join(
             [
-                sections.headline(result),
-                sections.warnings(result),
+                headline.warnings(result),
+                headline.headline(result),
                 sections.what_was_run(result),
                 sections.contenders(result, pictures),
                 sections.schedule(result, pictures),

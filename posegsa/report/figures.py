@@ -8,10 +8,11 @@ _WORDS = {
     "costs": (
         "Held-out cost",
         "Cost of every contender on every held-out scenario, and mean paired differences",
-        "Each point is one scenario; thin bars span 5 to 95 % of them, thick bars 25 to 75 %, the "
-        "stroke is the median and the diamond the mean with its 95 % interval. The overlap of the "
-        "clouds says little, because all contenders met the same scenarios: look at the paired "
-        "differences below. An interval that excludes 0 tells two contenders apart.",
+        "Each point is one scenario; thin bars span 5 to 95\u00a0% of them, thick bars 25 to "
+        "75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% interval. "
+        "The overlap of the clouds says little, because all contenders met the same scenarios: "
+        "look at the paired differences below. An interval that excludes 0 tells two contenders "
+        "apart.",
     ),
     "bands": (
         "Errors and gain over time",
@@ -36,8 +37,8 @@ _WORDS = {
     "rules": (
         "Use of the rules",
         "Mean firing strength of each of the 25 rules over one held-out trajectory",
-        "Rules that never fire were not tuned by anything but chance: the tuned schedule says "
-        "nothing about the errors that they are for.",
+        "Rules that never fire had little or no part in the cost: what the schedule does where "
+        "they apply is largely chance.",
     ),
     "input_terms": (
         "Input terms",

@@ -78,7 +78,7 @@ def table(
     )
     whole = element(
         "table",
-        element("caption", caption),
+        element("caption", element("span", caption)),
         element("thead", element("tr", head)),
         element("tbody", body),
         class_=class_,
@@ -91,7 +91,8 @@ def figure(name: str, png: bytes, title: str, alt: str, caption: str) -> Html:
     data = base64.b64encode(png).decode("ascii")
     image = Html(f'<img src="data:image/png;base64,{data}" alt="{escape(alt)}">')
     words = element("figcaption", element("strong", f"{title}."), f" {caption}")
-    return element("figure", image, words, id=f"figure-{name}")
+    picture = element("div", image, class_="picture")
+    return element("figure", picture, words, id=f"figure-{name}")
 
 
 def number(value: float, form: str = ".2f") -> str:
@@ -111,6 +112,13 @@ def cost(value: float, form: str = ".2f") -> str:
     """A cost: two decimals, or four digits from 10 000."""
     large = math.isfinite(value) and abs(value) >= 1e4
     return number(value, form.replace(".2f", ".4g") if large else form)
+
+
+def interval(low: float, high: float, form: str = "+.2f") -> str:
+    """An interval of costs; a dash where there is none."""
+    if math.isnan(low) and math.isnan(high):
+        return DASH
+    return f"{cost(low, form)} to {cost(high, form)}"
 
 
 def counted(n: int, what: str) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posegsa import config
-from posegsa.comparison import CONSTANT, ORACLE, TUNED, Contender, Evaluation, Interval
+from posegsa.comparison import ORACLE, TUNED, Contender, Evaluation
 from posegsa.metrics import (
     DIVERGED_ATTITUDE,
     DIVERGED_POSITION,
@@ -26,6 +25,7 @@ from posegsa.report.markup import (
     cost,
     counted,
     element,
+    interval,
     join,
     number,
     paragraph,
@@ -43,83 +43,6 @@ def about(result: TuneResult) -> Html:
     """The line under the title."""
     run = result.experiment.run
     return paragraph(f"posegsa {result.version}, seed {run.seed}, {run.dtype}", class_="about")
-
-
-def warnings(result: TuneResult) -> Html:
-    """What a reader must know before trusting the result; nothing where there is nothing."""
-    found = result.warnings()
-    if result.experiment.gain.signal == "pose":
-        found.append(
-            'the schedule sees the true errors (signal "pose"), an oracle for simulation: no '
-            "vehicle can run it"
-        )
-    if not found:
-        return Html()
-    items = join(element("li", each[:1].upper() + each[1:]) for each in found)
-    return section("Warnings", element("ul", items), class_="warnings")
-
-
-def headline(result: TuneResult) -> Html:
-    """The numbers that matter most, training beside held-out."""
-    evaluation = result.evaluation
-    training = _training(result.training_costs)
-    tiles = [_tile("Held out: tuned", *_mean(evaluation.cost(TUNED)), training)]
-    if CONSTANT in evaluation.contenders:
-        gain = f" with K = {result.constant_gain:.4g} 1/s"
-        training = _training(result.constant_training_costs) + gain
-        difference = evaluation.difference(CONSTANT)
-        unbroken = _ends(difference).replace(" ", "\u00a0")
-        tiles += [
-            _tile("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), training),
-            _tile(
-                "Tuned minus best constant",
-                cost(difference.mean, "+.2f"),
-                "",
-                f"95\u00a0% interval {unbroken}",
-            ),
-        ]
-    if ORACLE in evaluation.contenders:
-        closed = evaluation.gap_closed()
-        tiles.append(
-            _tile(
-                "Gap to the oracle closed",
-                DASH if closed is None else f"{number(100 * closed, '.0f')} %",
-                "",
-                f"oracle K(t), held out: {cost(evaluation.cost(ORACLE).mean)}",
-            )
-        )
-    bad = evaluation.contenders[TUNED].metrics.diverged
-    share = f"of {counted(evaluation.scenarios, 'held-out scenario')}"
-    tiles.append(_tile("Held out: diverged", str(np.count_nonzero(bad)), "", share))
-    return section(
-        "Result",
-        paragraph(verdict(evaluation), class_="verdict"),
-        element("dl", join(tiles, "\n"), class_="headline"),
-    )
-
-
-def verdict(evaluation: Evaluation) -> str:
-    """Whether the tuned schedule beats the best constant gain, in a sentence."""
-    if CONSTANT not in evaluation.contenders:
-        return "There is no constant gain to compare with."
-    mean, low, high = evaluation.difference(CONSTANT)
-    against = f"the best constant gain on {counted(evaluation.scenarios, 'unseen scenario')}"
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return f"The tuned schedule cannot be compared with {against}: there is no finite interval."
-    if low <= 0 <= high:
-        ends = _ends(Interval(mean, low, high))
-        return (
-            f"The tuned schedule cannot be told apart from {against}: the 95 % interval of their "
-            f"difference, {ends}, includes 0."
-        )
-    less = high < 0
-    by, least, most = (-mean, -high, -low) if less else (mean, low, high)
-    constant = evaluation.cost(CONSTANT).mean
-    share = f"{number(100 * by / constant, '.1f')} %; " if constant > 0 else ""
-    return (
-        f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
-        f"{cost(least)} to {cost(most)}) than {against}."
-    )
 
 
 def what_was_run(result: TuneResult) -> Html:
@@ -307,34 +230,11 @@ def schedule_words(found: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {value}" for key, value in found.items())
 
 
-def _tile(name: str, value: str, beside: str, below: str) -> Html:
-    return element(
-        "div",
-        element("dt", name),
-        element("dd", value, " ", element("span", beside, class_="beside"), class_="value"),
-        element("dd", below),
-    )
-
-
-def _training(costs: np.ndarray) -> str:
-    mean, count = cost(float(np.mean(costs))), counted(len(costs), "scenario")
-    return f"in training {mean} on {count}"
-
-
-def _mean(interval: Interval) -> tuple[str, str]:
-    """A mean, and half of its interval's length."""
-    return cost(interval.mean), f"\u00b1 {cost(0.5 * (interval.high - interval.low))}"
-
-
-def _ends(interval: Interval) -> str:
-    return f"{cost(interval.low, '+.2f')} to {cost(interval.high, '+.2f')}"
-
-
 def _cost_cells(name: str, evaluation: Evaluation) -> list[str]:
     metrics, mean = evaluation.contenders[name].metrics, evaluation.cost(name)
     cells = [
         cost(mean.mean),
-        f"{cost(mean.low)} to {cost(mean.high)}",
+        interval(*mean[1:], ".2f"),
         cost(float(np.median(metrics.cost))),
         cost(float(np.quantile(metrics.cost, 0.95, method="lower"))),
         cost(float(np.max(metrics.cost))),
@@ -343,7 +243,7 @@ def _cost_cells(name: str, evaluation: Evaluation) -> list[str]:
         cells += ["", ""]
     else:
         difference = evaluation.difference(name)
-        cells += [cost(difference.mean, "+.2f"), _ends(difference)]
+        cells += [cost(difference.mean, "+.2f"), interval(*difference[1:])]
     return [*cells, f"{number(100 * float(np.mean(metrics.diverged)), '.1f')} %"]
 
 

@@ -1,0 +1,130 @@
+"""The top of the report: warnings, a verdict, and the numbers that matter most."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posegsa.comparison import CONSTANT, ORACLE, TUNED, Evaluation, Interval
+from posegsa.report.markup import (
+    DASH,
+    Html,
+    cost,
+    counted,
+    element,
+    interval,
+    join,
+    number,
+    paragraph,
+    section,
+)
+
+if TYPE_CHECKING:
+    from posegsa.results import TuneResult
+
+
+def warnings(result: TuneResult) -> Html:
+    """What a reader must know before trusting the result; nothing where there is nothing."""
+    found = result.warnings()
+    if result.experiment.gain.signal == "pose":
+        found.append(
+            'the schedule sees the true errors (signal "pose"), an oracle for simulation: no '
+            "vehicle can run it"
+        )
+    if not found:
+        return Html()
+    items = join(element("li", each[:1].upper() + each[1:]) for each in found)
+    return section("Warnings", element("ul", items), class_="warnings")
+
+
+def headline(result: TuneResult) -> Html:
+    """The numbers that matter most, training beside held-out."""
+    evaluation = result.evaluation
+    training = _training(result.training_costs)
+    tiles = [_tile("Held out: tuned", *_mean(evaluation.cost(TUNED)), training)]
+    if CONSTANT in evaluation.contenders:
+        gain = f" with K = {result.constant_gain:.4g} 1/s"
+        training = _training(result.constant_training_costs) + gain
+        difference = evaluation.difference(CONSTANT)
+        unbroken = interval(*difference[1:]).replace(" ", "\u00a0")
+        tiles += [
+            _tile("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), training),
+            _tile(
+                "Tuned minus best constant",
+                cost(difference.mean, "+.2f"),
+                "",
+                f"95\u00a0% interval {unbroken}",
+            ),
+        ]
+    if ORACLE in evaluation.contenders:
+        closed = evaluation.gap_closed()
+        tiles.append(
+            _tile(
+                "Gap to the oracle closed",
+                DASH if closed is None else f"{number(100 * closed, '.0f')} %",
+                "",
+                f"oracle K(t), held out: {cost(evaluation.cost(ORACLE).mean)}",
+            )
+        )
+    bad = evaluation.contenders[TUNED].metrics.diverged
+    share = f"of {counted(evaluation.scenarios, 'scenario')}"
+    tiles.append(_tile("Held out: diverged", str(np.count_nonzero(bad)), "", share))
+    return section(
+        "Result",
+        paragraph(verdict(evaluation), class_="verdict"),
+        element("dl", join(tiles, "\n"), class_="headline"),
+    )
+
+
+def verdict(evaluation: Evaluation) -> str:
+    """Whether the tuned schedule beats the best constant gain, in a sentence."""
+    if CONSTANT not in evaluation.contenders:
+        return "There is no constant gain to compare with."
+    mean, low, high = evaluation.difference(CONSTANT)
+    against = f"the best constant gain on {counted(evaluation.scenarios, 'unseen scenario')}"
+    if not (math.isfinite(low) and math.isfinite(high)):
+        own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, CONSTANT))
+        bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
+        if not any(bad):
+            return f"The tuned schedule cannot be compared with {against}: they are too few."
+        return (
+            f"The mean cost of the tuned schedule cannot be compared with that of {against}: "
+            f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
+            f"{cost(float(np.median(own)))} and {cost(float(np.median(other)))}."
+        )
+    if low <= 0 <= high:
+        ends = interval(low, high)
+        return (
+            f"The tuned schedule cannot be told apart from {against}: the 95 % interval of their "
+            f"difference, {ends}, includes 0."
+        )
+    less = high < 0
+    by, least, most = (-mean, -high, -low) if less else (mean, low, high)
+    constant = evaluation.cost(CONSTANT).mean
+    share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
+    return (
+        f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
+        f"{cost(least)} to {cost(most)}) than {against}."
+    )
+
+
+def _tile(name: str, value: str, beside: str, below: str) -> Html:
+    return element(
+        "div",
+        element("dt", name),
+        element("dd", value, " ", element("span", beside, class_="beside"), class_="value"),
+        element("dd", below),
+    )
+
+
+def _training(costs: np.ndarray) -> str:
+    mean, count = cost(float(np.mean(costs))), counted(len(costs), "scenario")
+    return f"in training {mean} on {count}"
+
+
+def _mean(of: Interval) -> tuple[str, str]:
+    """A mean, and half of its interval's length."""
+    half = 0.5 * (of.high - of.low)
+    return cost(of.mean), f"\u00b1 {cost(half)}" if math.isfinite(half) else ""

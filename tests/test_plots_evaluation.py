@@ -1,0 +1,228 @@
+"""The figures of an evaluation: what they show is what they were given."""
+
+import re
+from functools import partial
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from test_plots import legend, lines
+
+from posegsa import plots_evaluation as plots
+from posegsa.comparison import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Contender, Evaluation
+from posegsa.metrics import Bands, Metrics
+from posegsa.trust import Trust
+
+TIME = np.linspace(0, 15, 61)
+SCHEDULES = {
+    TUNED: {"k": [0.5] * 22},
+    CONSTANT: {"gain": 53.5},
+    RANDOM: {"k": [0.5] * 22},
+    SMOOTH: {"low": 20.0, "high": 90.0, "half": 0.1},
+    ORACLE: {"time": [0.0, 7.5, 15.0], "gain": [90.0, 50.0, 10.0], "cost_fitted": 36.0},
+}
+
+
+def contender(seed: int, scenarios: int = 40, schedule=None, **metrics) -> Contender:
+    rng = np.random.default_rng(seed)
+    drawn = {name: rng.uniform(1, 40, scenarios) for name in Metrics._fields}
+    drawn["diverged"] = np.zeros(scenarios, bool)
+    drawn["initial_angle"] = np.full(scenarios, 174.8)
+    bands = Bands(*np.sort(rng.uniform(0.1, 50, (3, 3, len(TIME))), axis=1))
+    return Contender(Metrics(**{**drawn, **metrics}), bands, schedule or {})
+
+
+def evaluation(names=tuple(SCHEDULES), seed=None, **metrics) -> Evaluation:
+    """Contenders with random metrics; some fields may be given for all of them."""
+    all_of_them = {
+        name: contender(i, schedule=SCHEDULES.get(name), **metrics) for i, name in enumerate(names)
+    }
+    return Evaluation(40, seed, TIME, all_of_them)
+
+
+def changed(given: Evaluation, name: str, **metrics) -> Evaluation:
+    """An evaluation with some metrics of one contender changed."""
+    one = given.contenders[name]
+    one = one._replace(metrics=one.metrics._replace(**metrics))
+    return Evaluation(given.scenarios, given.seed, given.time, {**given.contenders, name: one})
+
+
+def trust(**values) -> Trust:
+    weights = np.zeros((5, 5))
+    weights[0, 1], weights[3, 4] = 0.25, 0.0125
+    return Trust(
+        **{
+            **{"cost_float32": 44.1, "cost_float64": 44.2, "cost_perturbed": 44.05},
+            **{"sensitive": False, "uncovered": 0.0, "rule_weights": weights},
+            **values,
+        }
+    )
+
+
+ANGLES = np.linspace(0, 180, 40)
+SPREAD = evaluation(initial_angle=ANGLES)
+FIGURES = {
+    "costs": partial(plots.plot_costs, evaluation()),
+    "bands": partial(plots.plot_bands, evaluation()),
+    "angles": partial(plots.plot_angles, SPREAD),
+    "rules": partial(plots.plot_rules, trust()),
+}
+
+
+@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
+def test_is_saved_with_units_on_its_axes_and_no_trace_left(make, tmp_path):
+    before = dict(matplotlib.rcParams)
+    figure = make()
+    assert isinstance(figure, Figure)
+    figure.savefig(tmp_path / "figure.png", dpi=50)
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert dict(matplotlib.rcParams) == before
+    labels = [text for ax in figure.axes for text in (ax.get_xlabel(), ax.get_ylabel()) if text]
+    assert len(labels) >= 2
+    for text in labels:
+        assert re.search(r"\[[^]]+\]", text), text
+
+
+def test_figures_by_name_leave_out_angles_that_do_not_differ():
+    assert list(plots.evaluation_figures(evaluation())) == ["costs", "bands"]
+    figures = plots.evaluation_figures(SPREAD)
+    assert tuple(figures) == plots.NAMES
+    assert all(isinstance(figure, Figure) for figure in figures.values())
+
+
+def test_costs_are_every_scenario_of_every_contender():
+    given = evaluation()
+    ax, below = plots.plot_costs(given).axes
+    points = [c.get_offsets() for c in ax.collections if len(c.get_offsets()) == 40]
+    assert len(points) == len(given.contenders)
+    for row, (one, drawn) in enumerate(zip(given.contenders.values(), points, strict=True)):
+        drawn = np.asarray(drawn)
+        np.testing.assert_array_equal(drawn[:, 0], one.metrics.cost)
+        assert (np.abs(drawn[:, 1] - row) < 0.5).all()
+    means = [x for x, _ in lines(ax) if len(x) == 1]
+    np.testing.assert_array_equal(np.ravel(means), [given.cost(n).mean for n in SCHEDULES])
+    intervals = [x for x, y in lines(ax) if len(x) == 2]
+    np.testing.assert_array_equal(intervals, [given.cost(n)[1:] for n in SCHEDULES])
+
+    others = list(SCHEDULES)[1:]
+    means = [x for x, _ in lines(below) if len(x) == 1]
+    np.testing.assert_array_equal(np.ravel(means), [given.difference(n).mean for n in others])
+    for text, name in zip(below.texts, others, strict=True):
+        mean, low, high = given.difference(name)
+        assert text.get_text() == f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
+
+
+def test_infinite_costs_are_counted_and_left_out():
+    cost = np.linspace(40, 50, 40)
+    cost[[3, 7, 11]] = np.inf
+    given = changed(evaluation((TUNED, CONSTANT)), CONSTANT, cost=cost)
+    figure = plots.plot_costs(given)
+    figure.draw_without_rendering()
+    ax, below = figure.axes
+    names = [text.get_text() for text in ax.get_yticklabels()]
+    assert names == ["tuned fuzzy gain", "best constant gain\n(3 of 40 infinite)"]
+    sizes = [len(c.get_offsets()) for c in ax.collections]
+    assert 37 in sizes
+    assert [text.get_text() for text in below.texts] == ["not finite"]
+
+
+def test_costs_far_apart_are_drawn_over_a_logarithmic_axis():
+    far = changed(evaluation((TUNED, CONSTANT)), CONSTANT, cost=np.geomspace(40, 1e5, 40))
+    assert plots.plot_costs(far).axes[0].get_xscale() == "log"
+    assert plots.plot_costs(evaluation(cost=np.full(40, 44.0))).axes[0].get_xscale() == "linear"
+
+
+def test_nothing_finite_and_one_contender_are_drawn():
+    nothing = evaluation((TUNED, CONSTANT), cost=np.full(40, np.inf), initial_angle=ANGLES)
+    empty = Bands(*np.full((3, 3, len(TIME)), np.nan))
+    for name, one in nothing.contenders.items():
+        nothing.contenders[name] = one._replace(bands=empty)
+    for figure in plots.evaluation_figures(nothing).values():
+        figure.draw_without_rendering()
+    (ax,) = plots.plot_costs(evaluation((TUNED,))).axes
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
+    plots.plot_costs(evaluation((TUNED, "someone's own"))).draw_without_rendering()
+
+
+def test_bands_are_the_quantiles_of_three_contenders():
+    given = evaluation()
+    figure = plots.plot_bands(given)
+    assert legend(figure) == [TUNED, CONSTANT, ORACLE]
+    labels = [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
+    assert labels == ["Attitude error [deg]", "Position error [m]", "Gain used $K$ [1/s]"]
+    start = TIME <= plots.START
+    for i, ax in enumerate(figure.axes):
+        row, part = i // 2, start if i % 2 == 0 else slice(None)
+        assert ax.get_yscale() == ("linear" if row == 2 else "log")
+        for j, name in enumerate((TUNED, CONSTANT, ORACLE)):
+            low, middle, high = given.contenders[name].bands[row]
+            np.testing.assert_array_equal(lines(ax)[j], (TIME[part], middle[part]))
+            drawn = ax.collections[j].get_paths()[0].vertices
+            assert set(low[part]) | set(high[part]) <= set(drawn[:, 1])
+
+
+def test_bands_without_an_oracle_and_of_a_short_run_are_drawn():
+    figure = plots.plot_bands(evaluation((TUNED, CONSTANT, RANDOM)))
+    assert legend(figure) == [TUNED, CONSTANT]
+    given = evaluation((TUNED, CONSTANT))
+    short = Evaluation(40, None, TIME / 15, given.contenders)
+    assert len(plots.plot_bands(short).axes) == 3
+
+
+def test_angles_show_every_scenario_and_the_running_median():
+    (ax,) = plots.plot_angles(SPREAD).axes
+    cost = SPREAD.contenders[TUNED].metrics.cost
+    points, median = lines(ax)[:2]
+    np.testing.assert_array_equal(points, (ANGLES, cost))
+    width = 5
+    assert len(median[0]) == 40 - width + 1
+    np.testing.assert_array_equal(median[0], ANGLES[2:-2])
+    np.testing.assert_allclose(median[1], [np.median(cost[i : i + width]) for i in range(36)])
+
+
+def test_angles_mark_infinite_costs_at_their_angle():
+    cost = np.full(40, 44.0)
+    cost[-9:] = np.inf
+    given = changed(SPREAD, TUNED, cost=cost)
+    figure = plots.plot_angles(given)
+    figure.draw_without_rendering()
+    assert legend(figure) == [f"{TUNED} (9 infinite)", CONSTANT, ORACLE]
+    points, median, marked = lines(figure.axes[0])[:3]
+    np.testing.assert_array_equal(np.isnan(points[1]), np.isinf(cost))
+    assert np.isnan(median[1][-1]), "where most costs are infinite the line ends"
+    np.testing.assert_array_equal(marked[0], ANGLES[-9:])
+
+
+def test_angles_say_when_they_are_all_the_same():
+    figure = plots.plot_angles(evaluation())
+    assert figure.axes[0].get_title() == "All scenarios start at 174.8 deg"
+    assert plots.plot_angles(SPREAD).axes[0].get_title() == ""
+    two = evaluation((TUNED, CONSTANT), cost=np.array([4.0, 5.0]), initial_angle=ANGLES[:2])
+    plots.plot_angles(two).draw_without_rendering()
+
+
+def test_a_contender_looks_the_same_in_all_figures():
+    ax, _ = plots.plot_costs(SPREAD).axes
+    points = [c for c in ax.collections if len(c.get_offsets()) == 40]
+    bands = plots.plot_bands(SPREAD).axes[0].lines
+    for of_cost, of_bands in zip((points[0], points[1], points[4]), bands, strict=True):
+        assert to_rgba(of_cost.get_facecolor()[0][:3]) == to_rgba(of_bands.get_color())
+
+
+def test_rules_show_each_weight_and_name_what_never_fires():
+    figure = plots.plot_rules(trust())
+    ax, bar = figure.axes
+    shown = ax.images[0].get_array()
+    np.testing.assert_array_equal(np.ma.filled(shown, 0), trust().rule_weights)
+    texts = {text.get_position(): text.get_text() for text in ax.texts}
+    assert texts[(1, 0)] == "0.25"
+    assert texts[(4, 3)] == "0.013"
+    assert list(texts.values()).count("never") == 23
+    for labels in (ax.get_xticklabels(), ax.get_yticklabels()):
+        assert [text.get_text() for text in labels] == ["VS", "S", "M", "L", "VL"]
+    assert ax.get_xlabel().startswith("Term of the scaled error")
+    assert ax.get_ylabel().startswith("Term of the scaled rate")
+    assert bar.get_ylabel() == "Mean firing strength [-]"
+    plots.plot_rules(trust(rule_weights=np.zeros((5, 5)))).draw_without_rendering()

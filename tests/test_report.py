@@ -1,0 +1,454 @@
+"""The report: one page that needs nothing else, and shows what the result holds."""
+
+import base64
+import html
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from test_plots import history, trajectory
+from test_plots_evaluation import ANGLES, SCHEDULES, changed, evaluation, trust
+
+import posegsa
+from posegsa import config, figure_style
+from posegsa.comparison import CONSTANT, ORACLE, TUNED, Evaluation
+from posegsa.errors import RunFolderError
+from posegsa.plots_evaluation import evaluation_figures
+from posegsa.report import report_html
+from posegsa.report.headline import verdict
+from posegsa.report.markup import cost, element, number
+from posegsa.report.sections import schedule_words
+from posegsa.results import TuneResult
+
+# In order and without gaps, so that the repairs leave them as they are.
+PARAMETERS = np.array(
+    [
+        *(0.1, 0.05, 0.1, 0.2, 0.15, 0.2, 0.3, 0.2, 0.4, 0.8, 0.6),
+        *(10.0, 5.0, 15.0, 30.0, 20.0, 35.0, 50.0, 40.0, 60.0, 70.0, 65.0),
+    ]
+)
+PICTURE = b"\x89PNG\r\n\x1a\n not more than that"
+VOID = {"meta", "img", "br"}
+
+
+def result(*settings: str, **values) -> TuneResult:
+    return TuneResult(
+        **{
+            "experiment": config.override(config.Experiment(), settings),
+            "best_cost": 41.25,
+            "parameters": PARAMETERS,
+            "training_costs": np.array([41.0, 41.5]),
+            "constant_gain": 53.5,
+            "constant_training_costs": np.array([44.0, 46.0]),
+            "evaluation": evaluation(),
+            "trust": trust(),
+            "evaluations": 960,
+            "non_finite": 0,
+            "compile_seconds": 5.0,
+            "search_seconds": 0.25,
+            "history": history(),
+            "trajectory": trajectory(),
+            "environment": {"jax": "0.10", "device": "1 x cpu"},
+            "version": "1.2.3",
+            **values,
+        }
+    )
+
+
+class Page(HTMLParser):
+    """What a reader finds in a page; refuses elements that are not closed in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[tuple[str, dict]] = []
+        self.elements: list[tuple[str, dict]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs)))
+        if tag == "table":
+            self.rows: list[list[str]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        inside = [tag for tag, _ in self.open]
+        if "style" in inside:
+            return
+        self.texts.append(data)
+        if "caption" in inside:
+            self.tables[data] = self.rows
+        elif "td" in inside or "th" in inside:
+            self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+    def table(self, caption: str) -> list[list[str]]:
+        (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
+        return found
+
+
+def page(given: TuneResult | None = None, pictures=None) -> Page:
+    return Page(report_html(given or result(), pictures or {"costs": PICTURE}))
+
+
+def values(cell: str) -> list[float]:
+    """The numbers in a cell."""
+    cell = cell.replace("\u2212", "-").replace("\u221e", "inf")
+    return [float(found) for found in re.findall(r"[-+]?(?:inf|\d[\d.]*(?:e[-+]\d+)?)", cell)]
+
+
+def test_it_needs_nothing_else():
+    text = report_html(result(), {"costs": PICTURE, "gain": PICTURE})
+    assert text.startswith("<!doctype html>")
+    assert "http:" not in text
+    assert "https:" not in text
+    found = Page(text).elements
+    assert not {tag for tag, _ in found} & {"script", "link", "iframe", "object", "base", "form"}
+    for _, attributes in found:
+        assert "href" not in attributes
+        assert not any(name.startswith("on") for name in attributes)
+        assert attributes.get("src", "data:").startswith("data:")
+    assert "url(" not in text
+    assert "@import" not in text
+    assert "$" not in re.sub(r"base64,[^\"]*", "", text), "every place of the template is filled"
+
+
+def test_pictures_are_inside_the_page_with_words():
+    found = page(pictures=dict.fromkeys(("costs", "bands", "rules", "convergence"), PICTURE))
+    pictures = [attributes for tag, attributes in found.elements if tag == "img"]
+    assert len(pictures) == 4
+    for attributes in pictures:
+        data = attributes["src"].removeprefix("data:image/png;base64,")
+        assert base64.b64decode(data) == PICTURE
+        assert len(attributes["alt"]) > 20
+    captions = [tag for tag, _ in found.elements if tag == "figcaption"]
+    assert len(captions) == 4
+
+
+def test_it_is_structured_for_all_readers():
+    found = page().elements
+    assert ("html", {"lang": "en"}) in found
+    assert any(a.get("name") == "viewport" for _, a in found)
+    tags = [tag for tag, _ in found]
+    assert tags.count("h1") == tags.count("title") == tags.count("main") == 1
+    assert tags.count("h2") >= 7
+    assert tags.count("table") == tags.count("caption")
+    assert all(a.get("scope") in ("col", "row") for tag, a in found if tag == "th")
+    boxes = [a for tag, a in found if a.get("class") == "scroll"]
+    assert len(boxes) == tags.count("table"), "each table scrolls in a box of its own"
+    assert all(a["role"] == "region" and a["aria-label"] and a["tabindex"] == "0" for a in boxes)
+
+
+def test_the_table_of_costs_is_the_evaluation():
+    given = evaluation()
+    head, *rows = page(result(evaluation=given)).table("Cost on 40 held-out scenarios")
+    assert head[:5] == ["Contender", "Mean", "95 % interval", "Median", "95th percentile"]
+    assert [row[0] for row in rows] == list(SCHEDULES)
+    for name, mean, ends, median, high, worst, minus, its_ends, diverged in rows:
+        costs = given.contenders[name].metrics.cost
+        expected = [
+            *given.cost(name),
+            *(np.median(costs), np.quantile(costs, 0.95, method="lower"), np.max(costs)),
+        ]
+        shown = [number for cell in (mean, ends, median, high, worst) for number in values(cell)]
+        np.testing.assert_allclose(shown, expected, atol=0.0051)
+        assert diverged == "0.0 %"
+        if name == TUNED:
+            assert minus == its_ends == ""
+        else:
+            shown = values(minus) + values(its_ends)
+            np.testing.assert_allclose(shown, given.difference(name), atol=0.0051)
+
+
+def test_the_table_of_behaviour_is_the_evaluation():
+    given = evaluation()
+    head, *rows = page(result(evaluation=given)).table("Where the cost comes from")
+    for unit in ("[s]", "[deg]", "[cm]", "[rad/s]", "[m/s]"):
+        assert any(unit in cell for cell in head)
+    for name, *cells in rows:
+        m = given.contenders[name].metrics
+        expected = [
+            *(np.mean(m.transient), np.mean(m.steady)),
+            *(np.median(m.settling_attitude), np.median(m.settling_position)),
+            *(np.mean(m.rms_attitude), 100 * np.mean(m.rms_position)),
+            *(np.mean(m.bias_angular), np.mean(m.bias_linear)),
+        ]
+        digits = np.array([2, 2, 2, 2, 2, 1, 3, 3])
+        shown = [values(cell)[0] for cell in cells]
+        assert (np.abs(np.subtract(shown, expected)) <= 0.51 * 10.0**-digits).all()
+
+
+def test_training_stands_beside_held_out_and_the_gap_is_told():
+    def costs(level):
+        return {"cost": np.linspace(level - 1, level + 1, 40)}
+
+    given = evaluation()
+    for name, level in ((TUNED, 43.0), (CONSTANT, 45.0), (ORACLE, 37.0)):
+        given = changed(given, name, **costs(level))
+    text = page(result(evaluation=given)).text
+    assert "43.00" in text
+    assert "in training 41.25 on 2 scenarios" in text
+    assert "in training 45.00 on 2 scenarios with K = 53.5 1/s" in text
+    assert "\u22122.00" in text
+    assert "25 %" in text
+    assert "The tuned schedule costs 2.00 less (4.4\u00a0%; 95 % interval 2.00 to 2.00)" in text
+    assert "Gap to the oracle" not in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
+
+
+@pytest.mark.parametrize(
+    ("shift", "said"),
+    [
+        (-1.0, "costs 1.00 less"),
+        (1.0, "costs 1.00 more"),
+        (0.0, "cannot be told apart"),
+        (np.inf, "40 and 0 of their costs are infinite. Their medians are \u221e and "),
+    ],
+)
+def test_the_verdict_is_that_of_the_paired_interval(shift, said):
+    given = evaluation((TUNED, CONSTANT))
+    rng = np.random.default_rng(0)
+    difference = shift + 0.01 * rng.permutation(np.linspace(-1, 1, 40))
+    given = changed(given, TUNED, cost=given.contenders[CONSTANT].metrics.cost + difference)
+    assert said in verdict(given)
+
+
+def test_the_verdict_of_one_scenario_is_that_there_is_none():
+    given = evaluation((TUNED, CONSTANT), cost=np.array([43.0]))
+    one = Evaluation(1, None, given.time, given.contenders)
+    assert "too few" in verdict(one)
+    assert verdict(evaluation((TUNED,))) == "There is no constant gain to compare with."
+
+
+def test_warnings_are_shown_before_all_else():
+    diverged = changed(evaluation(), TUNED, diverged=np.arange(40) < 3)
+    bad = result(
+        evaluation=diverged,
+        trust=trust(sensitive=True, cost_float64=4800.0, uncovered=0.2),
+        non_finite=17,
+    )
+    found = page(bad)
+    assert len(bad.warnings()) == 4
+    for warning in bad.warnings():
+        assert warning[1:] in found.text
+    assert found.text.index("SENSITIVE") < found.text.index("Held out: tuned")
+    assert any(a.get("class") == "warnings" for _, a in found.elements)
+    assert "Sensitive: these costs differ by more than 1 %" in found.text
+    assert "No rule fires for 20.0 %" in found.text
+
+
+def test_nothing_is_warned_of_where_nothing_is_wrong():
+    found = page()
+    assert not any(a.get("class") == "warnings" for _, a in found.elements)
+    assert "Not sensitive: the costs agree within 1 %." in found.text
+
+
+def test_an_oracle_signal_is_labelled():
+    found = page(result("gain.signal=pose"))
+    assert any(a.get("class") == "warnings" for _, a in found.elements)
+    assert found.text.count('signal "pose"') == 2
+
+
+def test_the_trust_checks_are_shown():
+    rows = page(result(trust=trust(cost_float64=46.305))).table("Mean training cost")[1:]
+    assert [row[0] for row in rows] == [
+        *("float32 (the run's own)", "float64", "float32, start changed by 1e-06"),
+    ]
+    assert [values(cost)[0] for _, cost, _ in rows] == [44.1, 46.305, 44.05]
+    np.testing.assert_allclose([values(d)[0] for _, _, d in rows], [0, 5.0, -0.11])
+    double = page(result("run.dtype=float64")).table("Mean training cost")
+    assert [row[0] for row in double[1:3]] == ["float32", "float64 (the run's own)"]
+
+
+def test_every_rule_is_shown_with_its_weight():
+    head, *rows = page().table("Rules")
+    assert head[1:] == ["Error VS", "Error S", "Error M", "Error L", "Error VL"]
+    assert [row[0] for row in rows] == ["Rate VS", "Rate S", "Rate M", "Rate L", "Rate VL"]
+    printed = config.Experiment().fuzzy.rules  # from VL to VS both ways
+    for r, row in enumerate(rows):
+        for e, cell in enumerate(row[1:]):
+            term, weight = cell.split(" ")
+            assert term == printed[4 - r][4 - e]
+            assert float(weight) == pytest.approx(trust().rule_weights[r, e], rel=0.05)
+    assert "23 of 25 rules never fire" in page().text
+    assert "error S and rate VS" in page().text
+
+
+def test_every_parameter_is_shown_as_the_corner_that_it_is():
+    found = page()
+    cells = {}
+    for caption in ("Input terms", "Output terms"):
+        for term, *corners in found.table(caption)[1:]:
+            for corner, cell in zip("abc", corners, strict=True):
+                value, name = cell.split(" ")
+                cells[name, term, corner] = float(value)
+    names = dict(zip(config.PARAMETERS, PARAMETERS, strict=True))
+    assert {key[0]: v for key, v in cells.items() if key[0] != "fixed"} == names
+    for place in (("k1", "VS", "c"), ("k3", "S", "b"), ("k11", "VL", "a"), ("k22", "VL", "a")):
+        assert place in cells
+
+
+def test_the_whole_configuration_is_there():
+    given = result("filter.substeps=4")
+    text = html.unescape(report_html(given, {}))
+    assert config.to_toml(given.experiment) in text
+    assert "<details>" in text
+    rows = page(given).table("Where the run was made")
+    assert ["posegsa", "1.2.3"] in rows
+    assert ["device", "1 x cpu"] in rows
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ([], ["gradient law", "gain limit 1.5", "the mean cost over", "their noise alone"]),
+        (["search.optimiser=random_search"], ["Random search with 100 agents"]),
+        (["objective.name=cvar"], ["the mean cost of the worst 25 % of 8 training scenarios"]),
+        (["objective.name=mean_std"], ["the mean plus 1 standard deviations"]),
+        (["filter.law=printed", "filter.gain_limit=off"], ["can diverge", "no gain limit"]),
+        (["filter.gamma=[1.0, 2.0]"], ["gamma = 1 and 2 1/s\u00b2"]),
+        (["filter.substeps=1"], ["1 inner step per"]),
+        (["gain.smoothing=2.0"], ["a low-pass filter of 2 s"]),
+        (["gain.smoothing=0.0"], ["unfiltered"]),
+        (["fuzzy.centroid=sampled"], ["centroid of 101 samples"]),
+        (["family.attitude_error=[0.0, 180.0]"], ["random axis (0 to 180 deg)"]),
+        (
+            ["family.position_error=[0.0, 10.0]", "family.noise_scale=[0.5, 2.0]"],
+            ["(0 to 10 m); the noise (0.5 to 2 times the nominal)"],
+        ),
+        (["family.landmark_spread=0.5", "family.random_phase=true"], ["up to 0.5 m", "phase"]),
+    ],
+)
+def test_what_was_run_is_told_in_words(settings, words):
+    text = page(result(*settings)).text
+    for each in words:
+        assert each in text
+
+
+def test_the_held_out_set_is_named():
+    assert "the run's own held-out set" in page().text
+    assert "held-out set number 7" in page(result(evaluation=evaluation(seed=7))).text
+
+
+def test_what_the_contenders_are():
+    rows = dict(page().table("What each contender is")[1:])
+    assert rows[CONSTANT] == "K = 53.5 1/s"
+    assert rows[TUNED] == "fuzzy, k1 to k22"
+    assert rows[ORACLE] == "3 knots of K(t) from 0 to 15 s, open loop"
+    assert schedule_words({"a": 1, "b": "two"}) == "a = 1, b = two"
+    assert "posegsa evaluate" in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
+
+
+def test_every_text_that_comes_from_data_is_escaped():
+    evil = '<script>alert("1")</script>&amp;'
+    given = evaluation((TUNED, CONSTANT, evil))
+    given.contenders[evil] = given.contenders[evil]._replace(schedule={evil: evil})
+    found = page(result(evaluation=given, environment={evil: evil}, version=evil), {evil: PICTURE})
+    assert not any(tag == "script" for tag, _ in found.elements)
+    # Version twice, name in three tables, schedule and environment each a key and a value.
+    assert found.text.count(evil) == 2 + 3 + 2 + 2
+    assert element("p", evil, title=evil) == (
+        f'<p title="{html.escape(evil)}">{html.escape(evil)}</p>'
+    )
+
+
+def test_infinite_costs_and_missing_intervals_are_shown_as_such():
+    some = np.linspace(40, 50, 40)
+    some[5] = np.inf
+    nothing = np.full(40, np.inf)
+    given = changed(evaluation(), TUNED, cost=some, transient=np.full(40, np.nan))
+    given = changed(given, CONSTANT, cost=nothing, settling_attitude=nothing)
+    bad = result(
+        evaluation=given,
+        training_costs=np.array([np.inf, 40.0]),
+        trust=trust(cost_float64=np.inf, cost_perturbed=np.nan, sensitive=True),
+    )
+    found = page(bad)
+    rows = {row[0]: row for row in found.table("Cost on")}
+    assert rows[TUNED][1:3] == ["\u221e", "\u2013"]
+    assert rows[CONSTANT][1:8] == ["\u221e", "\u2013", *["\u221e"] * 3, "\u2013", "\u2013"]
+    behaviour = {row[0]: row for row in found.table("Where the cost")}
+    assert behaviour[TUNED][1] == "\u2013"
+    assert behaviour[CONSTANT][3] == "\u221e"
+    cells = [cell for rows in found.tables.values() for row in rows for cell in row]
+    assert not any(re.search(r"\b(nan|inf)\b", cell) for cell in cells)
+    assert "in training \u221e on 2 scenarios" in found.text
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "text"),
+    [
+        (1.005, ".1f", "1.0"),
+        (-0.8, "+.2f", "\u22120.80"),
+        (0.8, "+.2f", "+0.80"),
+        (-0.001, "+.2f", "0.00"),
+        (np.nan, "+.2f", "\u2013"),
+        (-np.inf, ".2f", "\u2212\u221e"),
+        (3e-7, ".2g", "3e-07"),
+    ],
+)
+def test_numbers_are_written_for_people(value, form, text):
+    assert number(value, form) == text
+
+
+def test_large_costs_are_written_short():
+    assert cost(9999.9) == "9999.90"
+    assert cost(123456.0) == "1.235e+05"
+    assert cost(-123456.0, "+.2f") == "\u22121.235e+05"
+
+
+def test_the_angles_are_explained_where_they_do_not_differ():
+    assert "All scenarios start at an attitude error of 174.8 deg" in page().text
+    found = page(result(evaluation=evaluation(initial_angle=ANGLES)))
+    assert "All scenarios start" not in found.text
+
+
+def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
+    monkeypatch.setattr(figure_style, "DPI", 15)
+    whole = result(evaluation=evaluation(initial_angle=ANGLES))
+    folder = whole.save(tmp_path / "run")
+    figures = {path.stem: path.read_bytes() for path in (folder / "figures").iterdir()}
+    assert {"costs", "bands", "angles", "rules", "control_surface", "errors"} <= set(figures)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    sources = [attributes["src"] for tag, attributes in Page(text).elements if tag == "img"]
+    shown = {base64.b64decode(source.partition(",")[2]) for source in sources}
+    assert shown == set(figures.values()), "every figure is in the report"
+    loaded = posegsa.load(folder)
+    assert report_html(loaded, figures) == text
+
+
+def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
+    monkeypatch.setattr(figure_style, "DPI", 15)
+    monkeypatch.setattr(TuneResult, "figures", lambda self: evaluation_figures(self.evaluation))
+    first = result(evaluation=evaluation(initial_angle=ANGLES))
+    first.save_evaluation(tmp_path)
+    assert (tmp_path / "figures" / "angles.png").exists()
+    replace(first, evaluation=evaluation(seed=3)).save_evaluation(tmp_path)
+    assert not (tmp_path / "figures" / "angles.png").exists(), "it would be another evaluation's"
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "held-out set number 3" in text
+    assert "figure-costs" in text
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(TuneResult, "figures", lambda _: {})
+    with pytest.raises(RunFolderError, match="missing: cannot be written: No such file"):
+        result().save_evaluation(tmp_path / "missing")
+    (tmp_path / "figures").write_text("a file in the place of a folder")
+    with pytest.raises(RunFolderError, match="cannot be written: File exists"):
+        result().save(tmp_path)
