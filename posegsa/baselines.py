@@ -183,7 +183,8 @@ def oracle(problem: Problem) -> tuple[KnotGain, float]:
     best_cost, best, last_improved = math.inf, log_gain[0], 0
     for step in range(ORACLE_STEPS):
         before = log_gain
-        values, log_gain, state = _descend(log_gain, state, time, problem)
+        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
+            values, log_gain, state = _descend(log_gain, state, time, problem)
         costs = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf)
         i = int(np.argmin(costs))
         if costs[i] < best_cost:

@@ -71,11 +71,10 @@ def membership(x: Array, term: Slopes) -> Array:
     """Degree in [0, 1] to which x belongs to a triangular term.
 
     Both edges are measured from the peak, so that a vertical edge (slope huge, not infinite) gives
-    1 at the peak and 0 beyond it without a special case.
+    1 at the peak and 0 beyond it without a special case; the derivative at the peak is 0.
     """
-    return jnp.maximum(
-        0.0, 1 - jnp.maximum((term.peak - x) * term.rise, (x - term.peak) * term.fall)
-    )
+    beyond = jnp.where(x > term.peak, (x - term.peak) * term.fall, 0.0)
+    return jnp.maximum(0.0, 1 - jnp.where(x < term.peak, (term.peak - x) * term.rise, beyond))
 
 
 def slopes(a: Array, b: Array, c: Array) -> Slopes:
@@ -264,18 +263,20 @@ class FuzzyController:
             prepared: from `prepare`.
             last: the last gain [1/s], kept where no rule fires under "hold".
         """
+        tallest = reduce(jnp.maximum, heights)
+        fires = tallest > 0
+        safe = jnp.where(fires, tallest, 1.0)
+        # So low that areas might underflow, heights count relative to each other only.
+        lift = jnp.maximum(1.0, 0.1 * jnp.finfo(tallest.dtype).eps / safe)
+        heights = tuple(lift * h for h in heights)
         if prepared.grid is None:
             area, moment = exact_integrals(heights, prepared.overlaps)
         else:
             area, moment = sampled_integrals(heights, prepared.grid)
-        tallest = reduce(jnp.maximum, heights)
-        fires = tallest > 0
-        # Rules fire but under (almost) no area: terms of zero width, or heights near underflow. The
-        # limit is that of equally narrow terms, each at the middle of its support with the area h
-        # (2 - h)/2.
-        regular = area > jnp.sqrt(jnp.finfo(area.dtype).tiny)
-        safe = jnp.where(fires, tallest, 1.0)
-        spikes = [(h / safe) * (2 - h) for h in heights]
+        # Rules fire but under no area: only terms of zero width do. The limit is that of equally
+        # narrow terms, each with the area h (2 - h)/2 in units of its width.
+        regular = area > jnp.finfo(area.dtype).tiny
+        spikes = [h * (2 - h) for h in heights]
         spike_area = sum(spikes)
         spike_moment = sum(s * x for s, x in zip(spikes, prepared.middles, strict=True))
         area = jnp.where(regular, area, jnp.where(fires, spike_area, 1.0))

@@ -212,10 +212,10 @@ def scheduled_gain(
     attitude, position = errors
     now = attitude + settings.position_weight * position
     previous = jnp.where(memory.error < 0, now, memory.error)
-    # Backward Euler over the time since the last sample. Without smoothing the share of the old
-    # value is exactly 0; at the first sample both values are the same.
+    # Backward Euler over the time since the last sample; e is exactly `now` without smoothing and at
+    # the first sample.
     old = settings.smoothing / (settings.smoothing + memory.time_step)
-    e = old * previous + (1 - old) * now
+    e = now + old * (previous - now)
     inputs = ScheduleInputs(
         error=jnp.clip(e / settings.error_scale, 0.0, 1.0),
         rate=jnp.clip(jnp.abs(e - previous) * settings.rate_scale, 0.0, 1.0),
