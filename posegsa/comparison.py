@@ -12,13 +12,14 @@ import numpy as np
 from jax import Array
 
 from posegsa.config import Experiment
-from posegsa.family import family, realise
-from posegsa.gain import ConstantGain, GainSchedule
+from posegsa.family import Family, family, realise
+from posegsa.filter import FilterSettings, filter_settings, initial_state
+from posegsa.gain import ConstantGain, GainSchedule, SignalSettings, signal_settings
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import QUANTILES, Bands, Metrics, Tracks, metrics_of
-from posegsa.population import Problem, costs_by_scenario, problem
-from posegsa.rollout import simulate
-from posegsa.scenario import Scenario
+from posegsa.population import Problem, costs_by_scenario
+from posegsa.rollout import Estimates, simulate, track
+from posegsa.scenario import Scenario, Truth
 from posegsa.trajectory import Trajectory, trajectory
 
 TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE = (
@@ -234,11 +235,26 @@ def run_scenario(
         experiment: Where the family and the filter's and signal's settings come from.
         key: Scenario key.
     """
-    _, truth, _ = realise(one, family(experiment.family, experiment.run.dtype), key)
-    posed = problem(experiment, one, key[None])
-    tracks, initial = jax.tree.map(lambda a: a[0], (posed.tracks, posed.initial))
-    estimates = simulate(schedule, tracks, initial, posed.settings, posed.signal)
-    return trajectory(truth, estimates)
+    dtype = experiment.run.dtype
+    settings = filter_settings(experiment.filter, dtype)
+    signal = signal_settings(experiment.gain, dtype)
+    chosen = family(experiment.family, dtype)
+    return trajectory(*_run_scenario(schedule, one, chosen, key, settings, signal))
+
+
+@jax.jit
+def _run_scenario(
+    schedule: GainSchedule,
+    one: Scenario,
+    chosen: Family,
+    key: Array,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> tuple[Truth, Estimates]:
+    drawn, truth, measurements = realise(one, chosen, key)
+    initial = initial_state(drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate)
+    tracks = track(measurements, truth.rotation, truth.position)
+    return truth, simulate(schedule, tracks, initial, settings, signal)
 
 
 def _plain(value: Any) -> Any:

@@ -212,8 +212,8 @@ def scheduled_gain(
     attitude, position = errors
     now = attitude + settings.position_weight * position
     previous = jnp.where(memory.error < 0, now, memory.error)
-    # Backward Euler over the time since the last sample; e is exactly `now` without smoothing and at
-    # the first sample.
+    # Backward Euler over the time since the last sample; without smoothing, and at the first
+    # sample, e is exactly `now`.
     old = settings.smoothing / (settings.smoothing + memory.time_step)
     e = now + old * (previous - now)
     inputs = ScheduleInputs(

@@ -4,8 +4,10 @@ import csv
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from posegsa.errors import RunFolderError
 from posegsa.rollout import Estimates
@@ -98,13 +100,19 @@ def read_trajectory(path: Path) -> Trajectory:
 
 def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
     """Errors and angles of estimates against the truth."""
+    values = _values(truth, estimates)
+    return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})
+
+
+@jax.jit
+def _values(truth: Truth, estimates: Estimates) -> dict[str, Array]:
     q_est, q = (split(quaternion(R)) for R in (estimates.rotation, truth.rotation))
     distance = attitude_distance(q_est, q)  # type: ignore[arg-type]
-    R_err = estimates.rotation @ jnp.swapaxes(truth.rotation, -1, -2)
+    R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, truth.rotation, precision="highest")
     P_err = estimates.position - jnp.einsum(
         "nij,nj->ni", R_err, truth.position, precision="highest"
     )
-    values = {
+    return {
         "time": truth.time,
         "euler": jnp.degrees(euler_angles(truth.rotation)),
         "euler_est": jnp.degrees(euler_angles(estimates.rotation)),
@@ -119,4 +127,3 @@ def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
         "error": estimates.error,
         "rate": estimates.rate,
     }
-    return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})
