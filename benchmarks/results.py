@@ -21,6 +21,9 @@ from posegsa.evaluate import evaluate
 from posegsa.runtime import environment
 
 JUDGED = {"recommended": "the paper's scenario", "family": "random starts and motions"}
+HELD_OUT_SEED = 1
+"""A held-out set of its own: `tune` prints costs on the first scenarios of the experiment's set, so
+those have been looked at during development."""
 SEEDED = ("recommended", "paper", "paper_literal")
 
 
@@ -57,7 +60,9 @@ def judged(scenarios: int) -> str:
     closed = []
     for name, title in JUDGED.items():
         result = posegsa.tune(load(name))
-        found = evaluate(result, scenarios=scenarios, progress=tqdm.write).evaluation
+        found = evaluate(
+            result, scenarios=scenarios, seed=HELD_OUT_SEED, progress=tqdm.write
+        ).evaluation
         lines += comparison(title, result.best_cost, found)
         if (share := found.gap_closed()) is not None:
             closed.append(f"{100 * share:.0f} % on {title}")

@@ -4,7 +4,7 @@ Each variant is tuned on its training scenarios and costed on validation scenari
 neither the training nor the held-out ones; the held-out scenarios are not read here. The best
 constant gain on the same training scenarios stands beside it.
 
-    python benchmarks/study.py [--iterations 60] [--seeds 2] [--readme]
+    python benchmarks/study.py [--iterations 60] [--seeds 2] [--write]
 """
 
 import argparse
@@ -88,7 +88,7 @@ def table(iterations: int, seeds: int) -> str:
         "",
         f"Mean over {seeds} seeds, {iterations} iterations of 100 agents each, "
         f"{VALIDATION_SCENARIOS} validation scenarios; held-out ones were not read. Made by "
-        f"`python benchmarks/study.py --iterations {iterations} --seeds {seeds} --readme`.",
+        f"`python benchmarks/study.py --iterations {iterations} --seeds {seeds} --write`.",
     ]
     return "\n".join(lines)
 
@@ -97,14 +97,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Study behind the recommended configuration.")
     parser.add_argument("--iterations", type=int, default=60, help="iterations of each search")
     parser.add_argument("--seeds", type=int, default=2, help="searches for each variant")
-    parser.add_argument("--readme", action="store_true", help="write the table into README.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
     text = table(options.iterations, options.seeds)
     print(text)
-    if options.readme:
-        write_block("study", text)
+    if options.write:
+        write_block("study", text, "docs/recommended.md")
 
 
 if __name__ == "__main__":
