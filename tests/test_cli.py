@@ -2,12 +2,15 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from test_tuning import TINY
+
+from posegsa.cli import main
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -85,7 +88,69 @@ def test_bad_input_is_one_readable_message(tmp_path, arguments, words):
     assert not any(tmp_path.iterdir()), "a refused command leaves nothing behind"
 
 
+@pytest.fixture
+def few_steps(monkeypatch):
+    """The oracle's descent, cut short."""
+    monkeypatch.setattr("posegsa.baselines.ORACLE_STEPS", 3)
+    monkeypatch.setattr("posegsa.baselines.KNOTS", 4)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys, few_steps):
+    folder = tmp_path / "run"
+    shutil.copytree(finished[0] / "posegsa-run", folder)
+    assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
+    said = capsys.readouterr()
+    for contender in ("tuned fuzzy gain", "best constant gain", "random search", "oracle"):
+        assert contender in said.out
+        assert contender in said.err, "long work says what it does"
+    evaluation = json.loads((folder / "evaluation.json").read_text())
+    assert evaluation["scenarios"] == 5
+    assert evaluation["seed"] == 2
+    assert json.loads((folder / "result.json").read_text())["held_out_scenarios"] == 5
+    assert "oracle" in (folder / "report.html").read_text()
+    assert (folder / "evaluation.txt").read_text().strip() in said.out
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_export_writes_each_format(finished, tmp_path, capsys):
+    run = str(finished[0] / "posegsa-run")
+    assert main(["export", run, "--format", "json"]) == 0
+    json.loads(capsys.readouterr().out)
+    for form in ("csv", "c"):
+        path = tmp_path / f"gain.{form}"
+        assert main(["export", run, "--format", form, "--out", str(path)]) == 0
+        assert path.stat().st_size > 1000
+    assert main(["export", run, "--format", "c", "--out", str(tmp_path / "no" / "such")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["evaluate", "nowhere"], "no finished run"),
+        (["export", "nowhere", "--format", "c"], "no finished run"),
+    ],
+)
+def test_a_missing_run_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--scenarios", "1"], ["--scenarios", "x"], ["--seed", "-1"]]
+)
+def test_bad_numbers_are_refused_by_name(capsys, arguments):
+    with pytest.raises(SystemExit) as refused:
+        main(["evaluate", "run", *arguments])
+    assert refused.value.code == 2
+    assert arguments[0] in capsys.readouterr().err
+
+
 def test_the_command_is_installed_and_helps():
     done = posegsa("--help", as_module=False)
     assert done.returncode == 0
-    assert "tune" in done.stdout
+    for command in ("tune", "evaluate", "export"):
+        assert command in done.stdout

@@ -1,0 +1,45 @@
+"""The README stays true: its example runs, its files exist, its commands parse."""
+
+import re
+from pathlib import Path
+
+import pytest
+from test_tuning import tiny
+
+from posegsa import config
+from posegsa.cli import _parser
+
+ROOT = Path(__file__).parent.parent
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_the_example_runs_and_is_short(tmp_path, monkeypatch):
+    (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 12
+    small = tmp_path / "tiny.toml"
+    small.write_text(config.to_toml(tiny()), encoding="utf-8")
+    names: dict = {}
+    exec(code.replace("configs/quick.toml", str(small)), names)  # the README's own text
+    assert names["estimates"].rotation.shape == (500, 3, 3)
+    assert 1 <= float(names["K"]) <= 101
+
+
+def test_files_that_it_names_exist():
+    for path in re.findall(r"`((?:configs|benchmarks|tests|docs)/[\w./]+)`", TEXT):
+        assert (ROOT / path).exists(), path
+    for path in re.findall(r"\]\(([\w./]+)\)", TEXT):
+        assert (ROOT / path).exists(), path
+
+
+def test_commands_that_it_names_parse():
+    commands = re.findall(r"\.venv/bin/posegsa ([^\n#]*)", TEXT)
+    assert len(commands) >= 3
+    for command in commands:
+        _parser().parse_args(command.split())
+
+
+def test_the_results_are_there():
+    (block,) = re.findall(r"<!-- results: begin -->(.*?)<!-- results: end -->", TEXT, re.DOTALL)
+    for words in ("paper_literal", "oracle", "best constant gain", "random_search", "training"):
+        assert words in block
