@@ -59,7 +59,7 @@ def main() -> None:
             posegsa.tune_batch(experiment, seeds=range(options.seeds)).results
         ):
             found = (
-                result.best_cost,
+                float(np.mean(result.training_costs)),
                 result.evaluation.cost(TUNED).mean,
                 result.evaluation.cost(CONSTANT).mean,
             )

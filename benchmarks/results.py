@@ -21,7 +21,7 @@ from posegsa.evaluate import evaluate
 from posegsa.runtime import environment
 
 JUDGED = {"recommended": "the paper's scenario", "family": "random starts and motions"}
-HELD_OUT_SEED = 1
+HELD_OUT_SEED = 2
 """A held-out set of its own: `tune` prints costs on the first scenarios of the experiment's set, so
 those have been looked at during development."""
 SEEDED = ("recommended", "paper", "paper_literal")
@@ -63,7 +63,7 @@ def judged(scenarios: int) -> str:
         found = evaluate(
             result, scenarios=scenarios, seed=HELD_OUT_SEED, progress=tqdm.write
         ).evaluation
-        lines += comparison(title, result.best_cost, found)
+        lines += comparison(title, float(np.mean(result.training_costs)), found)
         if (share := found.gap_closed()) is not None:
             closed.append(f"{100 * share:.0f} % on {title}")
     return "\n".join(
@@ -96,7 +96,7 @@ def seeded(seeds: int) -> str:
             for result in results:
                 contenders = result.evaluation.contenders
                 for label, training, which in (
-                    (f"fuzzy gain, {search}", result.best_cost, TUNED),
+                    (f"fuzzy gain, {search}", float(np.mean(result.training_costs)), TUNED),
                     (CONSTANT, float(np.mean(result.constant_training_costs)), CONSTANT),
                 ):
                     cost = contenders[which].metrics.cost

@@ -25,7 +25,7 @@ from posegsa.tuning import make_ready, run_search
 
 VALIDATION_SCENARIOS = 64
 
-# Each group changes one thing of the recommended experiment; the first entry is what it has.
+# Each group changes one thing of the recommended experiment.
 GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
     "recommended": ((),),
     "smoothing [s]": tuple((f"gain.smoothing={s}",) for s in (0.0, 0.5, 1.0, 1.5, 3.0, 4.0)),
@@ -56,9 +56,11 @@ def judge(experiment: config.Experiment) -> tuple[float, float, float]:
     key = keys(experiment.run.seed).validation
     validation = problem(experiment, task.scenario, scenario_keys(key, VALIDATION_SCENARIOS))
     tuned = FuzzyGain(task.space.controller(found.search.best_position))
-    constant: ConstantGain = best_constant(task.training, experiment.parameters.gain_range)
+    constant: ConstantGain = best_constant(
+        task.training, experiment.parameters.gain_range, experiment.objective
+    )
     return (
-        float(found.search.best_cost),
+        mean_cost(tuned, task.training),
         mean_cost(tuned, validation),
         mean_cost(constant, validation),
     )

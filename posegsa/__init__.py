@@ -6,9 +6,12 @@ Data flow: config -> scenarios (truth + measurements) -> filter step + fuzzy gai
 Importing it changes nothing in the process. `enable_fast_path()`, called first, makes CPUs fast.
 """
 
+from posegsa.batch import TuneBatch
 from posegsa.config import Experiment
 from posegsa.config import load as load_config
 from posegsa.errors import PosegsaError, PosegsaWarning
+from posegsa.evaluate import evaluate
+from posegsa.export import export_c, export_csv, export_json
 from posegsa.filter import FilterSettings, FilterState, filter_settings, initial_state, step
 from posegsa.fuzzy import FuzzyController
 from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
@@ -36,11 +39,16 @@ __all__ = [
     "PosegsaWarning",
     "RandomSearch",
     "SignalSettings",
+    "TuneBatch",
     "TuneResult",
     "__version__",
     "begin",
     "box",
     "enable_fast_path",
+    "evaluate",
+    "export_c",
+    "export_csv",
+    "export_json",
     "filter_settings",
     "initial_state",
     "load",

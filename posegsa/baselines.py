@@ -14,21 +14,22 @@ from jax import Array
 
 from posegsa.config import ObjectiveConfig
 from posegsa.cost import over_scenarios
-from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule, ScheduleInputs
+from posegsa.gain import GainSchedule, ScheduleInputs
 from posegsa.optimisers import Box, Optimiser, advance, start
-from posegsa.parameters import ParameterSpace
 from posegsa.population import Problem, agent_costs
 
 KNOTS = 24
 """Knots of the oracle's gain over time."""
 ORACLE_STARTS = (10.0, 30.0, 100.0)
 """Constant gains [1/s] that the oracle's descents start from."""
-ORACLE_RATE = 0.1
-"""Adam's step on the logarithm of a knot's gain."""
-ORACLE_PATIENCE = 60
-"""Steps without an improvement of 1e-4 after which a descent ends."""
-ORACLE_STEPS = 600
-"""Steps after which a descent ends in any case."""
+ORACLE_RATES = (0.1, 0.03, 0.01)
+"""Adam's steps on the logarithm of a gain: coarse, then finer from the best of each start."""
+ORACLE_PATIENCE = 20
+"""Steps without an improvement of ORACLE_IMPROVEMENT after which a start is done at one rate."""
+ORACLE_IMPROVEMENT = 1e-4
+"""Relative improvement of the cost that counts."""
+ORACLE_STEPS = 400
+"""Most steps at one rate; a descent that needs more says so."""
 ORACLE_RANGE = (0.5, 200.0)
 """Gains that the oracle may ask for [1/s]; wider than a controller's range."""
 
@@ -83,24 +84,9 @@ class KnotGain:
         return jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error))
 
 
-def constant_gain(vector: Array) -> ConstantGain:
-    """The schedule of a search vector (1,), K [1/s]."""
-    return ConstantGain(vector[0])
-
-
 def smooth_gain(vector: Array) -> SmoothGain:
     """The schedule of a search vector (3,): low and high gain [1/s], log of the half-way error."""
     return SmoothGain(vector[0], vector[1], jnp.exp(vector[2]))
-
-
-def fuzzy_gain(vector: Array, space: ParameterSpace) -> FuzzyGain:
-    """The schedule of a search vector k (22,)."""
-    return FuzzyGain(space.controller(vector))
-
-
-def constant_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
-    """Where the constant gain is searched: all that a controller can ask for [1/s]."""
-    return Box(*(jnp.asarray([1 + end], dtype) for end in gain_range))
 
 
 def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
@@ -113,36 +99,35 @@ def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def search_schedule(
     optimiser: Optimiser,
-    schedule: Callable[..., GainSchedule],
+    schedule: Callable[[Array], GainSchedule],
     objective: ObjectiveConfig,
     box: Box,
     training: Problem,
     key: Array,
-    *context: Any,
 ) -> Array:
     """The best vector (d,) of a family of schedules on the training scenarios.
 
     Args:
         optimiser: What searches, and with how many evaluations.
-        schedule: Maps a vector (d,), and the context, to a schedule.
+        schedule: Maps a vector (d,) to a schedule.
         objective: What of the costs on several scenarios is minimised.
         box: Where to search.
         training: The training scenarios.
         key: Random key of the search.
-        context: What `schedule` needs beside the vector.
     """
 
     def costs(vectors: Array) -> Array:
-        schedules = jax.vmap(lambda vector: schedule(vector, *context))(vectors)
-        return over_scenarios(agent_costs(schedules, training), objective)
+        return over_scenarios(agent_costs(jax.vmap(schedule)(vectors), training), objective)
 
     found = advance(optimiser, costs, box, start(optimiser, box, key), optimiser.iterations)
     return found.best_position
 
 
 @jax.jit
-def _descend(log_gain: Array, state: optax.OptState, time: Array, problem: Problem):
-    """Mean cost of each start's knots (s, n), and the knots after one step of Adam."""
+def _descend(
+    log_gain: Array, state: optax.OptState, rate: Array, time: Array, problem: Problem
+) -> tuple[Array, Array, optax.OptState]:
+    """Mean cost (s,) of each start's knots (s, n), and the knots after one step of Adam."""
 
     def cost(knots: Array) -> Array:
         schedule = jax.tree.map(lambda a: a[None], KnotGain(time, knots))
@@ -156,41 +141,58 @@ def _descend(log_gain: Array, state: optax.OptState, time: Array, problem: Probl
 
     values, gradient = jax.vmap(cost_and_gradient)(log_gain)
     gradient = jnp.where(jnp.isfinite(gradient), gradient, 0.0)
-    updates, state = optax.adam(ORACLE_RATE).update(gradient, state)
+    direction, state = optax.scale_by_adam().update(gradient, state)
     low, high = (math.log(end) for end in ORACLE_RANGE)
-    stepped = jnp.asarray(optax.apply_updates(log_gain, updates))
-    return values, jnp.clip(stepped, low, high), state
+    return values, jnp.clip(log_gain - rate * jnp.asarray(direction), low, high), state
 
 
-def oracle(problem: Problem) -> tuple[KnotGain, float]:
-    """The best open-loop gain sequence found for a problem, and its mean cost there.
+def oracle_knots(end: float) -> np.ndarray:
+    """Times (KNOTS,) of the oracle's knots [s]: dense in the transient, even after it."""
+    dense, turn = KNOTS // 3, min(1.0, 0.5 * end)
+    early = np.geomspace(0.03 * turn, turn, dense)
+    return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
 
-    Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains, from several
-    starts, each until it no longer improves. It is a strong reference for what a schedule can do on
-    the family as a whole, no proven bound: a schedule that looks at the error may beat it.
+
+def oracle(problem: Problem) -> tuple[KnotGain, dict[str, Any]]:
+    """The best open-loop gain sequence found for a problem, and how it was found.
+
+    Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains from several
+    starts, at ever finer rates, each until no start improves any more. It is a strong reference for
+    what a schedule can do on the family as a whole, no proven bound: a schedule that looks at the
+    error may beat it.
 
     Args:
         problem: Scenarios to fit; not the held-out ones.
+
+    Returns:
+        The sequence, and its mean cost on the problem, the steps taken and whether every descent
+        ended because it no longer improved.
     """
-    end = float(problem.tracks.time[0, -1])
-    # Denser where the error falls: the first knots are 3 samples apart.
-    knots = np.concatenate([[0.0], np.geomspace(min(0.03, 0.1 * end), end, KNOTS - 1)])
-    time = jnp.asarray(knots, problem.dtype)
-    log_gain = (
-        jnp.log(jnp.asarray(ORACLE_STARTS, problem.dtype))[:, None] * jnp.ones_like(time)[None]
-    )
-    state = optax.adam(ORACLE_RATE).init(log_gain)
-    best_cost, best, last_improved = math.inf, log_gain[0], 0
-    for step in range(ORACLE_STEPS):
-        before = log_gain
-        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
-            values, log_gain, state = _descend(log_gain, state, time, problem)
-        costs = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf)
-        i = int(np.argmin(costs))
-        if costs[i] < best_cost:
-            if costs[i] < best_cost * (1 - 1e-4):
-                last_improved = step
-            best_cost, best = float(costs[i]), before[i]
-        if step - last_improved >= ORACLE_PATIENCE:
-            break
-    return KnotGain(time, best), best_cost
+    dtype = problem.dtype
+    time = jnp.asarray(oracle_knots(float(problem.tracks.time[0, -1])), dtype)
+    starts = jnp.log(jnp.asarray(ORACLE_STARTS, dtype))
+    best = starts[:, None] * jnp.ones((1, KNOTS), dtype)
+    best_cost = np.full(len(ORACLE_STARTS), np.inf)
+    steps, converged = 0, True
+    for rate in ORACLE_RATES:
+        knots, state = best, optax.scale_by_adam().init(best)
+        counted, idle = best_cost.copy(), np.zeros(len(ORACLE_STARTS), int)
+        for _ in range(ORACLE_STEPS):
+            with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
+                values, after, state = _descend(
+                    knots, state, jnp.asarray(rate, dtype), time, problem
+                )
+            costs = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf)
+            better = costs < best_cost
+            best = jnp.where(jnp.asarray(better)[:, None], knots, best)
+            best_cost = np.where(better, costs, best_cost)
+            enough = best_cost < counted * (1 - ORACLE_IMPROVEMENT)
+            counted, idle = np.where(enough, best_cost, counted), np.where(enough, 0, idle + 1)
+            knots, steps = after, steps + 1
+            if (idle >= ORACLE_PATIENCE).all():
+                break
+        else:
+            converged = False
+    i = int(np.argmin(best_cost))
+    found = {"cost_fitted": float(best_cost[i]), "steps": steps, "converged": converged}
+    return KnotGain(time, best[i]), found

@@ -27,7 +27,7 @@ class TuneBatch:
 
         rows = [
             f"  {f'{len(self.results)} searches':<34}{'median':>10}{'least':>10}{'largest':>10}",
-            row(f"{TUNED}, training", [r.best_cost for r in self.results]),
+            row(f"{TUNED}, training", [float(np.mean(r.training_costs)) for r in self.results]),
             row(f"{TUNED}, held out", held_out(TUNED)),
             row(f"{CONSTANT}, held out", held_out(CONSTANT)),
         ]

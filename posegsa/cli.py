@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
-            print("\nposegsa: interrupted; nothing was written", file=sys.stderr)
+            print("\nposegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
 
 
@@ -39,8 +39,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True)
     tune = commands.add_parser(
         "tune",
-        help="tune a gain schedule and judge it on unseen noise",
-        description="Tunes a gain schedule and judges it on noise that it was not tuned on. Writes "
+        help="tune a gain schedule and judge it on unseen scenarios",
+        description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
         "report.html, result.json, history.csv, trajectory.csv and figures/ to a folder.",
     )
     tune.add_argument(
@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         "evaluate",
         help="judge a finished run on more unseen scenarios, beside all baselines",
         description="Judges a finished run on unseen scenarios beside the best constant gain, "
-        "random search, a smooth schedule and an oracle, each at the run's number of evaluations. "
+        "random search and a smooth schedule with as many evaluations, and an oracle; minutes. "
         "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder.",
     )
     evaluate.add_argument("run", metavar="RUN", help="folder of a finished run")
@@ -117,9 +117,10 @@ def _seed(text: str) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from posegsa.evaluate import evaluate
-    from posegsa.results import load
+    from posegsa.results import claim, load
 
     result = load(options.run)
+    claim(options.run, overwrite=True)  # before the minutes, not after
     result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
     result.save_evaluation(options.run)
     print(result.evaluation.table())
@@ -149,7 +150,6 @@ def _say(text: str) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from posegsa import config
-    from posegsa.results import claim
     from posegsa.tuning import tune
 
     experiment = config.Experiment() if options.config is None else config.load(options.config)
@@ -157,9 +157,8 @@ def _tune(options: argparse.Namespace) -> int:
     if options.seed is not None:
         settings.append(f"run.seed={options.seed}")
     experiment = config.override(experiment, settings)
-    claim(options.out, overwrite=options.overwrite)
     show = _Progress(experiment.search.iterations, quiet=options.quiet)
-    result = tune(experiment, out=options.out, overwrite=True, progress=show)
+    result = tune(experiment, out=options.out, overwrite=options.overwrite, progress=show)
     show.close()
     print(result.summary())
     written = "report.html, result.json, history.csv, trajectory.csv, figures/"
@@ -193,7 +192,7 @@ class _Progress:
         self.bar.set_postfix_str(f"best cost {progress.best_cost:.4g}", refresh=False)
         self.bar.update(progress.iteration - self.bar.n)
         if progress.iteration == progress.iterations:
-            self.bar.set_description_str("judging on unseen noise")
+            self.bar.set_description_str("judging on unseen scenarios")
 
     def close(self) -> None:
         """End the bar's line."""

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.config import Experiment
+from posegsa.config import Experiment, ObjectiveConfig
+from posegsa.cost import over_scenarios
 from posegsa.family import Family, family, realise
 from posegsa.filter import FilterSettings, filter_settings, initial_state
 from posegsa.gain import ConstantGain, GainSchedule, SignalSettings, signal_settings
@@ -129,7 +130,7 @@ class Evaluation:
             summary = {
                 "cost": self.cost(name)._asdict(),
                 "median": np.median(metrics.cost),
-                "p95": np.quantile(metrics.cost, 0.95, method="lower"),
+                "p95": np.quantile(metrics.cost, 0.95, method="higher"),
                 "worst": np.max(metrics.cost),
                 "diverged_fraction": np.mean(metrics.diverged),
                 "tuned_minus_this": self.difference(name)._asdict(),
@@ -203,11 +204,16 @@ def evaluation(
     return Evaluation(held_out.bias.shape[0], seed, time, contenders)
 
 
-def best_constant(training: Problem, gain_range: tuple[float, float]) -> ConstantGain:
-    """The constant gain with the least mean cost, of CONSTANT_GAINS that a controller can ask."""
+def best_constant(
+    training: Problem, gain_range: tuple[float, float], objective: ObjectiveConfig
+) -> ConstantGain:
+    """The constant gain of least cost, of CONSTANT_GAINS that a controller can ask for.
+
+    With one number to find, and a cost that is flat about its least, more of them change nothing.
+    """
     low, high = gain_range
     gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
-    costs = np.mean(np.asarray(costs_by_scenario(ConstantGain(gains), training)), axis=0)
+    costs = np.asarray(over_scenarios(costs_by_scenario(ConstantGain(gains), training), objective))
     return ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
 
 
@@ -215,7 +221,9 @@ def held_out_keys(experiment: Experiment, count: int, seed: int | None = None) -
     """Keys (count,) of held-out scenarios: the experiment's own, or another set by number."""
     key = keys(experiment.run.seed).held_out
     if seed is not None:
-        key = jax.random.fold_in(key, 2**31 + seed % 2**31)  # no scenario has so large a number
+        if not 0 <= seed < 2**31:
+            raise ValueError(f"seed = {seed}; allowed: a whole number from 0 to 2147483647")
+        key = jax.random.fold_in(key, 2**31 + seed)  # no scenario has so large a number
     return scenario_keys(key, count)
 
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from posegsa.baselines import (
-    fuzzy_gain,
     oracle,
     search_schedule,
     smooth_box,
@@ -29,12 +28,12 @@ from posegsa.comparison import (
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import run
-from posegsa.optimisers import Box, RandomSearch
+from posegsa.optimisers import RandomSearch
 from posegsa.parameters import parameter_space
 from posegsa.population import problem
 from posegsa.results import TuneResult
 from posegsa.scenario import Scenario, scenario
-from posegsa.tuning import make_optimiser
+from posegsa.tuning import make_optimiser, make_ready, run_search
 
 ORACLE_SCENARIOS = 32
 """Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""
@@ -74,13 +73,17 @@ def evaluate(
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
         one = scenario(experiment)
+        # All are found, the oracle first, before any is compared.
+        found: dict[str, tuple[GainSchedule, dict[str, Any]]] = {}
+        for name, find in baselines(result, one).items():
+            say(f"searching: {name}")
+            found[name] = find()
+        found[TUNED] = result.schedule, {"k": result.parameters.tolist()}
         held_out = problem(experiment, one, held_out_keys(experiment, scenarios, seed))
-        tuned = (result.schedule, {"k": result.parameters.tolist()})
-        schedules: dict[str, Baseline] = {TUNED: lambda: tuned, **baselines(result, one)}
         contenders = {}
-        for name, find in schedules.items():
-            say(name)
-            schedule, description = find()
+        for name in (TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE):
+            say(f"judging: {name}")
+            schedule, description = found[name]
             contenders[name] = contender(run(schedule, held_out), held_out, description)
         return replace(result, evaluation=evaluation(contenders, held_out, seed))
 
@@ -92,7 +95,6 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     training = problem(experiment, one, training_keys(experiment))
     gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
     use = keys(experiment.run.seed)
-    of_random, of_smooth = jax.random.split(use.baselines)
 
     def constant() -> tuple[GainSchedule, dict[str, Any]]:
         # The grid's best: with one number to find, a full search ends at the same cost.
@@ -100,24 +102,23 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
         return ConstantGain(gain), {"gain": result.constant_gain}
 
     def random() -> tuple[GainSchedule, dict[str, Any]]:
-        search, box = (
-            RandomSearch(optimiser.agents, optimiser.iterations),
-            Box(space.lower, space.upper),
-        )
-        k = search_schedule(search, fuzzy_gain, objective, box, training, of_random, space)
-        controller = space.controller(k)
+        task = make_ready(experiment)
+        search = RandomSearch(optimiser.agents, optimiser.iterations)
+        best = run_search(task._replace(optimiser=search)).search.best_position
+        controller = space.controller(best)
         return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
 
     def smooth() -> tuple[GainSchedule, dict[str, Any]]:
         box = smooth_box(gains, dtype)
-        found = search_schedule(optimiser, smooth_gain, objective, box, training, of_smooth)
+        found = search_schedule(optimiser, smooth_gain, objective, box, training, use.baselines)
         schedule = smooth_gain(found)
         return schedule, {name: float(value) for name, value in vars(schedule).items()}
 
     def best_sequence() -> tuple[GainSchedule, dict[str, Any]]:
-        knots, cost = oracle(problem(experiment, one, scenario_keys(use.oracle, ORACLE_SCENARIOS)))
+        keys_of = scenario_keys(use.oracle, ORACLE_SCENARIOS)
+        knots, how = oracle(problem(experiment, one, keys_of))
         gain = np.exp(np.asarray(knots.log_gain, np.float64))
         time = np.asarray(knots.time, np.float64)
-        return knots, {"time": time.tolist(), "gain": gain.tolist(), "cost_fitted": cost}
+        return knots, {"time": time.tolist(), "gain": gain.tolist(), **how}
 
-    return {CONSTANT: constant, RANDOM: random, SMOOTH: smooth, ORACLE: best_sequence}
+    return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

@@ -94,17 +94,19 @@ def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
     def between(ends: Array, key: Array) -> Array:
         return ends[0] + (ends[1] - ends[0]) * unit(key)
 
-    R_err = scenario.rotation_estimate @ scenario.rotation.T
-    P_err = scenario.position_estimate - R_err @ scenario.position
+    # As precise on a GPU, whose products are coarser by default.
+    matmul = partial(jnp.matmul, precision="highest")
+    R_err = matmul(scenario.rotation_estimate, scenario.rotation.T)
+    P_err = scenario.position_estimate - matmul(R_err, scenario.position)
     if family.attitude_error is not None:
         R_err = random_rotation(use["axis"], between(family.attitude_error, use["attitude"]))
-        changed["rotation_estimate"] = R_err @ scenario.rotation
+        changed["rotation_estimate"] = matmul(R_err, scenario.rotation)
     if family.position_error is not None:
         direction = random.normal(use["direction"], (3,), jnp.float32).astype(dtype)
         length = between(family.position_error, use["position"])
         P_err = length * direction / jnp.linalg.norm(direction)
     if family.attitude_error is not None or family.position_error is not None:
-        changed["position_estimate"] = P_err + R_err @ scenario.position
+        changed["position_estimate"] = P_err + matmul(R_err, scenario.position)
     if family.bias_scale is not None:
         changed["bias"] = between(family.bias_scale, use["bias"]) * scenario.bias
     if family.noise_scale is not None:

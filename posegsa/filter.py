@@ -34,11 +34,13 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from posegsa import config
-from posegsa.measurements import Measurements, Sample, prepare
+from posegsa.errors import MeasurementError
+from posegsa.measurements import Measurements, Sample, finite_array, prepare
 from posegsa.se3 import (
     Matrix3,
     Quaternion,
@@ -148,6 +150,30 @@ def initial_state(
     px, py, pz = split(P)
     b0, b1, b2, b3, b4, b5 = split(b)
     return FilterState((w, x, y, z), (px, py, pz), (b0, b1, b2), (b3, b4, b5))
+
+
+def checked_state(
+    rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None, dtype: DTypeLike
+) -> FilterState:
+    """One filter state from a user's arrays, checked (on the host, not inside jit).
+
+    Args:
+        rotation: (3, 3) R_est, body to inertial; orthonormal to 1e-3.
+        position: (3,) P_est [m], inertial frame.
+        bias: (6,) b_est [rad/s, m/s], angular first; None for zeros.
+        dtype: floating type of the state.
+
+    Raises:
+        MeasurementError: wrong shape, not finite, or not a rotation; names the argument.
+    """
+    R = finite_array("rotation", rotation, (3, 3))
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise MeasurementError(
+            f"rotation: must be a rotation (se3.project_rotation makes one), got {R.tolist()}"
+        )
+    P = finite_array("position", position, (3,))
+    b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
+    return initial_state(*(jnp.asarray(a, dtype) for a in (R, P, b)))
 
 
 def filter_settings(settings: config.FilterConfig, dtype: DTypeLike) -> FilterSettings:

@@ -135,7 +135,7 @@ class SignalSettings:
     error_scale: Array
     """Signal at which the scaled error is 1."""
     rate_scale: Array
-    """Samples per unit of the signal's change."""
+    """Factor on the signal's change per sample, before it is clipped."""
 
 
 def signal_settings(settings: config.GainConfig, dtype: DTypeLike) -> SignalSettings:

@@ -8,7 +8,7 @@ from jax import Array, random
 
 
 class Keys(NamedTuple):
-    """The random keys of an experiment; all come from its seed, and none from another."""
+    """The random keys of an experiment; all come from its seed, each by its own number."""
 
     search: Array
     """The optimiser's."""

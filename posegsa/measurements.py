@@ -91,9 +91,9 @@ class Measurements(NamedTuple):
             a
                 time step is not positive or a weight is negative. The message names the argument.
         """
-        omega = _checked("angular_velocity", angular_velocity, (None, 3))
+        omega = finite_array("angular_velocity", angular_velocity, (None, 3))
         samples = omega.shape[0]
-        step = _checked(
+        step = finite_array(
             "time_step",
             np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step,
             (samples,),
@@ -118,7 +118,7 @@ class Measurements(NamedTuple):
         values = (
             step,
             omega,
-            _checked("velocity", velocity, (samples, 3)),
+            finite_array("velocity", velocity, (samples, 3)),
             v,
             v_ref,
             v_weight,
@@ -222,7 +222,7 @@ def with_cross_vector(vectors: Array) -> Array:
     return jnp.concatenate([vectors, product[..., None, :]], axis=-2)
 
 
-def _checked(
+def finite_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
 ) -> np.ndarray:
     """The argument as a float64 array of the wanted shape (None: any length)."""
@@ -261,10 +261,10 @@ def _sightings(
         return np.zeros((samples, 0, 3)), np.zeros((samples, 0, 3)), np.zeros((samples, 0))
     if body is None or references is None:
         raise MeasurementError(f"{name}s and {name}_references: give both or neither")
-    values = _checked(f"{name}s", body, (samples, None, 3), finite=False)
+    values = finite_array(f"{name}s", body, (samples, None, 3), finite=False)
     count = values.shape[1]
     known = _numbers(f"{name}_references", references)
-    known = _checked(
+    known = finite_array(
         f"{name}_references", known, (count, 3) if known.ndim == 2 else (samples, count, 3)
     )
     weight = _numbers(f"{name}_weights", 1.0 if weights is None else weights)
@@ -284,8 +284,14 @@ def _sightings(
         where = tuple(int(i) for i in np.argwhere(infinite)[0])
         raise MeasurementError(f"{name}s: must not be infinite, got {values[where]} at {where}")
     seen = np.isfinite(values).all(axis=-1) & (weight > 0)
+    known = np.broadcast_to(known, (samples, count, 3))
+    if name == "vector":
+        # A direction of no length says nothing: unknown it is refused, measured it is missing.
+        if (~known.any(axis=-1) & (weight > 0)).any():
+            raise MeasurementError("vector_references: must not be zero where the weight is not")
+        seen &= values.any(axis=-1)
     return (
         np.where(seen[..., None], values, 0.0),
-        np.broadcast_to(known, (samples, count, 3)),
+        known,
         np.where(seen, weight, 0.0),
     )

@@ -109,6 +109,7 @@ def take(problem: Problem, index: np.ndarray | slice) -> Problem:
     return problem._replace(tracks=tracks, initial=initial, bias=bias)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such
 def metrics_of(tracks: Tracks, problem: Problem) -> tuple[Metrics, Bands]:
     """Metrics on each of a problem's scenarios, and the bands of its errors over time."""
     time = np.asarray(problem.tracks.time[0], np.float64)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from posegsa import comparison, config, plots, plots_evaluation
 from posegsa.comparison import CONSTANT, TUNED, Evaluation
 from posegsa.errors import ConfigError, RunFolderError
 from posegsa.figure_style import png
-from posegsa.filter import filter_settings, initial_state
+from posegsa.filter import checked_state, filter_settings
 from posegsa.fuzzy import FuzzyController
 from posegsa.gain import FuzzyGain, signal_settings
 from posegsa.history import history_csv, read_history
@@ -55,7 +56,7 @@ class TuneResult:
     constant_training_costs: np.ndarray
     """(S,) what that costs on each of them."""
     evaluation: Evaluation
-    """Both on the held-out scenarios."""
+    """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
     trust: Trust
     """Numerical sensitivity and use of the rules."""
     evaluations: int
@@ -95,24 +96,21 @@ class TuneResult:
         """Run the tuned filter on measurements of one's own, with the experiment's settings.
 
         Args:
-            measurements: N samples, at the experiment's precision (`Measurements.from_arrays`).
+            measurements: N samples (`Measurements.from_arrays`), brought to its precision.
             rotation: (3, 3) R_est at the first sample, body to inertial.
             position: (3,) P_est there [m], inertial frame.
             bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
 
         Raises:
+            MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
             ValueError: The schedule was tuned on the signal "pose", which needs the truth.
         """
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
-            start = initial_state(
-                np.asarray(rotation, dtype),
-                np.asarray(position, dtype),
-                np.asarray(np.zeros(6) if bias is None else bias, dtype),
-            )
+            start = checked_state(rotation, position, bias, dtype)
             return run_filter(
                 self.schedule,
-                measurements,
+                jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
                 start,
                 filter_settings(self.experiment.filter, dtype),
                 signal_settings(self.experiment.gain, dtype),
@@ -186,6 +184,10 @@ class TuneResult:
             found.append(f"the tuned filter diverged on {bad} held-out scenarios")
         if t.uncovered > 0:
             found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
+        if not np.isfinite(self.best_cost):
+            found.append(
+                "no agent had a finite cost: the parameters are the middle of the boxes, no result"
+            )
         if self.non_finite:
             found.append(f"{self.non_finite} agents of the search had no finite cost")
         return found
@@ -256,6 +258,7 @@ class TuneResult:
             "constant_gain": self.constant_gain,
             "constant": constant,
             "held_out_scenarios": self.evaluation.scenarios,
+            "held_out_seed": self.evaluation.seed,
             "warnings": self.warnings(),
             "trust": {k: _number(v) if isinstance(v, float) else v for k, v in trust.items()},
             "evaluations": self.evaluations,

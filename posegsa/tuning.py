@@ -299,7 +299,7 @@ def _result(task: Task, found: Found) -> TuneResult:
     controller = task.space.controller(search.best_position)
     parameters = np.asarray(task.space.vector(controller), np.float64)
     schedule = FuzzyGain(controller)
-    constant = best_constant(task.training, experiment.parameters.gain_range)
+    constant = best_constant(task.training, experiment.parameters.gain_range, experiment.objective)
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
     tuned_tracks, constant_tracks = run(schedule, everywhere), run(constant, everywhere)
     contenders = {

@@ -12,7 +12,7 @@ from test_tuning import tiny
 
 import posegsa
 from posegsa import baselines, comparison
-from posegsa.baselines import KnotGain, SmoothGain, constant_box, constant_gain, search_schedule
+from posegsa.baselines import KnotGain, SmoothGain, search_schedule
 from posegsa.comparison import (
     CONSTANT,
     ORACLE,
@@ -28,7 +28,7 @@ from posegsa.comparison import (
 from posegsa.config import ObjectiveConfig
 from posegsa.evaluate import evaluate
 from posegsa.gain import ConstantGain, ScheduleInputs
-from posegsa.optimisers import GSA
+from posegsa.optimisers import GSA, Box
 from posegsa.population import costs_by_scenario, problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -59,7 +59,8 @@ def inputs(error, time=0.0) -> ScheduleInputs:
 def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     _, result, told = evaluated
     assert list(result.evaluation.contenders) == [TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE]
-    assert told == list(result.evaluation.contenders)
+    assert told[0] == f"searching: {ORACLE}", "the oracle is fixed before anything is compared"
+    assert told[-5:] == [f"judging: {name}" for name in result.evaluation.contenders]
     starts = [c.metrics.initial_angle for c in result.evaluation.contenders.values()]
     assert all((s == starts[0]).all() for s in starts)
     assert all(len(s) == 12 for s in starts)
@@ -143,13 +144,13 @@ def test_interval_of_known_values():
     assert math.isnan(interval(np.array([1.0])).low)
 
 
-def test_the_constant_found_by_the_optimiser_is_the_grids_best(training):
-    box = constant_box((0.0, 100.0), training.dtype)
-    optimiser = GSA(20, 20)
+def test_the_grids_constant_is_as_good_as_a_search_finds(training):
+    box = Box(jnp.float32([1]), jnp.float32([101]))
     found = search_schedule(
-        optimiser, constant_gain, ObjectiveConfig(), box, training, jax.random.key(0)
+        *(GSA(20, 20), lambda v: ConstantGain(v[0]), ObjectiveConfig(), box),
+        *(training, jax.random.key(0)),
     )
-    grid = best_constant(training, (0.0, 100.0))
+    grid = best_constant(training, (0.0, 100.0), ObjectiveConfig())
     costs = [
         float(jnp.mean(costs_by_scenario(ConstantGain(k), training)))
         for k in (found, grid.gain[None])
@@ -173,12 +174,34 @@ def test_the_knot_schedule_passes_its_knots_and_holds_its_ends():
 def test_the_oracle_improves_on_its_starts(training, monkeypatch):
     monkeypatch.setattr(baselines, "ORACLE_STEPS", 25)
     monkeypatch.setattr(baselines, "KNOTS", 6)
-    knots, cost = baselines.oracle(training)
+    knots, how = baselines.oracle(training)
     starts = ConstantGain(jnp.float32(baselines.ORACLE_STARTS))
+    cost = how["cost_fitted"]
     assert cost < float(jnp.min(jnp.mean(costs_by_scenario(starts, training), axis=0)))
     again = costs_by_scenario(jax.tree.map(lambda a: a[None], knots), training)
     # The descent's program is another one: rounding only, since the gain limit is on.
     assert float(jnp.mean(again)) == pytest.approx(cost, rel=1e-4)
+
+
+def test_the_oracles_knots_cover_the_run():
+    knots = baselines.oracle_knots(14.99)
+    assert len(knots) == baselines.KNOTS == 24
+    assert (np.diff(knots) > 0).all()
+    assert knots[0] == 0
+    assert knots[-1] == 14.99
+    assert (knots > 4).sum() >= 10, "most of the cost is there"
+
+
+def test_a_percentile_does_not_hide_divergence(evaluated):
+    evaluation = evaluated[1].evaluation
+    first = evaluation.contenders[CONSTANT]
+    cost = first.metrics.cost.copy()
+    cost[3] = np.inf
+    contenders = evaluation.contenders | {
+        CONSTANT: first._replace(metrics=first.metrics._replace(cost=cost))
+    }
+    text = dataclasses.replace(evaluation, contenders=contenders).to_json()
+    assert '"p95": "inf"' in text
 
 
 def test_too_few_scenarios_are_refused(evaluated):

@@ -10,7 +10,7 @@ import pytest
 import posegsa
 from posegsa import config
 from posegsa.comparison import TUNED
-from posegsa.errors import ConfigError, RunFolderError
+from posegsa.errors import ConfigError, MeasurementError, RunFolderError
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
@@ -226,6 +226,27 @@ def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
     damage(tmp_path)
     with pytest.raises(RunFolderError, match=said):
         posegsa.load(tmp_path)
+
+
+def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
+    own = posegsa.Measurements.from_arrays(
+        time_step=0.01,
+        angular_velocity=np.zeros((5, 3)),
+        velocity=np.zeros((5, 3)),
+        vectors=np.tile(np.eye(3), (5, 1, 1)),
+        vector_references=np.eye(3),
+    )
+    good = {"rotation": np.eye(3), "position": np.zeros(3)}
+    assert run[0].estimate(own, **good).position.shape == (5, 3)
+    for name, value in (
+        ("rotation", 2 * np.eye(3)),
+        ("rotation", np.diag([1, 1, -1])),
+        ("position", [1, 2]),
+        ("position", [np.nan, 0, 0]),
+        ("bias", np.zeros(3)),
+    ):
+        with pytest.raises(MeasurementError, match=name):
+            run[0].estimate(own, **(good | {name: value}))
 
 
 def test_a_bad_seed_names_its_key():

@@ -16,16 +16,16 @@ Window = tuple[Index, Index]
 
 
 class RunConfig(Section):
-    """[run]: randomness, precision and the number of noise draws."""
+    """[run]: randomness, precision and the number of scenarios."""
 
     seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1)] = 0
     """Seed of everything that is drawn at random: noise, first agents, search."""
     dtype: Literal["float32", "float64"] = "float32"
     """Precision of the simulation."""
     training_scenarios: Count = 8
-    """Number of noise draws that the cost is averaged over in the search."""
+    """Number of scenarios that the search sees."""
     held_out_scenarios: Count = 64
-    """Number of other noise draws that the result is judged on."""
+    """Number of other scenarios that the result is judged on."""
 
 
 class FilterConfig(Section):
@@ -107,7 +107,7 @@ class Experiment(Section):
     """One experiment, whole. `Experiment()` is the recommended one."""
 
     run: RunConfig = RunConfig()
-    """Randomness, precision and the number of noise draws."""
+    """Randomness, precision and the number of scenarios."""
     scenario: ScenarioConfig = ScenarioConfig()
     """True motion, sensors and initial estimate."""
     family: FamilyConfig = FamilyConfig()

@@ -25,7 +25,7 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 class Section(BaseModel):
     """One table of the configuration: frozen, and closed to keys that it does not know.
 
-    The docstring under each field is its description; the documentation is generated from it.
+    The docstring under each field is its description.
     """
 
     model_config = ConfigDict(

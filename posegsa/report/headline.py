@@ -28,11 +28,6 @@ if TYPE_CHECKING:
 def warnings(result: TuneResult) -> Html:
     """What a reader must know before trusting the result; nothing where there is nothing."""
     found = result.warnings()
-    if result.experiment.gain.signal == "pose":
-        found.append(
-            'the schedule sees the true errors (signal "pose"), an oracle for simulation: no '
-            "vehicle can run it"
-        )
     if not found:
         return Html()
     items = join(element("li", each[:1].upper() + each[1:]) for each in found)
