@@ -5,6 +5,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 from posegsa.errors import PosegsaError, PosegsaWarning
@@ -36,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
     )
+    parser.add_argument("--version", action="version", version=f"posegsa {version('posegsa')}")
     commands = parser.add_subparsers(title="commands", required=True)
     tune = commands.add_parser(
         "tune",

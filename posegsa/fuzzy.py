@@ -12,7 +12,7 @@ term r and error term e.
 
 from dataclasses import dataclass
 from functools import partial, reduce
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -342,8 +342,12 @@ def _check(controller: FuzzyController) -> None:
     rules = controller.rules
     if len(rules) != inputs or any(len(row) != inputs for row in rules):
         raise FuzzyError(f"rules: must be {inputs} rows of {inputs} output terms, got {rules}")
-    if any(not 0 <= target < outputs for row in rules for target in row):
+    if not all(isinstance(t, int) and 0 <= t < outputs for row in rules for t in row):
         raise FuzzyError(f"rules: entries must be output terms 0 to {outputs - 1}, got {rules}")
+    for name, kind in (("centroid", Centroid), ("sampled_rule", SampledRule), ("no_rule", NoRule)):
+        if getattr(controller, name) not in get_args(kind):
+            allowed = " or ".join(map(repr, get_args(kind)))
+            raise FuzzyError(f"{name}: must be {allowed}, got {getattr(controller, name)!r}")
     if controller.points < 2:
         raise FuzzyError(f"points: must be at least 2, got {controller.points}")
     if not controller.output_range[0] < controller.output_range[1]:

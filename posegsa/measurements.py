@@ -79,7 +79,8 @@ class Measurements(NamedTuple):
             vector_weights: scalar, (n,) or (N, n), s_i^R, not negative; default 1.
             landmarks: (N, m, 3) landmark positions in the body frame [m]; NaN marks a missing one.
             landmark_references: (m, 3) or (N, m, 3), their inertial positions [m].
-            landmark_weights: scalar, (m,) or (N, m), s_i^L, not negative; default 1.
+            landmark_weights: scalar, (m,) or (N, m), s_i^L [1/m^2], not negative; default 1, which
+                is for landmarks within a few metres: about 1 / distance^2 for those farther away.
             normalise_vectors: scale vectors and references to unit length (Eq. 3).
             dtype: floating type of the result.
 

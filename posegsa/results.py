@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 
 from posegsa import comparison, config, plots, plots_evaluation
 from posegsa.comparison import CONSTANT, TUNED, Evaluation
-from posegsa.errors import ConfigError, RunFolderError
+from posegsa.errors import ConfigError, PosegsaWarning, RunFolderError
 from posegsa.figure_style import png
 from posegsa.filter import checked_state, filter_settings
 from posegsa.fuzzy import FuzzyController
@@ -27,6 +28,7 @@ from posegsa.measurements import Measurements
 from posegsa.optimisers import History
 from posegsa.parameters import parameter_space
 from posegsa.report import report_html
+from posegsa.report.markup import counted
 from posegsa.rollout import Estimates, run_filter
 from posegsa.trajectory import Trajectory, read_trajectory
 from posegsa.trust import Trust
@@ -108,13 +110,23 @@ class TuneResult:
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
             start = checked_state(rotation, position, bias, dtype)
-            return run_filter(
+            estimates = run_filter(
                 self.schedule,
                 jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
                 start,
                 filter_settings(self.experiment.filter, dtype),
                 signal_settings(self.experiment.gain, dtype),
             )
+        asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
+        if used < 0.1 * asked:
+            warnings.warn(
+                f"the gain limit cuts the gain from {asked:.3g} to {used:.3g} 1/s (medians): the "
+                "landmarks are far for their weights, and the bias law may destabilise the filter; "
+                "give landmark_weights of about 1 / (distance in m)^2",
+                PosegsaWarning,
+                stacklevel=2,
+            )
+        return estimates
 
     def figures(self) -> dict[str, Figure]:
         """The figures by name: the paper's five, convergence, the schedule, the evaluation."""
@@ -133,6 +145,9 @@ class TuneResult:
                 **plots_evaluation.evaluation_figures(self.evaluation),
             }
 
+    def __repr__(self) -> str:
+        return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"
+
     def summary(self) -> str:
         """A short text for a person."""
         run, search = self.experiment.run, self.experiment.search
@@ -150,12 +165,12 @@ class TuneResult:
         return "\n".join(
             [
                 f"{search.optimiser}: {search.agents} agents x {search.iterations} iterations on "
-                f"{_count(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
+                f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
                 f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
                 f"(+ {self.compile_seconds:.2f} s to compile)",
                 "",
                 f"  {'mean cost':<28}{'training':>10}{'held out':>12}{'worst':>12}"
-                f"   ({_count(self.evaluation.scenarios, 'unseen scenario')})",
+                f"   ({counted(self.evaluation.scenarios, 'unseen scenario')})",
                 row(TUNED, TUNED, self.training_costs),
                 row(
                     CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs
@@ -376,11 +391,6 @@ def _number(value: float | np.floating) -> float | str:
     """A float for JSON, which has no infinity: that is written as text, and read by `float`."""
     value = float(value)
     return value if np.isfinite(value) else str(value)
-
-
-def _count(n: int, what: str) -> str:
-    plural = "es" if what.endswith("ch") else "s"
-    return f"{n} {what}" + plural * (n != 1)
 
 
 def _rms(a: np.ndarray) -> float:

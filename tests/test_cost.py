@@ -7,8 +7,8 @@ import pytest
 import reference
 from setups import PAPER, lasting, paper, search_vectors, sensed, space, start, tracked
 
-from posegsa.config import CostConfig
-from posegsa.cost import cost_weights, sample_error, trajectory_cost
+from posegsa.config import CostConfig, ObjectiveConfig
+from posegsa.cost import cost_weights, over_scenarios, sample_error, trajectory_cost
 from posegsa.filter import filter_settings, initial_state
 from posegsa.gain import FuzzyGain, pose_errors, signal_settings
 from posegsa.rollout import simulate, simulate_cost
@@ -74,3 +74,25 @@ def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: floa
     assert running.total.dtype == whole.total.dtype == dtype
     np.testing.assert_allclose(running, whole, rtol=tolerance)
     assert float(running.transient) > 0 < float(running.steady)
+
+
+def test_objectives_over_scenarios_by_hand():
+    costs = jnp.float32([[1, 5], [2, 5], [3, 5], [10, 5]])  # (scenarios, agents)
+
+    def of(**settings):
+        return np.asarray(over_scenarios(costs, ObjectiveConfig(**settings)))
+
+    np.testing.assert_allclose(of(), [4, 5])
+    np.testing.assert_allclose(of(name="median"), [2.5, 5])
+    np.testing.assert_allclose(of(name="worst"), [10, 5])
+    np.testing.assert_allclose(of(name="cvar", level=0.5), [6.5, 5])
+    np.testing.assert_allclose(of(name="cvar", level=0.75), [10, 5])
+    deviation = np.std([1, 2, 3, 10])
+    np.testing.assert_allclose(of(name="mean_std", factor=2.0), [4 + 2 * deviation, 5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mean", "median", "worst", "cvar", "mean_std"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_no_objective_forgives_a_scenario_that_diverges(name, bad):
+    costs = jnp.float32([[1], [2], [3], [4], [bad]])
+    assert not np.isfinite(over_scenarios(costs, ObjectiveConfig(name=name)))[0]

@@ -261,7 +261,7 @@ def test_nothing_is_warned_of_where_nothing_is_wrong():
 def test_an_oracle_signal_is_labelled():
     found = page(result("gain.signal=pose"))
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert "signal pose: the gain looks at the true errors" in found.text
+    assert "ignal pose: the gain looks at the true errors" in found.text
 
 
 def test_the_trust_checks_are_shown():
