@@ -212,7 +212,8 @@ def innovation(state: FilterState, sample: Sample) -> Innovation:
         dot(R[2], columns[0]) - dot(R[0], columns[2]),
         dot(R[0], columns[1]) - dot(R[1], columns[0]),
     )
-    u2: Vec3 = tuple(jnp.zeros_like(p) for p in state.place)  # type: ignore[assignment]
+    zero = jnp.zeros_like(state.place[0])
+    u2: Vec3 = (zero, zero, zero)
     curvature = sample.vector_curvature
     for x, landmark in zip(seen_from_estimate(state, R, sample), sample.landmarks, strict=True):
         p = landmark.inertial

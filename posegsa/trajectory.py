@@ -106,8 +106,9 @@ def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
 
 @jax.jit
 def _values(truth: Truth, estimates: Estimates) -> dict[str, Array]:
-    q_est, q = (split(quaternion(R)) for R in (estimates.rotation, truth.rotation))
-    distance = attitude_distance(q_est, q)  # type: ignore[arg-type]
+    w_est, x_est, y_est, z_est = split(quaternion(estimates.rotation))
+    w, x, y, z = split(quaternion(truth.rotation))
+    distance = attitude_distance((w_est, x_est, y_est, z_est), (w, x, y, z))
     R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, truth.rotation, precision="highest")
     P_err = estimates.position - jnp.einsum(
         "nij,nj->ni", R_err, truth.position, precision="highest"

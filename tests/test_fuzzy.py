@@ -581,7 +581,7 @@ def test_what_is_refused(given: dict, message: str) -> None:
 
 def test_terms_as_numpy_arrays_are_checked_too() -> None:
     with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
-        FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))  # type: ignore[arg-type]
+        FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))
 
 
 def test_the_sampled_centroid_takes_terms_in_any_order() -> None:

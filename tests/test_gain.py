@@ -40,7 +40,7 @@ def states(poses: np.ndarray) -> FilterState:
 def true_poses(poses: np.ndarray) -> TruePose:
     origin = np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
     w, x, y, z = split(quaternion(jnp.asarray(poses[:, :3, :3])))
-    return TruePose((w, x, y, z), split(jnp.asarray(origin)))  # type: ignore[arg-type]
+    return TruePose((w, x, y, z), split(jnp.asarray(origin)))
 
 
 class Listener(NamedTuple):

@@ -167,7 +167,7 @@ def test_vmap_over_keys_equals_a_loop(optimiser: Optimiser) -> None:
             alone = minimise(sphere, target, optimiser, key)
             for field in ("best_position", "best_cost", "iteration", "non_finite", "history"):
                 jax.tree.map(
-                    lambda a, b: np.testing.assert_allclose(a, b[i], rtol=1e-9),  # noqa: B023
+                    lambda a, b: np.testing.assert_allclose(a, b[i], rtol=1e-9),  # noqa: B023 - called in this turn
                     getattr(alone, field),
                     getattr(together, field),
                 )

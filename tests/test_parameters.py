@@ -229,4 +229,4 @@ def replaced(i: int, value: float) -> np.ndarray:
 )
 def test_checked_refuses(k: object, message: str) -> None:
     with pytest.raises(FuzzyError, match=message):
-        space(dtype="float32").checked(k)  # type: ignore[arg-type]
+        space(dtype="float32").checked(k)

@@ -32,7 +32,7 @@ def controller(inputs=COVERED, outputs=OUTPUTS, **choices):
 
 def history(iterations=40, non_finite=0):
     cost = 40 + 20 / np.arange(1.0, iterations + 1)
-    return History(cost, cost + 5, cost + 9, np.full(iterations, non_finite))  # type: ignore
+    return History(cost, cost + 5, cost + 9, np.full(iterations, non_finite))
 
 
 def trajectory(samples=301, **values):
@@ -228,7 +228,7 @@ def test_convergence_takes_costs_that_are_not_finite():
     past = History(
         *(np.array([inf, 50, 45, 45]), np.array([nan, 70, 60, 1e4])),
         *(np.array([nan, 90, inf, 1e9]), np.array([7, 0, 2, 1], np.int32)),
-    )  # type: ignore
+    )
     figure = plots.plot_convergence(past)
     figure.draw_without_rendering()
     ax, below = figure.axes
@@ -242,7 +242,7 @@ def test_convergence_takes_costs_that_are_not_finite():
 
 def test_convergence_without_any_finite_cost_is_drawn():
     none = np.full(3, np.nan)
-    past = History(np.full(3, np.inf), none, none, np.full(3, 9))  # type: ignore
+    past = History(np.full(3, np.inf), none, none, np.full(3, 9))
     plots.plot_convergence(past).draw_without_rendering()
 
 
