@@ -21,7 +21,7 @@ from posegsa.comparison import best_constant
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import Problem, costs_by_scenario, problem
-from posegsa.tuning import make_ready, run_search
+from posegsa.search import make_ready, run_search
 
 VALIDATION_SCENARIOS = 64
 

@@ -33,7 +33,7 @@ from posegsa.parameters import parameter_space
 from posegsa.population import problem
 from posegsa.results import TuneResult
 from posegsa.scenario import Scenario, scenario
-from posegsa.tuning import make_optimiser, make_ready, run_search
+from posegsa.search import make_optimiser, make_ready, run_search
 
 ORACLE_SCENARIOS = 32
 """Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""

@@ -35,6 +35,7 @@ LAYERS = [
     "runtime",
     "results",
     "export",
+    "search",
     "batch",
     "tuning",
     "evaluate",

@@ -14,7 +14,7 @@ from posegsa.errors import ConfigError, MeasurementError, RunFolderError
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
-from posegsa.tuning import Progress, make_optimiser
+from posegsa.search import Progress, make_optimiser
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -266,7 +266,7 @@ def test_a_batch_gives_what_single_runs_give(run):
 
 
 def test_a_batch_of_traced_values_is_compiled_once():
-    from posegsa.tuning import _advance_batch
+    from posegsa.search import _advance_batch
 
     many = [tiny(f"filter.gamma={g}", f"scenario.velocity_noise={g / 100}") for g in (2.0, 8.0)]
     costs = [r.best_cost for r in posegsa.tune_batch(many).results]
