@@ -4,7 +4,8 @@ One loop body serves both forms: the trajectory form returns the estimates, the 
 sums the cost up and stores nothing, so that its memory does not grow with time.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +125,22 @@ def _advance(
     return Loop(state, memory), Step(inputs, gain, used)
 
 
+def _scan(body: Callable[[Any, Any], tuple[Any, Any]], start: Any, samples: Any) -> tuple[Any, Any]:
+    """`lax.scan` over the samples, whose numbers travel as one row of one array.
+
+    A step then takes its numbers by one slice. Were they some fifty arrays, XLA would fuse a slice
+    of each into the loops over agents, and LLVM does not vectorise a loop that looks up its own
+    index: 2.3 times slower on CPUs.
+    """
+    leaves, structure = jax.tree.flatten(samples)
+    rows = jnp.stack(leaves, axis=-1)
+
+    def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
+        return body(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
+
+    return lax.scan(on_row, start, rows)
+
+
 def simulate_cost(
     schedule: GainSchedule,
     scenario: Track,
@@ -148,7 +165,7 @@ def simulate_cost(
 
     start = begin(schedule, initial), CostParts(zero, zero)
     inputs = (scenario.time, scenario.sample, scenario.truth, weights.transient, weights.steady)
-    (_, parts), _ = lax.scan(body, start, inputs)
+    (_, parts), _ = _scan(body, start, inputs)
     return parts
 
 
@@ -170,7 +187,7 @@ def simulate(
 
     start = begin(schedule, initial)
     inputs = (scenario.time, scenario.sample, scenario.truth)
-    _, (states, steps) = lax.scan(body, start, inputs)
+    _, (states, steps) = _scan(body, start, inputs)
     return Estimates(
         scenario.time,
         states.rotation,
@@ -213,7 +230,7 @@ def simulate_errors(
         return loop, (*errors, step.gain_used)
 
     inputs = (scenario.time, scenario.sample, scenario.truth)
-    last, (attitude, position, gain) = lax.scan(body, begin(schedule, initial), inputs)
+    last, (attitude, position, gain) = _scan(body, begin(schedule, initial), inputs)
     return ErrorTrack(attitude, position, gain, last.state.bias)
 
 
