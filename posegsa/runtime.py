@@ -17,6 +17,8 @@ import numpy as np
 
 from posegsa.errors import PosegsaWarning
 
+# Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
+_WIDTH = "--xla_cpu_prefer_vector_width"
 _EXTRA = "--xla_backend_extra_options="
 # With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
 # many outputs instead of one kernel for each: 3 times faster on 100 agents.
@@ -33,7 +35,10 @@ def fast_path_flags(flags: str = "") -> str:
     options = [option for word in own for option in word.removeprefix(_EXTRA).split(",") if option]
     named = {option.split("=")[0] for option in options}
     options += [f"{name}={value}" for name, value in _OPTIONS.items() if name not in named]
-    return " ".join([word for word in words if word not in own] + [_EXTRA + ",".join(options)])
+    others = [word for word in words if word not in own]
+    if not any(word.split("=")[0] == _WIDTH for word in others):
+        others.append(f"{_WIDTH}=512")
+    return " ".join([*others, _EXTRA + ",".join(options)])
 
 
 def enable_fast_path() -> bool:

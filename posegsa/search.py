@@ -9,10 +9,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.sharding import Mesh, PartitionSpec
 from jax.typing import ArrayLike
 
 from posegsa import config
 from posegsa.comparison import held_out_keys, training_keys
+from posegsa.devices import AXIS, collect, mesh_for, spread
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -81,27 +83,38 @@ def make_optimiser(experiment: config.Experiment) -> Optimiser:
     return GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     optimiser: Optimiser,
     objective: config.ObjectiveConfig,
+    mesh: Mesh | None,
     search: Search,
     training: Problem,
     space: ParameterSpace,
     stop: ArrayLike,
 ) -> Search:
-    """Run the search on to iteration `stop`, one compiled loop over iterations, agents and time."""
+    """Run the search on to iteration `stop`, one compiled loop over iterations, agents and time.
 
-    def costs(vectors: Array) -> Array:
-        return population_costs(vectors, training, space, objective)
+    On a mesh, every device runs the search and its share of the simulations.
+    """
+    axis = None if mesh is None else AXIS
 
-    return advance(optimiser, costs, Box(space.lower, space.upper), search, stop)
+    def on_each_device(
+        search: Search, training: Problem, space: ParameterSpace, stop: Array
+    ) -> Search:
+        def costs(vectors: Array) -> Array:
+            return population_costs(vectors, training, space, objective, axis)
+
+        return advance(optimiser, costs, Box(space.lower, space.upper), search, stop)
+
+    return _on(mesh, on_each_device)(search, training, space, jnp.asarray(stop))
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance_batch(
     optimiser: Optimiser,
     objective: config.ObjectiveConfig,
+    mesh: Mesh | None,
     search: Search,
     training: Problem,
     space: ParameterSpace,
@@ -113,8 +126,17 @@ def _advance_batch(
     further batch axis; and each search is, bit for bit, what it is alone.
     """
     return jax.lax.map(
-        lambda one: _advance(optimiser, objective, *one, stop), (search, training, space)
+        lambda one: _advance(optimiser, objective, mesh, *one, stop), (search, training, space)
     )
+
+
+def _on(mesh: Mesh | None, function: Callable[..., Search]) -> Callable[..., Search]:
+    """A function on every device of a mesh, with the same arguments and the same result."""
+    if mesh is None:
+        return function
+    same = PartitionSpec()
+    # The check for equal results would not see that what is gathered is equal.
+    return jax.shard_map(function, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
 
 
 def _run(
@@ -135,9 +157,10 @@ def _run(
         stop = min(done + chunk, iterations)
         search = jax.block_until_ready(go(search, stop))
         if progress is not None:
-            best, seconds = float(jnp.min(search.best_cost)), time.perf_counter() - compiled
+            best = float(jnp.min(collect(search.best_cost)))
+            seconds = time.perf_counter() - compiled
             progress(Progress(stop, iterations, best, seconds))
-    return Found(search, compiled - begun, time.perf_counter() - compiled)
+    return Found(collect(search), compiled - begun, time.perf_counter() - compiled)
 
 
 def run_search(task: Task, progress: Callable[[Progress], object] | None = None) -> Found:
@@ -145,8 +168,11 @@ def run_search(task: Task, progress: Callable[[Progress], object] | None = None)
     experiment, space, optimiser = task.experiment, task.space, task.optimiser
     search = start(optimiser, Box(space.lower, space.upper), keys(experiment.run.seed).search)
 
+    mesh = mesh_for(optimiser.agents * experiment.run.training_scenarios)
+    search, training, space = spread((search, task.training, space), mesh)
+
     def go(search: Search, stop: int) -> Search:
-        return _advance(optimiser, experiment.objective, search, task.training, space, stop)
+        return _advance(optimiser, experiment.objective, mesh, search, training, space, stop)
 
     return _run(go, search, optimiser.iterations, progress)
 
@@ -176,8 +202,11 @@ def search_batch(
         space, search_keys
     )
 
+    mesh = mesh_for(optimiser.agents * tasks[0].experiment.run.training_scenarios)
+    search, training, space = spread((search, training, space), mesh)
+
     def go(search: Search, stop: int) -> Search:
-        return _advance_batch(optimiser, objective, search, training, space, stop)
+        return _advance_batch(optimiser, objective, mesh, search, training, space, stop)
 
     found = _run(go, search, optimiser.iterations, progress)
     share = len(tasks)

@@ -35,6 +35,7 @@ LAYERS = [
     "runtime",
     "results",
     "export",
+    "devices",
     "search",
     "batch",
     "tuning",
