@@ -39,6 +39,7 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from posegsa import config
+from posegsa.elementwise import least
 from posegsa.errors import MeasurementError
 from posegsa.measurements import Measurements, Sample, finite_array, prepare
 from posegsa.se3 import (
@@ -267,7 +268,7 @@ def advance(
             # where there is nothing to limit, nor a derivative of a division by 0.
             length = h * U.curvature
             limit = settings.gain_limit / jnp.where(length > 0, length, 1.0)
-            used = jnp.where(length > 0, jnp.minimum(gain, limit), gain)
+            used = jnp.where(length > 0, least(gain, limit), gain)
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:

@@ -21,6 +21,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from posegsa.elementwise import least, most
 from posegsa.errors import FuzzyError
 
 Centroid = Literal["exact", "sampled"]
@@ -73,8 +74,8 @@ def membership(x: Array, term: Slopes) -> Array:
     Both edges are measured from the peak, so that a vertical edge (slope huge, not infinite) gives
     1 at the peak and 0 beyond it without a special case; the derivative at the peak is 0.
     """
-    beyond = jnp.where(x > term.peak, (x - term.peak) * term.fall, 0.0)
-    return jnp.maximum(0.0, 1 - jnp.where(x < term.peak, (term.peak - x) * term.rise, beyond))
+    beyond = x - term.peak
+    return most(1 - jnp.abs(beyond) * jnp.where(beyond > 0, term.fall, term.rise), 0.0)
 
 
 def slopes(a: Array, b: Array, c: Array) -> Slopes:
@@ -102,8 +103,8 @@ def firing_heights(
             # first.
             errors = [error[e] for e, target in enumerate(row) if target == output]
             if errors:
-                fired.append(jnp.minimum(rate[r], reduce(jnp.maximum, errors)))
-        heights.append(reduce(jnp.maximum, fired) if fired else jnp.zeros_like(error[0]))
+                fired.append(least(rate[r], reduce(most, errors)))
+        heights.append(reduce(most, fired) if fired else jnp.zeros_like(error[0]))
     return tuple(heights)
 
 
@@ -123,7 +124,7 @@ def _overlap(ai: Array, bi: Array, ci: Array, aj: Array, bj: Array, cj: Array) -
 
 def _integrals(overlap: Overlap, height: Array) -> tuple[Array, Array]:
     """Area and first moment under both terms, clipped at the height."""
-    h = jnp.minimum(height, overlap.cap)
+    h = least(height, overlap.cap)
     (f1, f2), (m1, m2, m3) = overlap.area, overlap.moment
     return h * (f1 - h * f2), h * (m1 - h * (m2 - h * m3))
 
@@ -148,13 +149,13 @@ def exact_integrals(
                 f, m = _integrals(overlap, heights[i])
                 area, moment = area + f, moment + m
                 continue
-            low = jnp.minimum(heights[i], heights[j])
+            low = least(heights[i], heights[j])
             f, m = _integrals(overlap, low)
             area, moment = area - f, moment - m
             if between is not None:
-                f, m = _integrals(overlap, jnp.minimum(low, between))
+                f, m = _integrals(overlap, least(low, between))
                 area, moment = area + f, moment + m
-            between = heights[j] if between is None else jnp.maximum(between, heights[j])
+            between = heights[j] if between is None else most(between, heights[j])
     return area, moment
 
 
@@ -263,11 +264,11 @@ class FuzzyController:
             prepared: from `prepare`.
             last: the last gain [1/s], kept where no rule fires under "hold".
         """
-        tallest = reduce(jnp.maximum, heights)
+        tallest = reduce(most, heights)
         fires = tallest > 0
         safe = jnp.where(fires, tallest, 1.0)
         # So low that areas might underflow, heights count relative to each other only.
-        lift = jnp.maximum(1.0, 0.1 * jnp.finfo(tallest.dtype).eps / safe)
+        lift = most(0.1 * jnp.finfo(tallest.dtype).eps / safe, 1.0)
         heights = tuple(lift * h for h in heights)
         if prepared.grid is None:
             area, moment = exact_integrals(heights, prepared.overlaps)

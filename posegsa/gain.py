@@ -14,6 +14,7 @@ from jax import Array
 from jax.typing import DTypeLike
 
 from posegsa import config
+from posegsa.elementwise import least, most
 from posegsa.filter import FilterState, seen_from_estimate
 from posegsa.fuzzy import FuzzyController, PreparedController
 from posegsa.measurements import Sample
@@ -167,7 +168,7 @@ def measured_errors(state: FilterState, sample: Sample) -> tuple[Array, Array]:
     columns = tuple(zip(*sample.profile, strict=True))
     trace = dot(R[0], columns[0]) + dot(R[1], columns[1]) + dot(R[2], columns[2])
     # Zero but for rounding where every vector fits, so the difference may come out below 0.
-    attitude = sample.attitude_scale * jnp.maximum(sample.vector_power - 2 * trace, 0.0)
+    attitude = sample.attitude_scale * most(sample.vector_power - 2 * trace, 0.0)
     position = jnp.zeros_like(attitude)
     for x, landmark in zip(seen_from_estimate(state, R, sample), sample.landmarks, strict=True):
         position = position + landmark.share * norm(subtract(x, landmark.inertial))
@@ -217,8 +218,8 @@ def scheduled_gain(
     old = settings.smoothing / (settings.smoothing + memory.time_step)
     e = now + old * (previous - now)
     inputs = ScheduleInputs(
-        error=jnp.clip(e / settings.error_scale, 0.0, 1.0),
-        rate=jnp.clip(jnp.abs(e - previous) * settings.rate_scale, 0.0, 1.0),
+        error=least(most(e / settings.error_scale, 0.0), 1.0),
+        rate=least(jnp.abs(e - previous) * settings.rate_scale, 1.0),
         time=time,
         last=memory.gain,
     )

@@ -32,8 +32,10 @@ Matrix3: TypeAlias = tuple[Vec3, Vec3, Vec3]
 """Three rows of a 3x3 matrix."""
 
 SERIES_BELOW = 1.0
-"""Squared angle [rad^2] under which the exponential's coefficients come from their Taylor series.
-At 1 rad the closed form of (1 - sin(t)/t)/t^2 has lost a factor of 6 to cancellation, no more."""
+"""Squared angle [rad^2] under which (t - sin t)/t^3 comes from its Taylor series. At 1 rad the
+closed form (1 - sin(t)/t)/t^2 has lost a factor of 6 to cancellation, no more."""
+TURN = 6.28125, 2 * math.pi - 6.28125
+"""2 pi in two parts: multiples of the first are exact, up to 2^17 turns in float32."""
 
 
 # --- component form: vectors
@@ -129,27 +131,37 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
         and derivatives are finite everywhere, 0 included; the relative error is a few units of
         rounding.
     """
-    small = angle_squared < SERIES_BELOW
-    # Both branches get an argument that is safe for them: a NaN or an overflow in the branch that
-    # is not taken would otherwise reach the derivative.
-    t2 = jnp.where(small, angle_squared, 0.0)
-    safe = jnp.where(small, 1.0, angle_squared)
-    angle = jnp.sqrt(safe)
-    # Terms until the first one left out is under rounding at SERIES_BELOW.
-    terms = 5 if jnp.finfo(angle_squared.dtype).bits <= 32 else 9
+    single = jnp.finfo(angle_squared.dtype).bits <= 32
 
-    def series(first: int, ratio: float) -> Array:
-        """sum_n (-ratio t^2)^n / (2n + first)!, by Horner's rule."""
-        value = jnp.full_like(t2, 1 / math.factorial(2 * terms + first))
+    def series(square: Array, first: int, terms: int) -> Array:
+        """sum_n (-square)^n / (2n + first)! up to n = terms, by Horner's rule."""
+        value = jnp.full_like(square, 1 / math.factorial(2 * terms + first))
         for n in range(terms - 1, -1, -1):
-            value = 1 / math.factorial(2 * n + first) - ratio * t2 * value
+            value = 1 / math.factorial(2 * n + first) - square * value
         return value
 
-    half_cos = jnp.where(small, series(0, 0.25), jnp.cos(0.5 * angle))
-    half_sinc = jnp.where(small, 0.5 * series(1, 0.25), jnp.sin(0.5 * angle) / angle)
+    # Whole turns first, in two parts of 2 pi (Cody and Waite), so that half of what is left is
+    # within pi/2: there one series serves, where a library's sine and cosine cost four times more.
+    # A branch that is not taken gets an argument that is safe for it: its NaN or overflow would
+    # otherwise reach the derivative.
+    far = angle_squared > math.pi**2
+    safe = jnp.where(far, angle_squared, math.pi**2)
+    angle = jnp.sqrt(safe)
+    turns = jnp.round(angle * (0.5 / math.pi))
+    rest = (angle - turns * TURN[0]) - turns * TURN[1]
+    sign = 1 - 2 * jnp.abs(turns - 2 * jnp.round(0.5 * turns))  # -1 for an odd number of turns
+    quarter = 0.25 * jnp.where(far, rest * rest, angle_squared)
+    # Terms until the first one left out is under rounding, at pi/2 and at SERIES_BELOW.
+    half_cos = jnp.where(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
+    half_sinc = series(quarter, 1, 6 if single else 10) * jnp.where(
+        far, 0.5 * sign * rest / angle, 0.5
+    )
     one_minus_cos = 2 * half_sinc * half_sinc
     sinc = 2 * half_sinc * half_cos
-    t_minus_sin = jnp.where(small, series(3, 1.0), (1 - sinc) / safe)
+    small = angle_squared < SERIES_BELOW
+    t2 = jnp.where(small, angle_squared, 0.0)
+    closed = (1 - sinc) / jnp.where(small, 1.0, angle_squared)
+    t_minus_sin = jnp.where(small, series(t2, 3, 5 if single else 9), closed)
     return half_cos, half_sinc, one_minus_cos, t_minus_sin
 
 

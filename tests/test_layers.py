@@ -11,6 +11,7 @@ LAYERS = [
     "optimisers",
     "history",
     "config",
+    "elementwise",
     "se3",
     "measurements",
     "filter",
