@@ -165,13 +165,15 @@ def from_json(text: str) -> Evaluation:
         metrics["diverged"] = metrics["diverged"].astype(bool)
         bands = Bands(*(_array(each["bands"][key]) for key in Bands._fields))
         contenders[str(name)] = Contender(Metrics(**metrics), bands, dict(each["schedule"]))
-    seed = data["seed"]
-    return Evaluation(
-        int(data["scenarios"]),
-        None if seed is None else int(seed),
-        _array(data["time"]),
-        contenders,
-    )
+    scenarios, seed, time = int(data["scenarios"]), data["seed"], _array(data["time"])
+    for name, (metrics, bands, _) in contenders.items():
+        if any(a.shape != (scenarios,) for a in metrics):
+            raise ValueError(f"{name}: does not have one of each metric for {scenarios} scenarios")
+        if any(a.shape != (len(QUANTILES), len(time)) for a in bands):
+            raise ValueError(f"{name}: does not have {len(QUANTILES)} bands over {len(time)} times")
+    for name in (TUNED, CONSTANT):
+        contenders[name]  # every result shows them
+    return Evaluation(scenarios, None if seed is None else int(seed), time, contenders)
 
 
 def interval(values: np.ndarray) -> Interval:

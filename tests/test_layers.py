@@ -7,8 +7,12 @@ import posegsa
 
 LAYERS = [
     "errors",
+    "files",
+    "run_folder",
+    "interrupt",
     "observability",
     "optimisers",
+    "checkpoint",
     "history",
     "config",
     "se3",
@@ -35,6 +39,7 @@ LAYERS = [
     "runtime",
     "results",
     "export",
+    "resume",
     "search",
     "batch",
     "tuning",

@@ -2,6 +2,8 @@
 
 import json
 import math
+import signal
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 import posegsa
 from posegsa import config
 from posegsa.comparison import TUNED
-from posegsa.errors import ConfigError, MeasurementError, RunFolderError
+from posegsa.errors import ConfigError, MeasurementError, RunFolderError, SearchInterrupted
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
@@ -193,6 +195,36 @@ def test_a_run_is_replaced_when_asked(run, tmp_path):
         result.save(tmp_path)
     result.save(tmp_path, overwrite=True)
     assert posegsa.load(tmp_path).best_cost == result.best_cost
+
+
+def comparable(folder: Path) -> dict:
+    """What must agree between two runs: all tables, and the result but for times."""
+    data = json.loads((folder / "result.json").read_text())
+    for key in ("search_seconds", "compile_seconds"):
+        del data[key]
+    names = ("history.csv", "trajectory.csv", "evaluation.json", "evaluation.txt")
+    return {"result": data} | {name: (folder / name).read_bytes() for name in names}
+
+
+def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
+    def interrupt(progress: Progress) -> None:
+        if progress.iteration == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
+        posegsa.tune(tiny(), out=tmp_path, progress=interrupt)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(RunFolderError, match="unfinished run; go on with it"):
+        posegsa.tune(tiny(), out=tmp_path)
+    with pytest.raises(RunFolderError, match="no finished run"):
+        posegsa.load(tmp_path)
+    told: list[int] = []
+    posegsa.tune(resume=tmp_path, progress=lambda p: told.append(p.iteration))
+    assert told == [2, 3, 4]
+    assert comparable(tmp_path) == comparable(run[1])
+    # Once more: it is finished, and says so without searching.
+    again = posegsa.tune(tiny(), resume=tmp_path, progress=lambda _: pytest.fail("it searched"))
+    assert again.best_cost == run[0].best_cost
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):

@@ -101,6 +101,24 @@ class GsaConfig(Section):
     """What happens to a coordinate that leaves the box."""
     final_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 2.0
     """Share of the agents that still attract others at the end [%]."""
+    decay_iterations: Count | Literal["all"] = "all"
+    """T in G and in the number of agents that attract, both of which hold their final values past
+    it; "all" is search.iterations. A run that was resumed for more iterations keeps its first T, so
+    that it is not the longer run."""
+
+
+class CheckpointConfig(Section):
+    """[checkpoint]: when a search that writes to a folder saves its state; no result depends on it.
+
+    A checkpoint is due as soon as either interval is over, and at the end.
+    """
+
+    iterations: Count = 100
+    """Iterations from one checkpoint to the next, at most."""
+    seconds: NonNegative = 10.0
+    """Time from one checkpoint to the next [s], at most, up to the running chunk of iterations."""
+    keep: Annotated[int, Field(strict=True, ge=2, le=1000)] = 2
+    """Number of checkpoints that are kept, the last ones; two or more, as one may be damaged."""
 
 
 class Experiment(Section):
@@ -128,6 +146,8 @@ class Experiment(Section):
     """The optimiser and its size."""
     gsa: GsaConfig = GsaConfig()
     """The gravitational search algorithm."""
+    checkpoint: CheckpointConfig = CheckpointConfig()
+    """When a search saves its state."""
 
     def _conflicts(self) -> Iterator[Problem]:
         samples = self.scenario.samples

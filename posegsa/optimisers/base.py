@@ -233,6 +233,7 @@ def minimise(
     *,
     chunk: int | None = None,
     callback: Callable[[Search], object] | None = None,
+    search: Search | None = None,
 ) -> Search:
     """Minimise a batched function over a box.
 
@@ -247,24 +248,60 @@ def minimise(
         optimiser: What searches, for how long and with how many agents.
         key: Random key; the same key gives the same search, in whatever chunks.
         chunk: Iterations between two calls of `callback`; by default all of them.
-        callback: Called with the search after each chunk, for progress or to save it.
+        callback: Called with the search after each chunk, for progress or to save it
+            (`posegsa.save_search`).
+        search: A search to go on with, such as `posegsa.load_search` gives; by default a new one.
+            It goes on as if it had never stopped, to the last bit, and `key` is not used.
 
     Returns:
         The finished search.
 
     Raises:
-        ValueError: If `chunk` is not a positive integer, or the objective does not return one
+        ArgumentError: If an argument is not what it has to be, or the objective does not return one
             cost per agent.
     """
     end = optimiser.iterations
     chunk = end if chunk is None else chunk
     check_count("minimise: chunk", chunk)
-    search = start(optimiser, box, key)
-    for done in range(0, end, chunk):
-        search = _advance(optimiser, objective, box, search, min(done + chunk, end))
+    now = start(optimiser, box, key)
+    if search is not None:
+        _check_structure(search, now)
+        now = search
+    for done in range(int(now.iteration), end, chunk):
+        now = _advance(optimiser, objective, box, now, min(done + chunk, end))
         if callback is not None:
-            callback(search)
-    return search
+            callback(now)
+    return now
+
+
+def lengthened(search: Search, iterations: int) -> Search:
+    """A search with room in its history for more iterations than it was started for.
+
+    Args:
+        search: From `start`, `advance` or `minimise`.
+        iterations: Iterations in all, as the optimiser that goes on with it has them.
+    """
+    more = iterations - search.history.best.shape[0]
+    check_count("lengthened: further iterations", more, least=0)
+
+    def padded(values: Array) -> Array:
+        unknown = jnp.nan if jnp.issubdtype(values.dtype, jnp.floating) else 0
+        return jnp.concatenate([values, jnp.full(more, unknown, values.dtype)])
+
+    return search._replace(history=jax.tree.map(padded, search.history))
+
+
+def _check_structure(search: Search, like: Search) -> None:
+    """Raise unless a search is one of the optimiser and box that `like` was started with."""
+    if jax.tree.structure(search) != jax.tree.structure(like):
+        _refuse(f"search: a {type(search).__name__}", "a Search of this optimiser")
+    leaves, wanted = (jax.tree_util.tree_leaves_with_path(s) for s in (search, like))
+    for (place, leaf), (_, want) in zip(leaves, wanted, strict=True):
+        if (leaf.shape, leaf.dtype) != (want.shape, want.dtype):
+            _refuse(
+                f"search{jax.tree_util.keystr(place)} is {leaf.dtype} {leaf.shape}",
+                f"{want.dtype} {want.shape}, as this optimiser and box have it",
+            )
 
 
 def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
