@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from posegsa import memory
 from posegsa.baselines import (
     oracle,
     search_schedule,
@@ -70,6 +71,7 @@ def evaluate(
     if scenarios < 2:
         raise ValueError(f"scenarios = {scenarios}; allowed: at least 2")
     experiment = result.experiment
+    memory.check([experiment], held_out=scenarios)
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
         one = scenario(experiment)

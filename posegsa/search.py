@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa import config
+from posegsa import config, memory
 from posegsa.comparison import held_out_keys, training_keys
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
@@ -65,7 +65,12 @@ class Found(NamedTuple):
 
 
 def make_ready(experiment: config.Experiment) -> Task:
-    """An experiment's scenarios, parameter space and optimiser."""
+    """An experiment's scenarios, parameter space and optimiser.
+
+    Raises:
+        MemoryLimitError: It would need more memory than there is.
+    """
+    memory.check([experiment])
     one, count = scenario(experiment), experiment.run.training_scenarios
     held_out = held_out_keys(experiment, experiment.run.held_out_scenarios)
     everywhere = problem(experiment, one, jnp.concatenate([training_keys(experiment), held_out]))

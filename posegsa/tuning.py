@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from posegsa import config, results, trust
+from posegsa import config, memory, results, trust
 from posegsa import resume as checkpoints
 from posegsa.batch import TuneBatch
 from posegsa.comparison import (
@@ -182,6 +182,7 @@ def tune_batch(
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
     if len({one.run.dtype for one in many}) > 1:
         raise ConfigError("run.dtype: differs within the batch; allowed: the same in all of it")
+    memory.check(many)
     with jax.enable_x64(many[0].run.dtype == "float64"):
         tasks = [make_ready(one) for one in many]
         found = search_batch(tasks, progress)

@@ -15,6 +15,7 @@ LAYERS = [
     "checkpoint",
     "history",
     "config",
+    "memory",
     "se3",
     "measurements",
     "filter",

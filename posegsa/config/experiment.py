@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.config.fields import MOST, Count, Index, NonNegative, Positive, Section
 from posegsa.config.problems import Problem
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
@@ -35,7 +35,7 @@ class FilterConfig(Section):
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
     gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
-    substeps: Count = 2
+    substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
     gain_limit: Positive | Literal["off"] = 1.5
     """Largest step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
@@ -80,7 +80,7 @@ class SearchConfig(Section):
 
     optimiser: Literal["gsa", "random_search"] = "gsa"
     """The gravitational search algorithm, or points drawn at random to compare it with."""
-    agents: Annotated[int, Field(strict=True, ge=2)] = 100
+    agents: Annotated[int, Field(strict=True, ge=2, le=MOST)] = 100
     """Number of agents N: parameter vectors that are evaluated at once."""
     iterations: Count = 250
     """Number of iterations T."""
