@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from posegsa.arguments import check_whole
 from posegsa.config import Experiment, ObjectiveConfig
 from posegsa.cost import over_scenarios
 from posegsa.family import Family, family, realise
@@ -223,8 +224,7 @@ def held_out_keys(experiment: Experiment, count: int, seed: int | None = None) -
     """Keys (count,) of held-out scenarios: the experiment's own, or another set by number."""
     key = keys(experiment.run.seed).held_out
     if seed is not None:
-        if not 0 <= seed < 2**31:
-            raise ValueError(f"seed = {seed}; allowed: a whole number from 0 to 2147483647")
+        check_whole("seed", seed, 0, 2**31 - 1)
         key = jax.random.fold_in(key, 2**31 + seed)  # no scenario has so large a number
     return scenario_keys(key, count)
 

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from posegsa import comparison, config, plots, plots_evaluation
+from posegsa.arguments import check_type
 from posegsa.comparison import CONSTANT, TUNED, Evaluation
 from posegsa.errors import ConfigError, PosegsaWarning, RunFolderError
 from posegsa.figure_style import png
@@ -105,8 +106,9 @@ class TuneResult:
 
         Raises:
             MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
-            ValueError: The schedule was tuned on the signal "pose", which needs the truth.
+            ArgumentError: The schedule was tuned on the signal "pose", which needs the truth.
         """
+        check_type("measurements", measurements, Measurements)
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
             start = checked_state(rotation, position, bias, dtype)

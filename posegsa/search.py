@@ -11,6 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from posegsa import config, memory
+from posegsa.arguments import check_type
 from posegsa.comparison import held_out_keys, training_keys
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
@@ -70,6 +71,7 @@ def make_ready(experiment: config.Experiment) -> Task:
     Raises:
         MemoryLimitError: It would need more memory than there is.
     """
+    check_type("experiment", experiment, config.Experiment)
     memory.check([experiment])
     one, count = scenario(experiment), experiment.run.training_scenarios
     held_out = held_out_keys(experiment, experiment.run.held_out_scenarios)

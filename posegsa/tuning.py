@@ -1,7 +1,9 @@
 """The main job: a configuration in, a tuned schedule out, judged on noise it has not seen."""
 
+import json
 import os
 from collections.abc import Callable, Iterable
+from numbers import Integral
 from pathlib import Path
 
 import jax
@@ -9,6 +11,7 @@ import numpy as np
 
 from posegsa import config, memory, results, trust
 from posegsa import resume as checkpoints
+from posegsa.arguments import check_callable, check_type
 from posegsa.batch import TuneBatch
 from posegsa.comparison import (
     CONSTANT,
@@ -78,6 +81,7 @@ def tune(
         SaveError: The result can't be written, only now; the error has it as `result`.
         SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
     """
+    check_callable("progress", progress)
     if resume is None:
         one = _experiment(experiment, seed, iterations)
         if out is None:
@@ -169,15 +173,19 @@ def tune_batch(
 
     Raises:
         ConfigError: A configuration is not valid, there are none, or they differ in structure
-            (counts, names, switches, numbers of samples, agents or iterations).
+            (counts, names, switches, numbers of samples, agents or iterations); or they would need
+            more memory than there is.
     """
-    if experiments is None or isinstance(experiments, config.Experiment | str | Path):
+    check_callable("progress", progress)
+    if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
         many = [_experiment(experiments)]
     else:
-        many = list(experiments)
+        check_type("experiments", experiments, Iterable, allowed="experiments, or one")
+        many = [_experiment(one) for one in experiments]
     if seeds is not None:
+        check_type("seeds", seeds, Iterable, allowed="several whole numbers")
         each = list(seeds)
-        many = [config.override(one, [f"run.seed={seed}"]) for one in many for seed in each]
+        many = [_experiment(one, seed) for one in many for seed in each]
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
     if len({one.run.dtype for one in many}) > 1:
@@ -205,7 +213,15 @@ def _experiment(
             "(posegsa.config.from_dict makes one of plain data) or the path of a TOML file"
         )
     given = {"run.seed": seed, "search.iterations": iterations}
-    return config.override(experiment, [f"{k}={v!r}" for k, v in given.items() if v is not None])
+    settings = [f"{key}={_written(value)}" for key, value in given.items() if value is not None]
+    return config.override(experiment, settings)
+
+
+def _written(value: object) -> str:
+    """A number, also NumPy's, as a setting writes it; anything else so that it is refused."""
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        return str(int(value))
+    return json.dumps(str(value))
 
 
 def _result(task: Task, found: Found) -> TuneResult:

@@ -7,6 +7,7 @@ import posegsa
 
 LAYERS = [
     "errors",
+    "arguments",
     "files",
     "run_folder",
     "interrupt",

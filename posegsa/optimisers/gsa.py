@@ -19,7 +19,8 @@ import numpy as np
 from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
 
-from posegsa.optimisers.base import check_choice, check_count, check_number, uniform
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_choice, check_count, check_number
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
@@ -62,7 +63,7 @@ class GSA:
             iterations.
 
     Raises:
-        ValueError: If a setting is out of its range.
+        ArgumentError: If a setting is out of its range.
     """
 
     agents: int = 100
