@@ -1,5 +1,6 @@
 """A run that is interrupted and goes on is, to the last bit, the run that never stopped."""
 
+import resource
 import signal
 
 import numpy as np
@@ -135,6 +136,38 @@ def test_intervals_and_more_iterations_may_differ():
     by_chance = config.override(LONG, ["search.optimiser=random_search"])
     more = config.override(by_chance, ["search.iterations=30"])
     assert resume.agreed(by_chance, more) == more, "random search has no schedule to hold"
+
+
+def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
+    """By real means: for a while the system refuses to write such files."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_and_clear(progress) -> None:
+        room = 100 if progress.iteration in range(2, 7) else soft
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+
+    often = config.override(LONG, ["checkpoint.iterations=1"])
+    try:
+        with (
+            pytest.warns(PosegsaWarning, match=r"File too large; the search goes on, .* 2"),
+            resume.Saver(tmp_path, often, Asked()) as keep,
+        ):
+            assert same(run_search(task, fill_and_clear, keep=keep).search, whole)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert names(tmp_path)[-1] == 8
+    assert same(resume.begun(tmp_path).checkpoint.search(first_search(task)), whole)
+
+
+def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(CheckpointError, match="cannot be written: File too large"):
+            search_in(tmp_path, task)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not any((tmp_path / "checkpoints").iterdir())
 
 
 def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):

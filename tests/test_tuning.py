@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -197,6 +199,12 @@ def test_a_run_is_replaced_when_asked(run, tmp_path):
     assert posegsa.load(tmp_path).best_cost == result.best_cost
 
 
+def alter(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
 def comparable(folder: Path) -> dict:
     """What must agree between two runs: all tables, and the result but for times."""
     data = json.loads((folder / "result.json").read_text())
@@ -251,13 +259,28 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "history.csv").write_text("a,b\n1,2\n"), "history"),
         (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
         (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
+        (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
+        (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),
+        (lambda f: os.truncate(f / "history.csv", 2**27 + 1), "134217729 bytes; allowed"),
+        (lambda f: (f / "history.csv").unlink() or os.mkfifo(f / "history.csv"), "regular file"),
+        (
+            lambda f: alter(f / "result.json", '"best_cost": ', '"best_cost": 1' + 999 * "0"),
+            "is not",
+        ),
+        (
+            lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
+            "points",
+        ),
+        (lambda f: alter(f / "evaluation.json", '"scenarios": 3', '"scenarios": 4'), "each metric"),
+        (lambda f: alter(f / "evaluation.json", "best constant gain", "x"), "best constant gain"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
-    run[0].save(tmp_path)
-    damage(tmp_path)
+    folder = tmp_path / "run"
+    shutil.copytree(run[1], folder)
+    damage(folder)
     with pytest.raises(RunFolderError, match=said):
-        posegsa.load(tmp_path)
+        posegsa.load(folder)
 
 
 def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
