@@ -30,28 +30,59 @@ from readme import ROOT, write_block
 sys.path.insert(0, str(ROOT / "tests"))
 
 import posegsa
-from posegsa import config
+from posegsa import cli, config
 
 COUNTS = Path(__file__).with_suffix(".json")
 KILLED = [
-    *("scenario.duration=2.0", "cost.steady_window=[150, 199]", "search.agents=200"),
+    *("scenario.duration=2.0", "cost.steady_window=[150, 199]", "search.agents=100"),
     *("search.iterations=4000", "run.training_scenarios=2", "run.held_out_scenarios=3"),
     "checkpoint.iterations=1",
 ]
 """A search of many seconds that writes a checkpoint after each of its 50 chunks."""
-KILLS_A_RUN = 21
+KILLS_A_RUN = 20
 
 
-def posegsa_command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "posegsa", *arguments]
+def next_command(folder: Path) -> list[str]:
+    """What a person would type next."""
+    if any((folder / "checkpoints").glob("*.checkpoint")):
+        return ["tune", "--resume", str(folder), "--quiet"]
+    settings = [word for setting in KILLED for word in ("--set", setting)]
+    return ["tune", "--out", str(folder), "--quiet", *settings]
 
 
 def start_or_resume(folder: Path) -> list[str]:
-    """What a person would type next."""
-    if any((folder / "checkpoints").glob("*.checkpoint")):
-        return posegsa_command("tune", "--resume", str(folder), "--quiet")
-    settings = [word for setting in KILLED for word in ("--set", setting)]
-    return posegsa_command("tune", "--out", str(folder), "--quiet", *settings)
+    """The same as a command."""
+    return [sys.executable, "-m", "posegsa", *next_command(folder)]
+
+
+class Forked:
+    """The command line in a process of its own, which need not load Python and JAX again."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        self.pid, self.status = os.fork(), None
+        if self.pid == 0:
+            try:
+                with Path(os.devnull).open("w") as nowhere:
+                    os.dup2(nowhere.fileno(), 1)
+                    os.dup2(nowhere.fileno(), 2)
+                os._exit(cli.main(arguments))
+            finally:
+                os._exit(99)
+
+    def poll(self) -> int | None:
+        """How it ended, or None while it runs."""
+        if self.status is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.status = os.waitstatus_to_exitcode(status) if pid else None
+        return self.status
+
+    def kill(self) -> int:
+        """Kill it, unless it is done; returns how it ended."""
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+            self.status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        assert self.status is not None
+        return self.status
 
 
 def outcome(folder: Path) -> dict[str, str]:
@@ -62,7 +93,9 @@ def outcome(folder: Path) -> dict[str, str]:
     return {"result": json.dumps(data)} | {n: (folder / n).read_text("utf-8") for n in names}
 
 
-def wait_for(process: subprocess.Popen, folder: Path, pattern: str, seconds: float) -> bool:
+def wait_for(
+    process: Forked | subprocess.Popen, folder: Path, pattern: str, seconds: float
+) -> bool:
     """Wait until files like this appear or change, or the process is done."""
     seen = set(folder.glob(pattern))
     deadline = time.monotonic() + seconds
@@ -73,9 +106,7 @@ def wait_for(process: subprocess.Popen, folder: Path, pattern: str, seconds: flo
     return False
 
 
-def kill_somewhere(
-    process: subprocess.Popen, run: Path, rng: np.random.Generator, *, last: bool
-) -> None:
+def kill_somewhere(process: Forked, run: Path, rng: np.random.Generator, *, last: bool) -> int:
     """Kill a run while it starts, searches or writes a checkpoint; the last time while it saves."""
     where = rng.random()
     if last:
@@ -89,8 +120,8 @@ def kill_somewhere(
             wait_for(process, run, "checkpoints/*.part", 5)
             time.sleep(rng.uniform(0, 0.002))
         else:
-            time.sleep(rng.uniform(0, 0.5))
-    process.send_signal(signal.SIGKILL)
+            time.sleep(rng.uniform(0, 0.3))
+    return process.kill()
 
 
 def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
@@ -99,15 +130,18 @@ def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     whole = folder / "whole"
     subprocess.run(start_or_resume(whole), check=True, capture_output=True)
     right = outcome(whole)
+    # None of these starts JAX, so that a process forked from here can.
+    import matplotlib.pyplot  # noqa: F401
+
+    import posegsa.evaluate  # noqa: F401
+
     while counts["kills"] < wanted:
         run = folder / f"run{counts['killed runs']}"
         these = min(KILLS_A_RUN, wanted - counts["kills"])
         for i in range(these):
-            process = subprocess.Popen(
-                start_or_resume(run), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-            kill_somewhere(process, run, rng, last=i == these - 1)
-            if process.wait() != -signal.SIGKILL:
+            process = Forked(next_command(run))
+            if kill_somewhere(process, run, rng, last=i == these - 1) != -signal.SIGKILL:
+                assert process.status == 0
                 break  # it was done before
             counts["kills"] += 1
             counts["kills within a checkpoint's writing"] += any(run.glob("checkpoints/*.part"))
@@ -395,7 +429,6 @@ def main() -> None:
     if options.quick:
         options.kills, options.corruptions, options.disks, options.inputs = 5, 200, True, 200
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
-    posegsa.enable_fast_path()
     rng = np.random.default_rng(options.seed)
     counted: Counter = Counter()
     measured: dict[str, float] = {}
@@ -403,6 +436,7 @@ def main() -> None:
         folder = Path(name)
         if options.kills:
             counted += kills(options.kills, rng, folder / "kills")
+        posegsa.enable_fast_path()
         if options.corruptions:
             counted.update(corruptions(options.corruptions, rng, folder / "corruptions"))
         if options.disks:
