@@ -390,17 +390,20 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     experiment = config.Experiment()
     task = make_ready(experiment)
     times: dict[str, list[float]] = {"with": [], "without": []}
-    run_search(task._replace(optimiser=task.optimiser))
-    for _ in range(repeats):
+    found = None
+    for _ in range(max(1, repeats)):
         times["without"].append(run_search(task).search_seconds)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         with resume.Saver(folder, experiment, Asked()) as keep:
-            times["with"].append(run_search(task, keep=keep).search_seconds)
+            found = run_search(task, keep=keep)
+        times["with"].append(found.search_seconds)
     least = {name: min(values) for name, values in times.items()}
     # What a checkpoint takes, by itself: the difference above is smaller than its noise.
-    search = run_search(task).search
-    saver = resume.Saver(folder, experiment, Asked())
+    assert found is not None
+    search = found.search
+    often = config.override(experiment, ["checkpoint.iterations=1", "search.iterations=1000"])
+    saver = resume.Saver(folder, often, Asked())
     begun = time.perf_counter()
     for i in range(20):
         saver(search._replace(iteration=search.iteration + i), 0.0, 0.0)
