@@ -309,6 +309,8 @@ STRUCTURES = (
     ("run.dtype=float64", "objective.name=cvar", "gsa.bounds=reflect"),
 )
 """What is compiled; the numbers in it are drawn by the hundred."""
+MOST_STRUCTURES = 14
+"""Programs compiled in one piece of the campaign, for seconds each."""
 
 
 def inputs(wanted: int, rng: np.random.Generator) -> Counter:
@@ -335,15 +337,15 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
         except PosegsaError:
             counts["configurations refused by name"] += 1
             continue
-        # A new structure compiles for seconds: the first few dozens of them are run, and all of
-        # what has the structure of one that has been.
+        # A new structure compiles for seconds: the first ones are run, and all of what has the
+        # structure of one that has been.
         try:
             with jax.enable_x64(experiment.run.dtype == "float64"):
                 task = make_ready(experiment)
                 arrays = (task.training, task.space)
                 shapes = tuple((a.shape, a.dtype) for a in jax.tree.leaves(arrays))
                 key = (shape(arrays), shapes, task.optimiser, experiment.objective)
-                if key not in known and len(known) >= 40:
+                if key not in known and len(known) >= MOST_STRUCTURES:
                     counts["configurations accepted, not compiled"] += 1
                     continue
                 known[key] = True
