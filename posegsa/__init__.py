@@ -7,9 +7,10 @@ Importing it changes nothing in the process. `enable_fast_path()`, called first,
 """
 
 from posegsa.batch import TuneBatch
+from posegsa.checkpoint import load_search, save_search
 from posegsa.config import Experiment
 from posegsa.config import load as load_config
-from posegsa.errors import PosegsaError, PosegsaWarning
+from posegsa.errors import PosegsaError, PosegsaWarning, SearchInterrupted
 from posegsa.evaluate import evaluate
 from posegsa.export import export_c, export_csv, export_json
 from posegsa.filter import FilterSettings, FilterState, filter_settings, initial_state, step
@@ -38,6 +39,7 @@ __all__ = [
     "PosegsaError",
     "PosegsaWarning",
     "RandomSearch",
+    "SearchInterrupted",
     "SignalSettings",
     "TuneBatch",
     "TuneResult",
@@ -53,12 +55,14 @@ __all__ = [
     "initial_state",
     "load",
     "load_config",
+    "load_search",
     "minimise",
     "parameter_space",
     "plot_input_terms",
     "plot_output_terms",
     "plot_surface",
     "run_filter",
+    "save_search",
     "scheduled_step",
     "signal_settings",
     "step",

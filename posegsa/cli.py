@@ -7,15 +7,22 @@ import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Self
 
-from posegsa.errors import PosegsaError, PosegsaWarning
+from posegsa import interrupt
+from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
+
+DEFAULT_OUT = "posegsa-run"
 
 # Everything that starts JAX is imported inside the commands, after the fast path is set.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status (0 done, 2 refused, 130 interrupted)."""
+    """Run the command line; returns the exit status.
+
+    0 done, 1 done but not written, 2 refused, 130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
+    """
     options = _parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
@@ -23,10 +30,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         enable_fast_path()
         enable_compilation_cache()
         try:
-            return options.command(options)
+            with interrupt.at_once(_say_stopping):
+                return options.command(options)
+        except SaveError as error:
+            # A finished search is worth more than its folder: all that one needs of it is shown.
+            print(error.result.summary())
+            print(f"\nk = {error.result.parameters.tolist()}")
+            print(f"posegsa: {error}", file=sys.stderr)
+            return 1
         except PosegsaError as error:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
+        except SearchInterrupted as stopped:
+            print(f"\nposegsa: {stopped}", file=sys.stderr)
+            return 128 + stopped.signal_number
         except KeyboardInterrupt:
             print("\nposegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
@@ -49,14 +66,21 @@ def _parser() -> argparse.ArgumentParser:
         "config",
         nargs="?",
         metavar="CONFIG",
-        help="TOML file of the experiment; without it, the recommended experiment",
+        help="TOML file of the experiment; without it, the recommended experiment, or that of the "
+        "run to resume",
     )
     tune.add_argument(
         "--out",
         metavar="DIR",
-        default="posegsa-run",
-        help="folder to write to (default: %(default)s)",
+        help=f"folder to write to, checkpoints too (default: {DEFAULT_OUT})",
     )
+    tune.add_argument(
+        "--resume",
+        metavar="DIR",
+        help="go on with the run in this folder; a CONFIG or settings must be those of the run, "
+        "but for more iterations",
+    )
+    tune.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
     tune.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
     tune.add_argument(
         "--set",
@@ -119,12 +143,13 @@ def _seed(text: str) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from posegsa.evaluate import evaluate
-    from posegsa.results import claim, load
+    from posegsa.results import load
+    from posegsa.run_folder import claimed
 
     result = load(options.run)
-    claim(options.run, overwrite=True)  # before the minutes, not after
-    result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
-    result.save_evaluation(options.run)
+    with claimed(options.run, overwrite=True) as folder:  # before the minutes, not after
+        result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
+        result.write_evaluation(folder)
     print(result.evaluation.table())
     print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0
@@ -150,21 +175,47 @@ def _say(text: str) -> None:
     print(f"{text} ...", file=sys.stderr, flush=True)
 
 
+def _say_stopping() -> None:
+    print(
+        "\nposegsa: stopping; again to stop at once (then only the last checkpoint is kept)",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
 def _tune(options: argparse.Namespace) -> int:
     from posegsa import config
+    from posegsa.resume import begun
     from posegsa.tuning import tune
 
-    experiment = config.Experiment() if options.config is None else config.load(options.config)
+    if options.config is not None:
+        experiment = config.load(options.config)
+    elif options.resume is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
+            experiment = begun(Path(options.resume)).experiment
+    else:
+        experiment = config.Experiment()
     settings = list(options.set)
     if options.seed is not None:
         settings.append(f"run.seed={options.seed}")
+    if options.iterations is not None:
+        settings.append(f"search.iterations={options.iterations}")
     experiment = config.override(experiment, settings)
-    show = _Progress(experiment.search.iterations, quiet=options.quiet)
-    result = tune(experiment, out=options.out, overwrite=options.overwrite, progress=show)
-    show.close()
+    out = options.out
+    if out is None and options.resume is None:
+        out = DEFAULT_OUT
+    with _Progress(experiment.search.iterations, quiet=options.quiet) as show:
+        result = tune(
+            experiment,
+            out=out,
+            overwrite=options.overwrite,
+            resume=options.resume,
+            progress=show,
+        )
     print(result.summary())
     written = "report.html, result.json, history.csv, trajectory.csv, figures/"
-    print(f"\nWritten to {options.out}: {written}")
+    print(f"\nWritten to {out or options.resume}: {written}")
     return 0
 
 
@@ -184,11 +235,17 @@ class _Progress:
             "[{elapsed}<{remaining}, {rate_fmt}{postfix}]",
         )
         self.bar.refresh()
+        self.searching = False
+
+    def __enter__(self) -> Self:
+        return self
 
     def __call__(self, progress) -> None:
-        if progress.iteration == 0:
+        if not self.searching:
             # Rate and time left are those of the search: the clock starts after compiling.
+            self.searching = True
             self.bar.reset()
+            self.bar.initial = self.bar.n = progress.iteration
             self.bar.set_description_str("tuning")
             return
         self.bar.set_postfix_str(f"best cost {progress.best_cost:.4g}", refresh=False)
@@ -196,9 +253,10 @@ class _Progress:
         if progress.iteration == progress.iterations:
             self.bar.set_description_str("judging on unseen scenarios")
 
-    def close(self) -> None:
-        """End the bar's line."""
-        self.bar.set_description_str("done")
+    def __exit__(self, kind, error, traceback) -> None:
+        """End the bar's line, however the search ended."""
+        self.bar.leave = self.searching or error is None
+        self.bar.set_description_str("done" if error is None else "stopped")
         self.bar.close()
 
 

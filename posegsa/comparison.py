@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from posegsa.arguments import check_whole
 from posegsa.config import Experiment, ObjectiveConfig
 from posegsa.cost import over_scenarios
 from posegsa.family import Family, family, realise
@@ -165,13 +166,15 @@ def from_json(text: str) -> Evaluation:
         metrics["diverged"] = metrics["diverged"].astype(bool)
         bands = Bands(*(_array(each["bands"][key]) for key in Bands._fields))
         contenders[str(name)] = Contender(Metrics(**metrics), bands, dict(each["schedule"]))
-    seed = data["seed"]
-    return Evaluation(
-        int(data["scenarios"]),
-        None if seed is None else int(seed),
-        _array(data["time"]),
-        contenders,
-    )
+    scenarios, seed, time = int(data["scenarios"]), data["seed"], _array(data["time"])
+    for name, (metrics, bands, _) in contenders.items():
+        if any(a.shape != (scenarios,) for a in metrics):
+            raise ValueError(f"{name}: does not have one of each metric for {scenarios} scenarios")
+        if any(a.shape != (len(QUANTILES), len(time)) for a in bands):
+            raise ValueError(f"{name}: does not have {len(QUANTILES)} bands over {len(time)} times")
+    for name in (TUNED, CONSTANT):
+        contenders[name]  # every result shows them
+    return Evaluation(scenarios, None if seed is None else int(seed), time, contenders)
 
 
 def interval(values: np.ndarray) -> Interval:
@@ -221,8 +224,7 @@ def held_out_keys(experiment: Experiment, count: int, seed: int | None = None) -
     """Keys (count,) of held-out scenarios: the experiment's own, or another set by number."""
     key = keys(experiment.run.seed).held_out
     if seed is not None:
-        if not 0 <= seed < 2**31:
-            raise ValueError(f"seed = {seed}; allowed: a whole number from 0 to 2147483647")
+        check_whole("seed", seed, 0, 2**31 - 1)
         key = jax.random.fold_in(key, 2**31 + seed)  # no scenario has so large a number
     return scenario_keys(key, count)
 

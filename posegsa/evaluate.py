@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from posegsa import memory
+from posegsa.arguments import check_callable, check_type, check_whole
 from posegsa.baselines import (
     oracle,
     search_schedule,
@@ -25,6 +27,7 @@ from posegsa.comparison import (
     held_out_keys,
     training_keys,
 )
+from posegsa.config.fields import MOST
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import run
@@ -65,11 +68,16 @@ def evaluate(
         The result with its evaluation replaced.
 
     Raises:
-        ValueError: Fewer than 2 scenarios.
+        ArgumentError: Fewer than 2 scenarios, or an argument of another type.
+        MemoryLimitError: So many scenarios would need more memory than there is.
     """
-    if scenarios < 2:
-        raise ValueError(f"scenarios = {scenarios}; allowed: at least 2")
+    check_type("result", result, TuneResult)
+    check_whole("scenarios", scenarios, 2, MOST)
+    if seed is not None:
+        check_whole("seed", seed, 0, 2**31 - 1)
+    check_callable("progress", progress)
     experiment = result.experiment
+    memory.check([experiment], held_out=scenarios)
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
         one = scenario(experiment)

@@ -39,9 +39,10 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from posegsa import config
+from posegsa.arguments import check_dtype, check_type, fitting
 from posegsa.elementwise import least
 from posegsa.errors import MeasurementError
-from posegsa.measurements import Measurements, Sample, finite_array, prepare
+from posegsa.measurements import Measurements, Sample, finite_array, numeric_array, prepare
 from posegsa.se3 import (
     Matrix3,
     Quaternion,
@@ -139,7 +140,15 @@ def initial_state(
         rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
         position: (..., 3) P_est [m], inertial frame.
         bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
+
+    Raises:
+        MeasurementError: wrong shape or no numbers; names the argument.
     """
+    batch = np.shape(position)[:-1]
+    wanted = (("rotation", rotation, (3, 3)), ("position", position, (3,)), ("bias", bias, (6,)))
+    for name, value, shape in wanted:
+        if value is not None or name != "bias":
+            numeric_array(name, value, (*batch, *shape))
     given = [jnp.asarray(a) for a in (rotation, position) if a is not None]
     given += [] if bias is None else [jnp.asarray(bias)]
     dtype = jnp.result_type(
@@ -178,7 +187,13 @@ def checked_state(
 
 
 def filter_settings(settings: config.FilterConfig, dtype: DTypeLike) -> FilterSettings:
-    """The filter of a configuration's [filter] section, at a dtype."""
+    """The filter of a configuration's [filter] section, at a dtype.
+
+    Raises:
+        ArgumentError: not such a section, or not a floating dtype.
+    """
+    check_type("settings", settings, config.FilterConfig)
+    check_dtype("dtype", dtype)
     angular, linear = settings.gamma if isinstance(settings.gamma, tuple) else (settings.gamma,) * 2
     limit = None if settings.gain_limit == "off" else jnp.asarray(settings.gain_limit, dtype)
     return FilterSettings(
@@ -285,7 +300,6 @@ def advance(
     return state, used_total / n
 
 
-@jax.jit
 def step(
     state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
 ) -> FilterState:
@@ -296,6 +310,20 @@ def step(
         measurement: one sample, without a time axis (`measurements.at(k)`).
         gain: K [1/s], scalar, e.g. from `FuzzyController`.
         settings: from `posegsa.filter_settings(config)`, or made by hand.
+
+    Raises:
+        ArgumentError: an argument is of another type, or they do not fit together.
     """
+    check_type("state", state, FilterState)
+    check_type("measurement", measurement, Measurements)
+    check_type("settings", settings, FilterSettings)
+    with fitting("step"):
+        return _step(state, measurement, gain, settings)
+
+
+@jax.jit
+def _step(
+    state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
+) -> FilterState:
     K = jnp.asarray(gain, state.place[0].dtype)
     return advance(state, prepare(measurement), K, settings)[0]

@@ -12,6 +12,7 @@ term r and error term e.
 
 from dataclasses import dataclass
 from functools import partial, reduce
+from numbers import Real
 from typing import Literal, NamedTuple, get_args
 
 import jax
@@ -21,6 +22,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from posegsa.arguments import fitting
 from posegsa.elementwise import least, most
 from posegsa.errors import FuzzyError
 
@@ -298,14 +300,15 @@ class FuzzyController:
             rate: scaled rate of the error per sample, same shape; clipped to [0, 1].
             last: last gain [1/s], used where no rule fires under "hold"; default mid-range.
         """
-        dtype = self.output_terms.dtype
-        e, r = (jnp.clip(jnp.asarray(x, dtype), 0.0, 1.0) for x in (error, rate))
-        e, r = jnp.broadcast_arrays(e, r)
-        held = self.initial_gain() if last is None else jnp.asarray(last, dtype)
-        prepared = self.prepare()
-        return self.defuzzify(
-            self.heights(e, r, prepared), prepared, jnp.broadcast_to(held, e.shape)
-        )
+        with fitting("FuzzyController: error, rate, last"):
+            dtype = self.output_terms.dtype
+            e, r = (jnp.clip(jnp.asarray(x, dtype), 0.0, 1.0) for x in (error, rate))
+            e, r = jnp.broadcast_arrays(e, r)
+            held = self.initial_gain() if last is None else jnp.asarray(last, dtype)
+            prepared = self.prepare()
+            return self.defuzzify(
+                self.heights(e, r, prepared), prepared, jnp.broadcast_to(held, e.shape)
+            )
 
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
@@ -317,6 +320,12 @@ class FuzzyController:
 
 def _is_concrete(a: object) -> bool:
     return isinstance(a, Array) and not isinstance(a, Tracer)
+
+
+def _float64(values: tuple) -> np.ndarray:
+    """Numbers; NaN where there is something else."""
+    numbers = [v if isinstance(v, Real) and not isinstance(v, bool) else np.nan for v in values]
+    return np.array(numbers, np.float64)
 
 
 def _check(controller: FuzzyController) -> None:
@@ -341,6 +350,8 @@ def _check(controller: FuzzyController) -> None:
                 )
     inputs, outputs = np.shape(controller.input_terms)[-2], np.shape(controller.output_terms)[-2]
     rules = controller.rules
+    if not isinstance(rules, tuple) or not all(isinstance(row, tuple) for row in rules):
+        raise FuzzyError(f"rules: must be a tuple of tuples of output terms, got {rules!r}")
     if len(rules) != inputs or any(len(row) != inputs for row in rules):
         raise FuzzyError(f"rules: must be {inputs} rows of {inputs} output terms, got {rules}")
     if not all(isinstance(t, int) and 0 <= t < outputs for row in rules for t in row):
@@ -349,7 +360,10 @@ def _check(controller: FuzzyController) -> None:
         if getattr(controller, name) not in get_args(kind):
             allowed = " or ".join(map(repr, get_args(kind)))
             raise FuzzyError(f"{name}: must be {allowed}, got {getattr(controller, name)!r}")
-    if controller.points < 2:
-        raise FuzzyError(f"points: must be at least 2, got {controller.points}")
-    if not controller.output_range[0] < controller.output_range[1]:
+    points, ends = controller.points, controller.output_range
+    if not isinstance(points, int) or points < 2:
+        raise FuzzyError(f"points: must be at least 2, got {points!r}")
+    if not (isinstance(ends, tuple) and len(ends) == 2 and np.isfinite(_float64(ends)).all()):
+        raise FuzzyError(f"output_range: must be a tuple of two finite numbers, got {ends!r}")
+    if not ends[0] < ends[1]:
         raise FuzzyError(f"output_range: must ascend, got {controller.output_range}")

@@ -14,6 +14,7 @@ from jax import Array
 from jax.typing import DTypeLike
 
 from posegsa import config
+from posegsa.arguments import check_dtype, check_type
 from posegsa.elementwise import least, most
 from posegsa.filter import FilterState, seen_from_estimate
 from posegsa.fuzzy import FuzzyController, PreparedController
@@ -140,7 +141,13 @@ class SignalSettings:
 
 
 def signal_settings(settings: config.GainConfig, dtype: DTypeLike) -> SignalSettings:
-    """The error signal of a configuration's [gain] section, at a dtype."""
+    """The error signal of a configuration's [gain] section, at a dtype.
+
+    Raises:
+        ArgumentError: not such a section, or not a floating dtype.
+    """
+    check_type("settings", settings, config.GainConfig)
+    check_dtype("dtype", dtype)
     numbers = (
         settings.position_weight,
         settings.smoothing,

@@ -1,11 +1,10 @@
 """The history of a search as a table."""
 
 import csv
-from pathlib import Path
+import io
 
 import numpy as np
 
-from posegsa.errors import RunFolderError
 from posegsa.optimisers import History
 
 
@@ -18,19 +17,18 @@ def history_csv(history: History) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_history(path: Path) -> History:
+def read_history(text: str) -> History:
     """Read what `history_csv` wrote.
 
     Raises:
-        RunFolderError: The file is missing, or its columns are not a history's.
+        ValueError: Its columns are not a history's.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+        rows = list(csv.DictReader(io.StringIO(text)))
         columns = {
             name: np.array([float(row[name]) for row in rows]) for name in ("best", "mean", "worst")
         }
         bad = np.array([int(row["non_finite"]) for row in rows])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path}: cannot be read as a history: {error}") from None
+    except (csv.Error, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"history.csv: cannot be read as a history: {error}") from None
     return History._make([columns["best"], columns["mean"], columns["worst"], bad])

@@ -17,8 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from posegsa.arguments import check_dtype
 from posegsa.errors import MeasurementError
 from posegsa.se3 import Matrix3, Vec3, safe_sqrt, split
 
@@ -92,6 +94,7 @@ class Measurements(NamedTuple):
             a
                 time step is not positive or a weight is negative. The message names the argument.
         """
+        check_dtype("dtype", dtype)
         omega = finite_array("angular_velocity", angular_velocity, (None, 3))
         samples = omega.shape[0]
         step = finite_array(
@@ -128,6 +131,17 @@ class Measurements(NamedTuple):
             y_weight,
         )
         return cls(*(jnp.asarray(a, dtype) for a in values))
+
+    def checked(self) -> "Measurements":
+        """The same, refused where `from_arrays` would refuse it; traced ones pass.
+
+        Raises:
+            MeasurementError: an array has the wrong shape or holds what it may not; names it.
+        """
+        if any(isinstance(a, Tracer) for a in self):
+            return self
+        dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
+        return Measurements.from_arrays(**self._asdict(), normalise_vectors=False, dtype=dtype)
 
 
 class LandmarkSample(NamedTuple):
@@ -240,11 +254,26 @@ def finite_array(
     return array
 
 
+def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> None:
+    """Refuse what is no array of numbers of this shape; traced arrays are welcome."""
+    if value is None:
+        raise MeasurementError(f"{name}: must be an array of numbers, got None")
+    if not isinstance(value, jax.Array):
+        _numbers(name, value)
+        if np.asarray(value).dtype.kind == "O":
+            raise MeasurementError(f"{name}: must be an array of numbers, got one of objects")
+    if np.shape(value) != shape:
+        raise MeasurementError(f"{name}: must have the shape {shape}, got {np.shape(value)}")
+
+
 def _numbers(name: str, value: ArrayLike) -> np.ndarray:
     """The argument as a float64 array of any shape."""
     try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = np.asarray(value)
+        if array.dtype.kind in "cSUMm":  # NumPy would make something of them
+            raise TypeError(f"these are {array.dtype}")
+        return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
         raise MeasurementError(f"{name}: must be an array of numbers ({error})") from None
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from posegsa.arguments import check_type
 from posegsa.config import INPUT_RANGE, PARAMETERS, TERMS, Experiment, triangles
 from posegsa.errors import FuzzyError
 from posegsa.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
@@ -114,7 +115,10 @@ class ParameterSpace:
         Raises:
             FuzzyError: wrong length, not finite, or outside the boxes.
         """
-        values = np.asarray(k, dtype=np.float64)
+        try:
+            values = np.asarray(k, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise FuzzyError(f"k: must be 22 numbers, k1 to k22 ({error})") from None
         if values.shape != (len(PARAMETERS),):
             raise FuzzyError(
                 f"k: must have the shape ({len(PARAMETERS)},), k1 to k22, got {values.shape}"
@@ -165,7 +169,12 @@ def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
 
 
 def parameter_space(experiment: Experiment) -> ParameterSpace:
-    """The space that an experiment configures, at its dtype."""
+    """The space that an experiment configures, at its dtype.
+
+    Raises:
+        ArgumentError: not an experiment.
+    """
+    check_type("experiment", experiment, Experiment)
     fuzzy, parameters = experiment.fuzzy, experiment.parameters
     dtype = jnp.dtype(experiment.run.dtype)
     return ParameterSpace(

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from posegsa.arguments import check_type
 from posegsa.config import TERMS
 from posegsa.figure_style import (
     BLACK,
@@ -53,6 +54,7 @@ _ESTIMATED: Style = {"label": "estimated", "color": VERMILION, "linestyle": (0, 
 @styled
 def plot_input_terms(controller: FuzzyController) -> Figure:
     """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
+    check_type("controller", controller, FuzzyController)
     figure, (ax,) = panels(1, 3.2)
     _plot_terms(ax, np.asarray(controller.input_terms), (0.0, 1.0))
     ax.set_xlabel("Scaled error, scaled rate [-]")
@@ -67,6 +69,7 @@ def plot_input_terms(controller: FuzzyController) -> Figure:
 @styled
 def plot_output_terms(controller: FuzzyController) -> Figure:
     """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
+    check_type("controller", controller, FuzzyController)
     figure, (ax,) = panels(1, 3.2)
     _plot_terms(ax, np.asarray(controller.output_terms), controller.output_range)
     ax.set_xlabel(r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid")
@@ -80,6 +83,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     The axes go by the square root, because a filter spends its time at small errors. Where no rule
     fires the surface is blank and hatched; the legend says what the gain is there.
     """
+    check_type("controller", controller, FuzzyController)
     figure, (ax,) = panels(1, 4.3)
     axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
     gain = np.asarray(_gains(controller, axis), np.float64)

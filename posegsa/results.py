@@ -1,10 +1,7 @@
 """The result of a tuning run, and its folder: JSON, tables and figures."""
 
 import json
-import tempfile
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +14,7 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from posegsa import comparison, config, plots, plots_evaluation
+from posegsa.arguments import check_type
 from posegsa.comparison import CONSTANT, TUNED, Evaluation
 from posegsa.errors import ConfigError, PosegsaWarning, RunFolderError
 from posegsa.figure_style import png
@@ -30,6 +28,7 @@ from posegsa.parameters import parameter_space
 from posegsa.report import report_html
 from posegsa.report.markup import counted
 from posegsa.rollout import Estimates, run_filter
+from posegsa.run_folder import FIGURES, RESULT, as_path, claimed, read, replace_files
 from posegsa.trajectory import Trajectory, read_trajectory
 from posegsa.trust import Trust
 
@@ -38,8 +37,10 @@ VERSION = version("posegsa")
 SCHEMA = 1
 """Number of the layout of result.json; it changes when a key changes its meaning."""
 
-RESULT, EVALUATION, REPORT = "result.json", "evaluation.json", "report.html"
-HISTORY, TRAJECTORY, FIGURES = "history.csv", "trajectory.csv", "figures"
+EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
+HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
+MAX_BYTES = 2**27
+"""Size up to which a file of a run is read: 128 MiB."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,9 @@ class TuneResult:
 
         Raises:
             MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
-            ValueError: The schedule was tuned on the signal "pose", which needs the truth.
+            ArgumentError: The schedule was tuned on the signal "pose", which needs the truth.
         """
+        check_type("measurements", measurements, Measurements)
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
             start = checked_state(rotation, position, bias, dtype)
@@ -220,14 +222,14 @@ class TuneResult:
         Raises:
             RunFolderError: It holds a run already, or can't be written.
         """
-        folder = claim(folder, overwrite=overwrite)
-        with _writing(folder):
-            # result.json says that a run is complete: the old one goes first, the new comes last.
-            (folder / RESULT).unlink(missing_ok=True)
-            _write_atomically(folder / HISTORY, history_csv(self.history))
-            self.trajectory.write(folder / TRAJECTORY)
-            self.save_evaluation(folder)
+        with claimed(folder, overwrite=overwrite) as folder:
+            self.write(folder)
         return folder
+
+    def write(self, folder: Path) -> None:
+        """Write all files of the run's folder, for who has `claimed` it."""
+        files = {HISTORY: history_csv(self.history), TRAJECTORY: self.trajectory.csv()}
+        self._replace(folder, files)
 
     def save_evaluation(self, folder: str | Path) -> None:
         """Write what the evaluation changes in a run's folder: tables, figures, report, result.
@@ -235,18 +237,26 @@ class TuneResult:
         Raises:
             RunFolderError: It can't be written.
         """
-        folder = Path(folder)
+        with claimed(folder, overwrite=True) as folder:
+            self.write_evaluation(folder)
+
+    def write_evaluation(self, folder: Path) -> None:
+        """The same for who has `claimed` the folder."""
+        self._replace(folder, {})
+
+    def _replace(self, folder: Path, texts: dict[str, str]) -> None:
+        """Replace these files and all that show the evaluation, at once."""
         pictures = {name: png(figure) for name, figure in self.figures().items()}
-        with _writing(folder):
-            _write_atomically(folder / EVALUATION, self.evaluation.to_json())
-            _write_atomically(folder / "evaluation.txt", self.evaluation.table() + "\n")
-            (folder / FIGURES).mkdir(exist_ok=True)
-            for name in plots_evaluation.NAMES:  # not all evaluations have all of them
-                (folder / FIGURES / f"{name}.png").unlink(missing_ok=True)
-            for name, picture in pictures.items():
-                (folder / FIGURES / f"{name}.png").write_bytes(picture)
-            _write_atomically(folder / REPORT, report_html(self, pictures))
-            _write_atomically(folder / RESULT, json.dumps(self._json(), indent=2) + "\n")
+        texts = texts | {
+            EVALUATION: self.evaluation.to_json(),
+            TABLE: self.evaluation.table() + "\n",
+            REPORT: report_html(self, pictures),
+            RESULT: json.dumps(self._json(), indent=2) + "\n",
+        }
+        figures = {_figure(name): picture for name, picture in pictures.items()}
+        files = {name: text.encode("utf-8") for name, text in texts.items()} | figures
+        # Not all evaluations have all figures.
+        replace_files(folder, files, remove=[_figure(name) for name in plots_evaluation.NAMES])
 
     def _json(self) -> dict[str, Any]:
         tuned, constant = (
@@ -291,15 +301,17 @@ def load(folder: str | Path) -> TuneResult:
     Raises:
         RunFolderError: It is not a run's folder, or a file in it is damaged or of another schema.
     """
-    folder = Path(folder)
+    folder = as_path("folder", folder)
     path = folder / RESULT
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read(folder, RESULT, MAX_BYTES))
+    except RunFolderError:
+        raise
     except OSError as error:
         raise RunFolderError(
             f"{folder}: holds no finished run ({RESULT}: {error.strerror})"
         ) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from None
     try:
         if data["schema"] != SCHEMA:
@@ -318,7 +330,7 @@ def load(folder: str | Path) -> TuneResult:
             training_costs=costs(data["tuned"]),
             constant_gain=float(data["constant_gain"]),
             constant_training_costs=costs(data["constant"]),
-            evaluation=comparison.from_json((folder / EVALUATION).read_text(encoding="utf-8")),
+            evaluation=comparison.from_json(read(folder, EVALUATION, MAX_BYTES)),
             trust=Trust(
                 cost_float32=float(checked["cost_float32"]),
                 cost_float64=float(checked["cost_float64"]),
@@ -331,8 +343,8 @@ def load(folder: str | Path) -> TuneResult:
             non_finite=int(data["non_finite"]),
             compile_seconds=float(data["compile_seconds"]),
             search_seconds=float(data["search_seconds"]),
-            history=read_history(folder / HISTORY),
-            trajectory=read_trajectory(folder / TRAJECTORY),
+            history=read_history(read(folder, HISTORY, MAX_BYTES)),
+            trajectory=read_trajectory(read(folder, TRAJECTORY, MAX_BYTES)),
             environment={str(k): str(v) for k, v in data["environment"].items()},
             version=str(data["version"]),
         )
@@ -340,51 +352,21 @@ def load(folder: str | Path) -> TuneResult:
         if isinstance(error, RunFolderError):
             raise
         raise RunFolderError(f"{folder}: cannot be read: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         if isinstance(error, ConfigError):
             raise RunFolderError(f"{path}: its configuration is not valid: {error}") from None
         raise RunFolderError(f"{path}: is not a result: {type(error).__name__} {error}") from None
 
 
-def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make a folder and see that a run may be written there.
-
-    Raises:
-        RunFolderError: It holds a run already, is not a folder, or can't be written.
-    """
-    folder = Path(folder)
-    if (folder / RESULT).exists() and not overwrite:
-        raise RunFolderError(
-            f"{folder}: holds a run already; choose another folder, or replace the run "
-            "(--overwrite; overwrite=True)"
-        )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except FileExistsError:
-        raise RunFolderError(f"{folder}: is not a folder") from None
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
-    return folder
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    """What can't be written says so by the folder's name."""
-    try:
-        yield
-    except RunFolderError:
-        raise
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    """Write a file so that it is either whole or not there."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+def _figure(name: str) -> str:
+    return f"{FIGURES}/{name}.png"
 
 
 def _number(value: float | np.floating) -> float | str:

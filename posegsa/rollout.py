@@ -12,7 +12,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from posegsa.arguments import check_type, fitting
 from posegsa.cost import CostParts, CostWeights, sample_error
+from posegsa.errors import ArgumentError
 from posegsa.filter import FilterSettings, FilterState, advance
 from posegsa.gain import (
     GainSchedule,
@@ -112,7 +114,7 @@ def _advance(
     """One sample of the closed loop: signal, gain, filter step."""
     if signal.signal == "pose":
         if truth is None:
-            raise ValueError(
+            raise ArgumentError(
                 'signal "pose" needs the true pose; use "measured" where it is not known'
             )
         errors = pose_errors(loop.state, truth)
@@ -235,11 +237,16 @@ def simulate_errors(
 
 
 def begin(schedule: GainSchedule, initial: FilterState) -> Loop:
-    """The closed loop before its first sample, for `scheduled_step`."""
+    """The closed loop before its first sample, for `scheduled_step`.
+
+    Raises:
+        ArgumentError: an argument is of another type.
+    """
+    _check_schedule(schedule)
+    check_type("initial", initial, FilterState)
     return Loop(initial, initial_memory(schedule, initial.place[0]))
 
 
-@jax.jit
 def scheduled_step(
     loop: Loop,
     measurement: Measurements,
@@ -260,7 +267,34 @@ def scheduled_step(
 
     Returns:
         The loop with the estimate at the next sample, and the gain K [1/s] that was asked for.
+
+    Raises:
+        ArgumentError: an argument is of another type, or they do not fit together.
     """
+    check_type("loop", loop, Loop)
+    check_type("measurement", measurement, Measurements)
+    _check_schedule(schedule)
+    check_type("settings", settings, FilterSettings)
+    check_type("signal", signal, SignalSettings)
+    with fitting("scheduled_step"):
+        return _scheduled_step(loop, measurement, schedule, settings, signal, time)
+
+
+def _check_schedule(schedule: GainSchedule) -> None:
+    if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
+        what = type(schedule).__name__
+        raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")
+
+
+@jax.jit
+def _scheduled_step(
+    loop: Loop,
+    measurement: Measurements,
+    schedule: GainSchedule,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    time: ArrayLike,
+) -> tuple[Loop, Array]:
     now = jnp.asarray(time, measurement.time_step.dtype)
     sample = prepare(measurement)
     after, step = _advance(loop, now, sample, None, schedule.prepare(), settings, signal)
@@ -284,6 +318,13 @@ def run_filter(
         signal: the error signal's; "measured", since the truth is not known.
 
     Raises:
-        ValueError: the signal is "pose".
+        ArgumentError: an argument is of another type, or the signal is "pose".
+        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
     """
-    return simulate(schedule, track(measurements), initial, settings, signal)
+    _check_schedule(schedule)
+    check_type("measurements", measurements, Measurements)
+    check_type("initial", initial, FilterState)
+    check_type("settings", settings, FilterSettings)
+    check_type("signal", signal, SignalSettings)
+    with fitting("run_filter"):
+        return simulate(schedule, track(measurements.checked()), initial, settings, signal)

@@ -1,6 +1,5 @@
 """The search: an experiment made ready, and its parameter space searched in one compiled loop."""
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -12,7 +11,8 @@ from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 from jax.typing import ArrayLike
 
-from posegsa import config
+from posegsa import config, memory
+from posegsa.arguments import check_type
 from posegsa.comparison import held_out_keys, training_keys
 from posegsa.devices import AXIS, collect, mesh_for, spread
 from posegsa.errors import ConfigError
@@ -24,7 +24,9 @@ from posegsa.population import Problem, population_costs, problem
 from posegsa.scenario import Scenario, scenario
 
 CHUNKS = 50
-"""How many times a search reports its progress, at most; results do not depend on it."""
+"""Parts in which a search reports its progress; results do not depend on it."""
+LONGEST_CHUNK = 2.0
+"""Time after which a search reports all the same, if an iteration does not take longer [s]."""
 
 
 class Progress(NamedTuple):
@@ -37,7 +39,12 @@ class Progress(NamedTuple):
     best_cost: float
     """Best cost so far, of a batch the least; infinite before any finite one."""
     seconds: float
-    """Time since the search began, compiling not counted."""
+    """Time since the search began or went on, compiling not counted."""
+
+
+Keep = Callable[[Search, float, float], object]
+"""Told the search before it begins and after each chunk, with the time that this process has
+searched and compiled [s]; what it raises stops the search."""
 
 
 class Task(NamedTuple):
@@ -61,7 +68,13 @@ class Found(NamedTuple):
 
 
 def make_ready(experiment: config.Experiment) -> Task:
-    """An experiment's scenarios, parameter space and optimiser."""
+    """An experiment's scenarios, parameter space and optimiser.
+
+    Raises:
+        MemoryLimitError: It would need more memory than there is.
+    """
+    check_type("experiment", experiment, config.Experiment)
+    memory.check([experiment])
     one, count = scenario(experiment), experiment.run.training_scenarios
     held_out = held_out_keys(experiment, experiment.run.held_out_scenarios)
     everywhere = problem(experiment, one, jnp.concatenate([training_keys(experiment), held_out]))
@@ -80,7 +93,10 @@ def make_optimiser(experiment: config.Experiment) -> Optimiser:
     search = experiment.search
     if search.optimiser == "random_search":
         return RandomSearch(search.agents, search.iterations)
-    return GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
+    settings = experiment.gsa.model_dump()
+    if settings["decay_iterations"] == "all":
+        settings["decay_iterations"] = None
+    return GSA(search.agents, search.iterations, **settings)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -144,37 +160,69 @@ def _run(
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
+    keep: Keep | None = None,
 ) -> Found:
-    """Compile a search, run it in chunks, and time both."""
-    begun = time.perf_counter()
+    """Compile a search, run it in chunks from where it stands, and time both."""
+    keep = keep if keep is not None else lambda *_: None
+    tell = progress if progress is not None else lambda _: None
+    keep(collect(search), 0.0, 0.0)
+    begun = time.monotonic()
     # No iterations yet: this compiles, unless a search of this structure has run in this process.
     search = jax.block_until_ready(go(search, 0))
-    compiled = time.perf_counter()
-    if progress is not None:
-        progress(Progress(0, iterations, math.inf, 0.0))
-    chunk = -(-iterations // CHUNKS)
-    for done in range(0, iterations, chunk):
-        stop = min(done + chunk, iterations)
+    compiled = time.monotonic()
+    here = collect(search)
+    done = int(jnp.max(here.iteration))
+    tell(Progress(done, iterations, float(jnp.min(here.best_cost)), 0.0))
+    even = -(-iterations // CHUNKS)
+    alone = jax.process_count() == 1  # else all must stop at the same iterations
+    fits = 1 if alone else even  # one iteration first, to learn the pace
+    while done < iterations:
+        stop = min(iterations, done + min(even - done % even, fits))
+        before = time.monotonic()
         search = jax.block_until_ready(go(search, stop))
-        if progress is not None:
-            best = float(jnp.min(collect(search.best_cost)))
-            seconds = time.perf_counter() - compiled
-            progress(Progress(stop, iterations, best, seconds))
-    return Found(collect(search), compiled - begun, time.perf_counter() - compiled)
+        now = time.monotonic()
+        here = collect(search)
+        keep(here, now - compiled, compiled - begun)
+        tell(Progress(stop, iterations, float(jnp.min(here.best_cost)), now - compiled))
+        pace = max(now - before, 1e-9) / (stop - done)
+        done = stop
+        if alone:
+            fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
+    return Found(here, compiled - begun, time.monotonic() - compiled)
 
 
-def run_search(task: Task, progress: Callable[[Progress], object] | None = None) -> Found:
-    """Search a task's parameter space; nothing held out is looked at."""
+def first_search(task: Task) -> Search:
+    """A task's search before its first iteration."""
+    space = task.space
+    key = keys(task.experiment.run.seed).search
+    return start(task.optimiser, Box(space.lower, space.upper), key)
+
+
+def run_search(
+    task: Task,
+    progress: Callable[[Progress], object] | None = None,
+    *,
+    search: Search | None = None,
+    keep: Keep | None = None,
+) -> Found:
+    """Search a task's parameter space; nothing held out is looked at.
+
+    Args:
+        task: What to search.
+        progress: As `tune`'s.
+        search: A search of this task to go on with; by default a new one.
+        keep: What looks at the search on its way, such as to save it.
+    """
     experiment, space, optimiser = task.experiment, task.space, task.optimiser
-    search = start(optimiser, Box(space.lower, space.upper), keys(experiment.run.seed).search)
 
     mesh = mesh_for(optimiser.agents * experiment.run.training_scenarios)
+    search = first_search(task) if search is None else search
     search, training, space = spread((search, task.training, space), mesh)
 
     def go(search: Search, stop: int) -> Search:
         return _advance(optimiser, experiment.objective, mesh, search, training, space, stop)
 
-    return _run(go, search, optimiser.iterations, progress)
+    return _run(go, search, optimiser.iterations, progress, keep)
 
 
 def search_batch(

@@ -1,15 +1,14 @@
 """One simulation over time as a person looks at it: degrees, metres, and a table."""
 
 import csv
+import io
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.errors import RunFolderError
 from posegsa.rollout import Estimates
 from posegsa.scenario import Truth
 from posegsa.se3 import attitude_distance, euler_angles, quaternion, rotation_angle, split
@@ -65,30 +64,30 @@ class Trajectory:
     rate: np.ndarray
     """(N,) the scaled rate that it saw, in [0, 1]."""
 
-    def write(self, path: Path) -> None:
-        """Write it as CSV, a row a sample; reading it back gives the same numbers."""
+    def csv(self) -> str:
+        """It as CSV, a row a sample; reading it back gives the same numbers."""
         parts = [np.reshape(getattr(self, name), (len(self.time), -1)) for name in _COLUMNS]
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([column for group in _COLUMNS.values() for column in group])
-            writer.writerows(np.concatenate(parts, axis=1).tolist())
+        text = io.StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow([column for group in _COLUMNS.values() for column in group])
+        writer.writerows(np.concatenate(parts, axis=1).tolist())
+        return text.getvalue()
 
 
-def read_trajectory(path: Path) -> Trajectory:
-    """Read what `Trajectory.write` wrote.
+def read_trajectory(text: str) -> Trajectory:
+    """Read what `Trajectory.csv` gave.
 
     Raises:
-        RunFolderError: The file is missing, or its columns are not a trajectory's.
+        ValueError: Its columns are not a trajectory's.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = csv.reader(file)
+        header, *rows = csv.reader(io.StringIO(text, newline=""))
         table = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
-    except (OSError, ValueError) as error:
-        raise RunFolderError(f"{path}: cannot be read as a trajectory: {error}") from None
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"trajectory.csv: cannot be read as a trajectory: {error}") from None
     columns = [column for group in _COLUMNS.values() for column in group]
     if header != columns or len(rows) == 0 or table.shape[1] != len(columns):
-        raise RunFolderError(f"{path}: its columns are not those of a trajectory: {header}")
+        raise ValueError(f"trajectory.csv: its columns are not those of a trajectory: {header}")
     values, start = {}, 0
     for field in fields(Trajectory):
         width = len(_COLUMNS[field.name])

@@ -1,12 +1,17 @@
 """The main job: a configuration in, a tuned schedule out, judged on noise it has not seen."""
 
+import json
+import os
 from collections.abc import Callable, Iterable
+from numbers import Integral
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from posegsa import config, results, trust
+from posegsa import config, memory, results, trust
+from posegsa import resume as checkpoints
+from posegsa.arguments import check_callable, check_type
 from posegsa.batch import TuneBatch
 from posegsa.comparison import (
     CONSTANT,
@@ -16,53 +21,136 @@ from posegsa.comparison import (
     evaluation,
     run_scenario,
 )
-from posegsa.errors import ConfigError
+from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
 from posegsa.gain import FuzzyGain
+from posegsa.interrupt import deferred
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import metrics_of, run, take
+from posegsa.optimisers import lengthened
 from posegsa.results import TuneResult
+from posegsa.run_folder import as_path, claimed
 from posegsa.runtime import environment
-from posegsa.search import Found, Progress, Task, make_ready, run_search, search_batch
+from posegsa.search import (
+    Found,
+    Progress,
+    Task,
+    first_search,
+    make_optimiser,
+    make_ready,
+    run_search,
+    search_batch,
+)
 
 
 def tune(
     experiment: config.Experiment | str | Path | None = None,
     *,
     seed: int | None = None,
+    iterations: int | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
+    resume: str | Path | None = None,
     progress: Callable[[Progress], object] | None = None,
 ) -> TuneResult:
     """Tune a fuzzy gain schedule.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
-    it can report progress.
+    it can report progress and save its state. With a folder it does the latter by itself, and
+    Ctrl-C or SIGTERM stop it where it can go on.
 
     Args:
-        experiment: An experiment, or a TOML file; by default the recommended experiment.
+        experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
+            the run to resume.
         seed: Replaces the experiment's seed.
-        out: Folder to write the result to.
+        iterations: Replaces the experiment's number of iterations.
+        out: Folder to write the result to, and checkpoints while it searches.
         overwrite: Replace another run in that folder.
-        progress: Called once when the search is compiled, and after each chunk of iterations.
+        resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
+            of the same experiment (see `posegsa.resume.agreed`), but for more iterations: past
+            those it began with, G and K_best hold their final values.
+        progress: Called when the search is compiled, and after each chunk of iterations.
 
     Returns:
         The result, with the cost on held-out scenarios beside the training cost.
 
     Raises:
-        ConfigError: The configuration is not valid.
-        RunFolderError: `out` holds a run already, or can't be written; found before the search.
+        ConfigError: The configuration is not valid, would need more memory than there is, or is not
+            that of the run to resume.
+        RunFolderError: `out` holds a run already, or can't be written, found before the search; or
+            another process is writing there, or `resume` holds no run.
+        SaveError: The result can't be written, only now; the error has it as `result`.
+        SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
     """
-    one = _experiment(experiment)
-    if seed is not None:
-        one = config.override(one, [f"run.seed={seed}"])
-    if out is not None:
-        results.claim(out, overwrite=overwrite)
-    with jax.enable_x64(one.run.dtype == "float64"):
-        task = make_ready(one)
-        result = _result(task, run_search(task, progress))
-    if out is not None:
-        result.save(out, overwrite=True)
+    check_callable("progress", progress)
+    if resume is None:
+        one = _experiment(experiment, seed, iterations)
+        if out is None:
+            with jax.enable_x64(one.run.dtype == "float64"):
+                task = make_ready(one)
+                return _result(task, run_search(task, progress))
+        with claimed(out, overwrite=overwrite) as folder:
+            checkpoints.discard(folder)
+            return _saved_run(one, folder, None, progress)
+    with claimed(_folder_to_resume(resume, out, overwrite), overwrite=True) as folder:
+        start = checkpoints.begun(folder)
+        asked = _experiment(
+            start.experiment if experiment is None else experiment, seed, iterations
+        )
+        one = checkpoints.agreed(start.experiment, asked)
+        done = _finished(folder, one)
+        return done if done is not None else _saved_run(one, folder, start, progress)
+
+
+def _saved_run(
+    experiment: config.Experiment,
+    folder: Path,
+    begun: checkpoints.Begun | None,
+    progress: Callable[[Progress], object] | None,
+) -> TuneResult:
+    """Tune with checkpoints in a folder, which is `locked`, and write the result there."""
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        task = make_ready(experiment)
+        search, before = first_search(task), (0.0, 0.0)
+        if begun is not None:
+            before = begun.search_seconds, begun.compile_seconds
+            like = first_search(task._replace(optimiser=make_optimiser(begun.experiment)))
+            search = lengthened(begun.checkpoint.search(like), experiment.search.iterations)
+        with deferred() as asked, checkpoints.Saver(folder, experiment, asked, before) as keep:
+            found = run_search(task, progress, search=search, keep=keep)
+        result = _result(
+            task,
+            found._replace(
+                search_seconds=found.search_seconds + before[0],
+                compile_seconds=found.compile_seconds + before[1],
+            ),
+        )
+    try:
+        result.write(folder)
+    except RunFolderError as error:
+        raise SaveError(str(error), result) from error
     return result
+
+
+def _folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool) -> Path:
+    """The folder of a run to go on with."""
+    folder = as_path("resume", resume)
+    if overwrite:
+        raise ArgumentError("overwrite = True; allowed: False, as resume goes on with a run")
+    if out is not None and Path(out) != folder:
+        raise ArgumentError(f"out = {out!s}; allowed: nothing, as resume = {folder} is the folder")
+    if not folder.is_dir():
+        raise RunFolderError(f"{folder}: is not a folder; needed: that of a run to go on with")
+    return folder
+
+
+def _finished(folder: Path, experiment: config.Experiment) -> TuneResult | None:
+    """The result of this very experiment, if the folder has it."""
+    try:
+        result = results.load(folder)
+    except RunFolderError:
+        return None
+    same = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
+    return result if same == experiment else None
 
 
 def tune_batch(
@@ -85,29 +173,55 @@ def tune_batch(
 
     Raises:
         ConfigError: A configuration is not valid, there are none, or they differ in structure
-            (counts, names, switches, numbers of samples, agents or iterations).
+            (counts, names, switches, numbers of samples, agents or iterations); or they would need
+            more memory than there is.
     """
-    if experiments is None or isinstance(experiments, config.Experiment | str | Path):
+    check_callable("progress", progress)
+    if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
         many = [_experiment(experiments)]
     else:
-        many = list(experiments)
+        check_type("experiments", experiments, Iterable, allowed="experiments, or one")
+        many = [_experiment(one) for one in experiments]
     if seeds is not None:
+        check_type("seeds", seeds, Iterable, allowed="several whole numbers")
         each = list(seeds)
-        many = [config.override(one, [f"run.seed={seed}"]) for one in many for seed in each]
+        many = [_experiment(one, seed) for one in many for seed in each]
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
     if len({one.run.dtype for one in many}) > 1:
         raise ConfigError("run.dtype: differs within the batch; allowed: the same in all of it")
+    memory.check(many)
     with jax.enable_x64(many[0].run.dtype == "float64"):
         tasks = [make_ready(one) for one in many]
         found = search_batch(tasks, progress)
         return TuneBatch(tuple(_result(t, f) for t, f in zip(tasks, found, strict=True)))
 
 
-def _experiment(experiment: config.Experiment | str | Path | None) -> config.Experiment:
+def _experiment(
+    experiment: config.Experiment | str | Path | None,
+    seed: int | None = None,
+    iterations: int | None = None,
+) -> config.Experiment:
+    """The experiment that a user means."""
     if experiment is None:
-        return config.Experiment()
-    return experiment if isinstance(experiment, config.Experiment) else config.load(experiment)
+        experiment = config.Experiment()
+    elif isinstance(experiment, str | os.PathLike):
+        experiment = config.load(experiment)
+    elif not isinstance(experiment, config.Experiment):
+        raise ArgumentError(
+            f"experiment: a {type(experiment).__name__}; allowed: an Experiment "
+            "(posegsa.config.from_dict makes one of plain data) or the path of a TOML file"
+        )
+    given = {"run.seed": seed, "search.iterations": iterations}
+    settings = [f"{key}={_written(value)}" for key, value in given.items() if value is not None]
+    return config.override(experiment, settings)
+
+
+def _written(value: object) -> str:
+    """A number, also NumPy's, as a setting writes it; anything else so that it is refused."""
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        return str(int(value))
+    return json.dumps(str(value))
 
 
 def _result(task: Task, found: Found) -> TuneResult:

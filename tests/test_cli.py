@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -86,6 +88,32 @@ def test_bad_input_is_one_readable_message(tmp_path, arguments, words):
         assert word in done.stderr
     assert "Traceback" not in done.stderr
     assert not any(tmp_path.iterdir()), "a refused command leaves nothing behind"
+
+
+def test_sigterm_saves_and_says_how_to_go_on(tmp_path):
+    """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
+    long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
+        cwd=tmp_path,
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    checkpoints = tmp_path / "run" / "checkpoints"
+    while len(list(checkpoints.glob("*.checkpoint"))) < 2 and process.poll() is None:
+        time.sleep(0.01)
+    process.terminate()
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 128 + signal.SIGTERM, said
+    done = max(int(path.stem) for path in checkpoints.iterdir())
+    assert f"interrupted after iteration {done} of 100000" in said
+    assert "go on with: posegsa tune --resume run" in said
+    assert "Traceback" not in said
+    refused = posegsa("tune", "--resume", "run", "--seed", "5", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "run.seed = 5" in refused.stderr
 
 
 @pytest.fixture

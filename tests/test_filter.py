@@ -27,6 +27,7 @@ from posegsa.config import FilterConfig, GainConfig, Landmark, Vector
 from posegsa.filter import (
     FilterSettings,
     FilterState,
+    _step,
     advance,
     correction,
     filter_settings,
@@ -494,11 +495,11 @@ def test_step_compiles_once_for_all_numbers() -> None:
     rng = np.random.default_rng(0)
     m = as_arrays(random_measurements(rng, 3, 2, 1, missing=0.3), np.float32)
     state = as_arrays(jax.tree.map(lambda a: a[0], random_estimates(rng, 1)[2]), np.float32)
-    step.clear_cache()
+    _step.clear_cache()
     for k, (gamma, limit) in enumerate([((1.0, 2.0), 1.5), ((0.0, 0.0), 0.7), ((5.0, 5.0), 1.0)]):
         chosen = settings(np.float32, gamma=gamma, gain_limit=limit)
         state = step(state, m.at(k), jnp.float32(k), chosen)
-    assert step._cache_size() == 1
+    assert _step._cache_size() == 1
 
 
 def test_filter_settings_are_those_of_the_configuration(dtype) -> None:

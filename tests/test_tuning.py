@@ -2,6 +2,10 @@
 
 import json
 import math
+import os
+import shutil
+import signal
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,7 +14,7 @@ import pytest
 import posegsa
 from posegsa import config
 from posegsa.comparison import TUNED
-from posegsa.errors import ConfigError, MeasurementError, RunFolderError
+from posegsa.errors import ConfigError, MeasurementError, RunFolderError, SearchInterrupted
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
@@ -195,6 +199,42 @@ def test_a_run_is_replaced_when_asked(run, tmp_path):
     assert posegsa.load(tmp_path).best_cost == result.best_cost
 
 
+def alter(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def comparable(folder: Path) -> dict:
+    """What must agree between two runs: all tables, and the result but for times."""
+    data = json.loads((folder / "result.json").read_text())
+    for key in ("search_seconds", "compile_seconds"):
+        del data[key]
+    names = ("history.csv", "trajectory.csv", "evaluation.json", "evaluation.txt")
+    return {"result": data} | {name: (folder / name).read_bytes() for name in names}
+
+
+def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
+    def interrupt(progress: Progress) -> None:
+        if progress.iteration == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
+        posegsa.tune(tiny(), out=tmp_path, progress=interrupt)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(RunFolderError, match="unfinished run; go on with it"):
+        posegsa.tune(tiny(), out=tmp_path)
+    with pytest.raises(RunFolderError, match="no finished run"):
+        posegsa.load(tmp_path)
+    told: list[int] = []
+    posegsa.tune(resume=tmp_path, progress=lambda p: told.append(p.iteration))
+    assert told == [2, 3, 4]
+    assert comparable(tmp_path) == comparable(run[1])
+    # Once more: it is finished, and says so without searching.
+    again = posegsa.tune(tiny(), resume=tmp_path, progress=lambda _: pytest.fail("it searched"))
+    assert again.best_cost == run[0].best_cost
+
+
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     path = tmp_path / "file"
     path.write_text("mine")
@@ -219,13 +259,24 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "history.csv").write_text("a,b\n1,2\n"), "history"),
         (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
         (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
+        (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
+        (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),
+        (lambda f: os.truncate(f / "history.csv", 2**27 + 1), "134217729 bytes; allowed"),
+        (lambda f: (f / "history.csv").unlink() or os.mkfifo(f / "history.csv"), "regular file"),
+        (
+            lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
+            "points",
+        ),
+        (lambda f: alter(f / "evaluation.json", '"scenarios": 3', '"scenarios": 4'), "each metric"),
+        (lambda f: alter(f / "evaluation.json", "best constant gain", "x"), "best constant gain"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
-    run[0].save(tmp_path)
-    damage(tmp_path)
+    folder = tmp_path / "run"
+    shutil.copytree(run[1], folder)
+    damage(folder)
     with pytest.raises(RunFolderError, match=said):
-        posegsa.load(tmp_path)
+        posegsa.load(folder)
 
 
 def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
@@ -247,6 +298,12 @@ def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
     ):
         with pytest.raises(MeasurementError, match=name):
             run[0].estimate(own, **(good | {name: value}))
+
+
+def test_a_box_of_zero_width_fixes_its_parameter():
+    result = posegsa.tune(tiny("parameters.lower.0=0.1", "parameters.upper.0=0.1"))
+    assert result.parameters[0] == np.float32(0.1)
+    assert len(set(result.parameters)) > 15
 
 
 def test_a_bad_seed_names_its_key():

@@ -5,6 +5,7 @@ Every constant of the paper, and every one that it leaves out, is a default here
 """
 
 from posegsa.config.experiment import (
+    CheckpointConfig,
     CostConfig,
     Experiment,
     FilterConfig,
@@ -30,6 +31,7 @@ __all__ = [
     "INPUT_RANGE",
     "PARAMETERS",
     "TERMS",
+    "CheckpointConfig",
     "CostConfig",
     "Experiment",
     "FamilyConfig",

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.config.fields import MOST, Count, Index, NonNegative, Positive, Section
 from posegsa.config.problems import Problem
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
@@ -35,7 +35,7 @@ class FilterConfig(Section):
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
     gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
-    substeps: Count = 2
+    substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
     gain_limit: Positive | Literal["off"] = 1.5
     """Largest step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
@@ -80,7 +80,7 @@ class SearchConfig(Section):
 
     optimiser: Literal["gsa", "random_search"] = "gsa"
     """The gravitational search algorithm, or points drawn at random to compare it with."""
-    agents: Annotated[int, Field(strict=True, ge=2)] = 100
+    agents: Annotated[int, Field(strict=True, ge=2, le=MOST)] = 100
     """Number of agents N: parameter vectors that are evaluated at once."""
     iterations: Count = 250
     """Number of iterations T."""
@@ -101,6 +101,24 @@ class GsaConfig(Section):
     """What happens to a coordinate that leaves the box."""
     final_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 2.0
     """Share of the agents that still attract others at the end [%]."""
+    decay_iterations: Count | Literal["all"] = "all"
+    """T in G and in the number of agents that attract, both of which hold their final values past
+    it; "all" is search.iterations. A run that was resumed for more iterations keeps its first T, so
+    that it is not the longer run."""
+
+
+class CheckpointConfig(Section):
+    """[checkpoint]: when a search that writes to a folder saves its state; no result depends on it.
+
+    A checkpoint is due as soon as either interval is over, and at the end.
+    """
+
+    iterations: Count = 100
+    """Iterations from one checkpoint to the next, at most."""
+    seconds: NonNegative = 10.0
+    """Time from one checkpoint to the next [s], at most, up to the running chunk of iterations."""
+    keep: Annotated[int, Field(strict=True, ge=2, le=1000)] = 2
+    """Number of checkpoints that are kept, the last ones; two or more, as one may be damaged."""
 
 
 class Experiment(Section):
@@ -128,6 +146,8 @@ class Experiment(Section):
     """The optimiser and its size."""
     gsa: GsaConfig = GsaConfig()
     """The gravitational search algorithm."""
+    checkpoint: CheckpointConfig = CheckpointConfig()
+    """When a search saves its state."""
 
     def _conflicts(self) -> Iterator[Problem]:
         samples = self.scenario.samples

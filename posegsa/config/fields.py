@@ -1,6 +1,7 @@
 """The types that configuration fields are made of, and the base of every section.
 
 Numbers are strict: `"1"` and `true` are not numbers, `1.0` is not an integer, nothing is infinite.
+All are bounded, so that nothing absurd is computed with, or allocated.
 Arrays become tuples, so that every section can be hashed, compared, and static under JAX's jit.
 """
 
@@ -11,11 +12,17 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, mode
 
 from posegsa.config.problems import Problem, Refused, config_error
 
-Number = Annotated[float, Strict()]
-NonNegative = Annotated[float, Strict(), Field(ge=0)]
-Positive = Annotated[float, Strict(), Field(gt=0)]
-Count = Annotated[int, Strict(), Field(ge=1)]
-Index = Annotated[int, Strict(), Field(ge=0)]
+LARGEST, SMALLEST = 1e9, 1e-9
+"""What numbers may be, so that float32 holds them, and products of some of them, with room."""
+MOST = 10**6
+"""What counts may be; what all of them together need is for `memory` to say."""
+MOST_SAMPLES = 10**7
+
+Number = Annotated[float, Strict(), Field(ge=-LARGEST, le=LARGEST)]
+NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST)]
+Positive = Annotated[float, Strict(), Field(ge=SMALLEST, le=LARGEST)]
+Count = Annotated[int, Strict(), Field(ge=1, le=MOST)]
+Index = Annotated[int, Strict(), Field(ge=0, le=MOST_SAMPLES)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Number, Number, Number]
 Vector6 = tuple[Number, Number, Number, Number, Number, Number]

@@ -1,5 +1,6 @@
 """Experiments as TOML files, as plain data, and with single values changed."""
 
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -9,9 +10,10 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from posegsa.arguments import check_type
 from posegsa.config.experiment import Experiment
 from posegsa.config.problems import Problem, config_error, report
-from posegsa.errors import ConfigError
+from posegsa.errors import ArgumentError, ConfigError
 
 MAX_BYTES = 2**20
 """Size up to which a configuration file is read: 1 MiB."""
@@ -30,6 +32,7 @@ def load(path: str | Path) -> Experiment:
     Raises:
         ConfigError: If the file cannot be read, is not TOML or is not a valid experiment.
     """
+    check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
     return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
 
 
@@ -44,6 +47,7 @@ def from_dict(data: Mapping[str, Any]) -> Experiment:
 
 def to_toml(experiment: Experiment) -> str:
     """Writes an experiment as TOML, every value included; reading it gives an equal experiment."""
+    check_type("experiment", experiment, Experiment)
     return tomli_w.dumps(experiment.model_dump(mode="json"))
 
 
@@ -59,6 +63,12 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     Raises:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
     """
+    check_type("experiment", experiment, Experiment)
+    if isinstance(settings, str) or not isinstance(settings, Iterable):
+        raise ArgumentError(f"settings = {settings!r}; allowed: several texts, section.key=value")
+    settings = list(settings)
+    for text in settings:
+        check_type("settings", text, str, allowed="texts such as filter.substeps=4")
     data = experiment.model_dump(mode="json")
     problems = [problem for text in settings if (problem := _set(data, text))]
     if problems:

@@ -9,6 +9,7 @@ import json
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -76,7 +77,7 @@ def config_error(
         data: What it was given.
         model: The type that it was to become.
     """
-    schema = model.model_json_schema()
+    schema = _schema(model)
     found: dict[str, Problem] = {}
     for item in error.errors(include_url=False):
         for problem in _problems(item, data, schema):
@@ -84,6 +85,11 @@ def config_error(
     # A union reports the whole value beside the part of it that is wrong: the part says more.
     parts = [p for p in found.values() if not any(k.startswith(f"{p.key}.") for k in found)]
     return report(title, parts)
+
+
+@cache
+def _schema(model: type[BaseModel]) -> _Schema:
+    return model.model_json_schema()
 
 
 def _problems(item: Mapping[str, Any], data: object, schema: _Schema) -> Iterator[Problem]:
@@ -198,7 +204,8 @@ def _describe(node: _Schema, root: _Schema) -> str:
         case "number":
             return "a finite number" + _bounds(node)
         case "array":
-            count = f" of {node['minItems']}" if "minItems" in node else ""
+            count = f" of at most {node['maxItems']}" if "maxItems" in node else ""
+            count = f" of {node['minItems']}" if "minItems" in node else count
             return f"an array{count}, each {_allowed(_options(_child(node, 0), root), root)}"
         case _:
             return f"a table with the keys {', '.join(_keys([node]))}"
@@ -207,8 +214,12 @@ def _describe(node: _Schema, root: _Schema) -> str:
 def _bounds(node: _Schema) -> str:
     """The limits of a number, in words."""
     signs = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-    limits = [f"{sign} {node[key]}" for key, sign in signs.items() if key in node]
+    limits = [f"{sign} {_limit(node[key])}" for key, sign in signs.items() if key in node]
     return f" {' and '.join(limits)}" if limits else ""
+
+
+def _limit(number: float) -> str:
+    return f"{number:g}" if isinstance(number, float) else str(number)
 
 
 def _dotted(path: _Path) -> str:

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
-from pydantic import ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from posegsa.config.fields import (
+    MOST_SAMPLES,
     Flag,
     Matrix3,
     NonNegative,
@@ -72,7 +74,8 @@ class Landmark(Section):
     """Weight s_i^L in the filter, no unit; 0 leaves the landmark out."""
 
 
-Profile = tuple[tuple[Sine, ...], tuple[Sine, ...], tuple[Sine, ...]]
+Axis = Annotated[tuple[Sine, ...], Field(max_length=64)]
+Profile = tuple[Axis, Axis, Axis]
 """A velocity over time: for each body axis x, y, z a sum of sines (an empty one is zero)."""
 
 
@@ -105,7 +108,7 @@ class ScenarioConfig(Section):
     velocity_noise: NonNegative = 0.1
     """Standard deviation of the noise of each component of it, body frame [m/s]."""
 
-    vectors: tuple[Vector, ...] = (
+    vectors: Annotated[tuple[Vector, ...], Field(max_length=64)] = (
         Vector(
             direction=(1 / math.sqrt(3), -1 / math.sqrt(3), 1 / math.sqrt(3)),
             bias=(0.1, -0.1, 0.1),
@@ -119,7 +122,9 @@ class ScenarioConfig(Section):
     """Weight s^R of that vector in the filter, no unit."""
     normalise_vectors: Flag = True
     """Whether every vector, measured and known, is brought to length one for the filter."""
-    landmarks: tuple[Landmark, ...] = (Landmark(position=(0.5, math.sqrt(2), 1.0)),)
+    landmarks: Annotated[tuple[Landmark, ...], Field(max_length=64)] = (
+        Landmark(position=(0.5, math.sqrt(2), 1.0)),
+    )
     """The landmarks p_i that are measured, in order; at least one."""
 
     initial_rotation: Matrix3 = _IDENTITY
@@ -157,10 +162,10 @@ class ScenarioConfig(Section):
 
     def _conflicts(self) -> Iterator[Problem]:
         ratio = self.duration / self.sampling_time
-        if not (math.isfinite(ratio) and abs(ratio - round(ratio)) <= 1e-6 and round(ratio) >= 2):
+        if not (2 <= round(ratio) <= MOST_SAMPLES and abs(ratio - round(ratio)) <= 1e-6):
             yield Problem(
                 "duration",
-                "allowed: a whole number of samples, at least 2; with sampling_time = "
+                f"allowed: a whole number of samples, 2 to {MOST_SAMPLES}; with sampling_time = "
                 f"{self.sampling_time} these are {ratio:.9g}",
                 self.duration,
             )

@@ -90,7 +90,7 @@ class FuzzyConfig(Section):
 
     centroid: Literal["exact", "sampled"] = "exact"
     """How the centroid is computed: in closed form, or by samples of the output universe."""
-    sampled_points: Annotated[int, Field(strict=True, ge=3)] = 101
+    sampled_points: Annotated[int, Field(strict=True, ge=3, le=100_001)] = 101
     """Number of samples of the output universe; only for the sampled centroid."""
     sampled_rule: Literal["sum", "trapezoid"] = "sum"
     """How samples are summed: alike (MATLAB) or as trapezoids; only for the sampled centroid."""

@@ -17,6 +17,6 @@ def export(result: TuneResult, format: str) -> str:
     Raises:
         PosegsaError: There is no such format.
     """
-    if format not in FORMATS:
+    if not isinstance(format, str) or format not in FORMATS:
         raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
     return FORMATS[format](result)

@@ -10,6 +10,7 @@ from string import Template
 
 import numpy as np
 
+from posegsa.arguments import check_type
 from posegsa.comparison import CONSTANT, TUNED
 from posegsa.config import PARAMETERS, TERMS, ScenarioConfig
 from posegsa.config.fields import Section
@@ -35,6 +36,7 @@ def export_c(result: TuneResult) -> str:
     It computes in `POSEGSA_REAL`, which is double unless it is defined as float when compiling.
     Its head comment says how the inputs are formed, in which units, and what the schedule is worth.
     """
+    check_type("result", result, TuneResult)
     controller = result.controller
     return "\n".join([_comment(_head(result, controller)), _code(controller)])
 

@@ -10,9 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from posegsa.arguments import check_type, check_whole
 from posegsa.comparison import CONSTANT, TUNED
 from posegsa.config import PARAMETERS, TERMS
-from posegsa.errors import PosegsaError
 from posegsa.results import VERSION, TuneResult
 
 SCHEMA = 1
@@ -36,6 +36,7 @@ def export_json(result: TuneResult) -> str:
     Reading a number back as the run's dtype gives it exactly; a cost that is not finite is text, as
     in result.json.
     """
+    check_type("result", result, TuneResult)
     experiment = result.experiment
     with jax.enable_x64(experiment.run.dtype == "float64"):
         controller = result.controller
@@ -87,10 +88,10 @@ def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
         resolution: Points along each input.
 
     Raises:
-        PosegsaError: The resolution is below 2.
+        ArgumentError: Not a result, or the resolution is not a whole number from 2 to 10000.
     """
-    if resolution < 2:
-        raise PosegsaError(f"resolution: must be at least 2, got {resolution}")
+    check_type("result", result, TuneResult)
+    check_whole("resolution", resolution, 2, 10_000)
     errors, rates, gains = (a.tolist() for a in _surface(result, resolution))
     lines = ["error,rate,gain_1_s"]
     for rate, row in zip(rates, gains, strict=True):

@@ -13,6 +13,7 @@ from posegsa.optimisers.base import (
     advance,
     box,
     from_unit,
+    lengthened,
     minimise,
     start,
 )
@@ -29,6 +30,7 @@ __all__ = [
     "advance",
     "box",
     "from_unit",
+    "lengthened",
     "minimise",
     "start",
 ]

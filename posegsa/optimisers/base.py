@@ -4,16 +4,23 @@ An optimiser sees the unit box and finite costs only. This module maps its posit
 user's box, deals with costs that are not finite, and keeps the record of the search.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from numbers import Integral, Real
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
+
+from posegsa.optimisers.checks import (
+    check_callable,
+    check_count,
+    check_key,
+    made_of_jax,
+    real_array,
+    refuse,
+)
 
 Objective = Callable[[Array], Array]
 """Maps positions (agents, dimensions), in the box's coordinates, to costs (agents,)."""
@@ -88,23 +95,27 @@ def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) 
         The box, in the bounds' own floating type as far as JAX has it; the search runs in that.
 
     Raises:
-        ValueError: If the bounds are not of one equal length of at least 1, if one is not finite
-            in their type, or if a lower bound lies above its upper one.
+        ArgumentError: If the bounds are not numbers of one equal length of at least 1, if one is
+            not finite in their type, or if a lower bound lies above its upper one.
     """
-    low, high = np.asarray(lower), np.asarray(upper)
+    low, high = (real_array(f"box: {n}", a) for n, a in (("lower", lower), ("upper", upper)))
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(low, high, np.float32))
     with np.errstate(over="ignore"):
         low, high = low.astype(dtype), high.astype(dtype)
     for name, bound in (("lower", low), ("upper", high)):
         if bound.ndim != 1 or bound.size == 0:
-            _refuse(f"box: {name} has shape {bound.shape}", "(dimensions,), dimensions >= 1")
+            refuse(f"box: {name} has shape {bound.shape}", "(dimensions,), dimensions >= 1")
         for i in np.flatnonzero(~np.isfinite(bound)):
-            _refuse(f"box: {name}[{i}] = {bound[i]}", f"a finite {dtype} number")
+            refuse(f"box: {name}[{i}] = {bound[i]}", f"a finite {dtype} number")
     if low.shape != high.shape:
-        _refuse(f"box: lower has shape {low.shape}, upper {high.shape}", "equal shapes")
+        refuse(f"box: lower has shape {low.shape}, upper {high.shape}", "equal shapes")
     for i in np.flatnonzero(low > high):
-        _refuse(f"box: lower[{i}] = {low[i]}, upper[{i}] = {high[i]}", "lower <= upper")
+        refuse(f"box: lower[{i}] = {low[i]}, upper[{i}] = {high[i]}", "lower <= upper")
     return Box(jnp.asarray(low), jnp.asarray(high))
+
+
+_checked_box = box
+"""`box` under a name that no argument hides."""
 
 
 def from_unit(box: Box, unit: Array) -> Array:
@@ -177,7 +188,7 @@ def advance(
         The search with `stop` iterations done.
 
     Raises:
-        ValueError: If the objective does not return one cost per agent.
+        ArgumentError: If the objective does not return one cost per agent.
     """
     stop = jnp.minimum(stop, optimiser.iterations)
     return lax.while_loop(
@@ -191,9 +202,14 @@ def _iterate(optimiser: Optimiser, objective: Objective, box: Box, search: Searc
     """Ask, evaluate, record and tell, once."""
     dtype = box.lower.dtype
     positions = from_unit(box, optimiser.ask(search.state))
-    costs = jnp.asarray(objective(positions)).astype(dtype)
+    returned = objective(positions)
+    if not hasattr(returned, "dtype") or not jnp.issubdtype(returned.dtype, jnp.number):
+        refuse(f"objective: returns a {type(returned).__name__}", "an array of numbers")
+    if jnp.issubdtype(returned.dtype, jnp.complexfloating):
+        refuse(f"objective: returns {returned.dtype}", "real numbers")
+    costs = jnp.asarray(returned).astype(dtype)
     if costs.shape != (optimiser.agents,):
-        _refuse(f"objective: costs of shape {costs.shape}", f"({optimiser.agents},), one per agent")
+        refuse(f"objective: costs of shape {costs.shape}", f"({optimiser.agents},), one per agent")
 
     finite = jnp.isfinite(costs)
     failures = jnp.sum(~finite, dtype=jnp.int32)
@@ -233,6 +249,7 @@ def minimise(
     *,
     chunk: int | None = None,
     callback: Callable[[Search], object] | None = None,
+    search: Search | None = None,
 ) -> Search:
     """Minimise a batched function over a box.
 
@@ -247,50 +264,73 @@ def minimise(
         optimiser: What searches, for how long and with how many agents.
         key: Random key; the same key gives the same search, in whatever chunks.
         chunk: Iterations between two calls of `callback`; by default all of them.
-        callback: Called with the search after each chunk, for progress or to save it.
+        callback: Called with the search after each chunk, for progress or to save it
+            (`posegsa.save_search`).
+        search: A search to go on with, such as `posegsa.load_search` gives; by default a new one.
+            It goes on as if it had never stopped, to the last bit, and `key` is not used.
 
     Returns:
         The finished search.
 
     Raises:
-        ValueError: If `chunk` is not a positive integer, or the objective does not return one
+        ArgumentError: If an argument is not what it has to be, or the objective does not return one
             cost per agent.
     """
+    check_callable("objective", objective)
+    if not isinstance(box, Box):
+        refuse(f"box: a {type(box).__name__}", "a Box (posegsa.box makes one)")
+    box = _checked_box(*box)
+    for name in ("init", "ask", "tell", "agents", "iterations"):
+        if not hasattr(optimiser, name) or isinstance(optimiser, type):
+            refuse(f"optimiser: a {type(optimiser).__name__}", "GSA(), RandomSearch() or the like")
+    check_key(key)
+    if callback is not None:
+        check_callable("callback", callback)
     end = optimiser.iterations
     chunk = end if chunk is None else chunk
     check_count("minimise: chunk", chunk)
-    search = start(optimiser, box, key)
-    for done in range(0, end, chunk):
-        search = _advance(optimiser, objective, box, search, min(done + chunk, end))
+    now = start(optimiser, box, key)
+    if search is not None:
+        _check_structure(search, now)
+        now = search
+    for done in range(int(now.iteration), end, chunk):
+        with made_of_jax():
+            now = _advance(optimiser, objective, box, now, min(done + chunk, end))
         if callback is not None:
-            callback(search)
-    return search
+            callback(now)
+    return now
+
+
+def lengthened(search: Search, iterations: int) -> Search:
+    """A search with room in its history for more iterations than it was started for.
+
+    Args:
+        search: From `start`, `advance` or `minimise`.
+        iterations: Iterations in all, as the optimiser that goes on with it has them.
+    """
+    more = iterations - search.history.best.shape[0]
+    check_count("lengthened: further iterations", more, least=0)
+
+    def padded(values: Array) -> Array:
+        unknown = jnp.nan if jnp.issubdtype(values.dtype, jnp.floating) else 0
+        return jnp.concatenate([values, jnp.full(more, unknown, values.dtype)])
+
+    return search._replace(history=jax.tree.map(padded, search.history))
+
+
+def _check_structure(search: Search, like: Search) -> None:
+    """Raise unless a search is one of the optimiser and box that `like` was started with."""
+    if jax.tree.structure(search) != jax.tree.structure(like):
+        refuse(f"search: a {type(search).__name__}", "a Search of this optimiser")
+    leaves, wanted = (jax.tree_util.tree_leaves_with_path(s) for s in (search, like))
+    for (place, leaf), (_, want) in zip(leaves, wanted, strict=True):
+        if (leaf.shape, leaf.dtype) != (want.shape, want.dtype):
+            refuse(
+                f"search{jax.tree_util.keystr(place)} is {leaf.dtype} {leaf.shape}",
+                f"{want.dtype} {want.shape}, as this optimiser and box have it",
+            )
 
 
 def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     """Draw from [0, 1) in float32 and cast, so that a key means the same in every dtype."""
     return random.uniform(key, shape, jnp.float32).astype(dtype)
-
-
-def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Raise a ValueError unless `value` is an integer of at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
-        _refuse(f"{name} = {value!r}", f"an integer of at least {least}")
-
-
-def check_number(name: str, value: Any, least: float = 0, most: float = math.inf) -> None:
-    """Raise a ValueError unless `value` is a finite number in [least, most]."""
-    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
-    if not (math.isfinite(number) and least <= number <= most):
-        most_words = "" if most == math.inf else f" and at most {most:g}"
-        _refuse(f"{name} = {value!r}", f"a finite number of at least {least:g}{most_words}")
-
-
-def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
-    """Raise a ValueError unless `value` is one of `choices`."""
-    if value not in choices:
-        _refuse(f"{name} = {value!r}", " or ".join(map(repr, choices)))
-
-
-def _refuse(problem: str, allowed: str) -> NoReturn:
-    raise ValueError(f"{problem}; allowed: {allowed}")

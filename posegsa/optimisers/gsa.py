@@ -19,7 +19,8 @@ import numpy as np
 from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
 
-from posegsa.optimisers.base import check_choice, check_count, check_number, uniform
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_choice, check_count, check_number
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
@@ -43,7 +44,7 @@ class GSA:
 
     Attributes:
         agents: N, number of agents.
-        iterations: T, iterations of a whole search. Past them G and K_best keep their last values.
+        iterations: Iterations of a whole search.
         g0: G0, initial gravitational constant, relative to the box.
         alpha: Rate at which it falls: G = G0 exp(-alpha it / T), it = 1..T.
         force_power: p, the power of the distance R in the force; 1 is the authors' choice, 2 is
@@ -58,9 +59,11 @@ class GSA:
             falls linearly from all agents to these.
         epsilon: Added to R^p, against division by zero; by default the spacing of the floating
             numbers at 1, as in the authors' code (whose numbers are float64).
+        decay_iterations: T, past which G and K_best keep their last values; by default all
+            iterations.
 
     Raises:
-        ValueError: If a setting is out of its range.
+        ArgumentError: If a setting is out of its range.
     """
 
     agents: int = 100
@@ -72,6 +75,7 @@ class GSA:
     bounds: Bounds = "redraw"
     final_percent: float = 2.0
     epsilon: float | None = None
+    decay_iterations: int | None = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -85,6 +89,8 @@ class GSA:
         check_number("GSA: final_percent", self.final_percent, most=100)
         if self.epsilon is not None:
             check_number("GSA: epsilon", self.epsilon, least=SMALLEST_EPSILON)
+        if self.decay_iterations is not None:
+            check_count("GSA: decay_iterations", self.decay_iterations)
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> GSAState:
         """Spread the agents uniformly over the unit box, at rest."""
@@ -137,7 +143,8 @@ class GSA:
         Both are worked out in float64, in the order of the authors' code, so that no dtype or
         device rounds K_best another way.
         """
-        t = np.arange(1, self.iterations + 1) / self.iterations
+        T = self.iterations if self.decay_iterations is None else self.decay_iterations
+        t = np.minimum(np.arange(1, self.iterations + 1), T) / T
         gravity = self.g0 * np.exp(-self.alpha * t)  # Eq. 28
         percent = self.final_percent + (1 - t) * (100 - self.final_percent)
         k_best = np.floor(self.agents * percent / 100 + 0.5)  # rounds halves up

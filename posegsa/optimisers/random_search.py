@@ -6,7 +6,8 @@ from typing import NamedTuple
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import check_count, uniform
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_count
 
 
 class RandomSearchState(NamedTuple):
@@ -25,7 +26,7 @@ class RandomSearch:
         iterations: Iterations of a whole search.
 
     Raises:
-        ValueError: If a setting is not a positive integer.
+        ArgumentError: If a setting is not a positive integer.
     """
 
     agents: int = 100

@@ -1,0 +1,74 @@
+"""Files that are whole or not there, and reading that is bounded.
+
+A file is written under a temporary name, synced to the disk and renamed: whatever happens
+meanwhile, its name leads to the old content or to the new.
+"""
+
+import contextlib
+import os
+import stat
+from pathlib import Path
+
+from posegsa.errors import RunFolderError
+
+PART = ".part"
+"""Ending of the temporary names; what has it is no file of a run."""
+
+
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a file so that it is either whole or as it was, even if the power fails.
+
+    Raises:
+        OSError: It can't be written; nothing is left of it.
+    """
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    temporary = path.with_name(path.name + PART)
+    try:
+        write_synced(temporary, data)
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def write_synced(path: Path, data: bytes) -> None:
+    """Write a file, and wait until the disk has it."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has a folder's names; does nothing where a system can't do that."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def read_bounded(path: Path, limit: int) -> bytes:
+    """The content of a regular file of at most `limit` bytes.
+
+    The size is looked at before anything is read. What is no regular file, such as a pipe, which
+    could keep its reader waiting for ever, is refused.
+
+    Raises:
+        RunFolderError: It is too large, or not a regular file.
+        OSError: It can't be read.
+    """
+    # Opening a pipe without O_NONBLOCK waits for a writer.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise RunFolderError(f"{path}: is not a regular file")
+        if status.st_size > limit:
+            raise RunFolderError(
+                f"{path}: has {status.st_size} bytes; allowed: at most {limit} in such a file"
+            )
+        return file.read(limit)

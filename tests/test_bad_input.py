@@ -1,0 +1,233 @@
+"""What can't be used is refused by its name, wherever it comes in."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from generated import call, configuration
+from test_tuning import TINY, tiny
+
+import posegsa
+from posegsa import config, memory
+from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
+
+SECTIONS = tuple(config.Experiment.model_fields)
+
+
+def some_result() -> posegsa.TuneResult:
+    """A result as far as its schedule and experiment go; it was never tuned."""
+    experiment = tiny()
+    parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
+    unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
+    return posegsa.TuneResult(
+        **unknown | {"experiment": experiment, "parameters": parameters, "constant_gain": 5.0}
+    )
+
+
+@pytest.fixture(scope="module")
+def result():
+    return some_result()
+
+
+# By the thousand ----------------------------------------------------------------------------------
+
+
+def test_generated_configurations_are_accepted_or_refused_by_name():
+    """Accepted ones run, by the hundred: `benchmarks/faults.py`."""
+    rng, base = np.random.default_rng(0), tiny()
+    accepted, unnamed = 0, []
+    for _ in range(2000):
+        data = configuration(rng, base)
+        try:
+            experiment = config.from_dict(data)
+        except PosegsaError as error:
+            named = re.findall(r"^  (\S+)", str(error), flags=re.MULTILINE)
+            keys = (*SECTIONS, *data, "(top")
+            if not named or any(name.split(".")[0] not in keys for name in named):
+                unnamed.append(str(error))
+            continue
+        accepted += 1
+        assert config.from_dict(experiment.model_dump(mode="json")) == experiment
+        assert all(0 < share < 2**60 for share in memory.needs(experiment).values())
+    assert 200 < accepted < 1000
+    assert unnamed == []
+
+
+def test_generated_calls_are_answered_or_refused(result):
+    rng = np.random.default_rng(1)
+    refused: dict[str, int] = {}
+    for _ in range(600):
+        made = call(rng, result)
+        try:
+            made.make()
+        except PosegsaError:
+            refused[made.name] = refused.get(made.name, 0) + 1
+    assert len(refused) > 30
+
+
+def test_configurations_hold_no_paths():
+    """Every text in a configuration is one of a few words: none can lead out of a run's folder."""
+
+    def texts(schema, root):
+        for node in schema.values() if isinstance(schema, dict) else schema:
+            if isinstance(node, dict):
+                if node.get("type") == "string":
+                    yield node
+                yield from texts(node, root)
+            elif isinstance(node, list):
+                yield from texts([n for n in node if isinstance(n, dict)], root)
+
+    schema = config.Experiment.model_json_schema()
+    found = list(texts(schema, schema))
+    assert len(found) >= 10
+    assert all("enum" in node or "const" in node for node in found)
+
+
+# One by one ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda r: posegsa.tune({"run": {}}), "experiment: a dict; allowed: an Experiment"),
+        (lambda r: posegsa.tune(5), "experiment: a int"),
+        (lambda r: posegsa.tune(progress=5), "progress: a int; allowed: a function"),
+        (lambda r: posegsa.tune(seed=-1), "run.seed = -1"),
+        (lambda r: posegsa.tune(seed=2**32), "run.seed = 4294967296"),
+        (lambda r: posegsa.tune(iterations=-3), "search.iterations = -3"),
+        (lambda r: posegsa.tune(iterations=True), "search.iterations = .True"),
+        (lambda r: posegsa.tune_batch(5), "experiments: a int"),
+        (lambda r: posegsa.tune_batch([tiny(), 5]), "experiment: a int"),
+        (lambda r: posegsa.tune_batch(tiny(), seeds=5), "seeds: a int"),
+        (lambda r: posegsa.tune_batch([]), "nothing to tune"),
+        (lambda r: posegsa.evaluate(5), "result: a int; allowed: a TuneResult"),
+        (lambda r: posegsa.evaluate(r, scenarios=1), "scenarios = 1; allowed: a whole number from"),
+        (lambda r: posegsa.evaluate(r, scenarios=5, seed=-1), "seed = -1"),
+        (lambda r: posegsa.export_c("run"), "result: a str"),
+        (lambda r: posegsa.export_csv(r, 1), "resolution = 1"),
+        (lambda r: posegsa.plot_surface(r), "controller: a TuneResult"),
+        (lambda r: posegsa.parameter_space({}), "experiment: a dict"),
+        (lambda r: posegsa.load(5), "folder = 5"),
+        (lambda r: posegsa.load_config(5), "path: a int"),
+        (lambda r: config.override(tiny(), "run.seed=1"), "settings = 'run.seed=1'"),
+        (lambda r: posegsa.filter_settings({}, np.float32), "settings: a dict"),
+        (lambda r: posegsa.signal_settings(tiny().gain, int), "dtype = .*floating"),
+        (lambda r: posegsa.initial_state(np.eye(2), np.zeros(3)), r"rotation: .*\(3, 3\)"),
+        (lambda r: posegsa.initial_state(np.eye(3), "here"), "position"),
+        (lambda r: posegsa.begin(5, None), "schedule: a int"),
+        (lambda r: posegsa.begin(r.schedule, None), "initial: a NoneType"),
+        (lambda r: posegsa.run_filter(r.schedule, 5, None, None, None), "measurements: a int"),
+        (lambda r: posegsa.scheduled_step(5, 5, r.schedule, 5, 5), "loop: a int"),
+        (lambda r: posegsa.step(5, 5, 1.0, 5), "state: a int"),
+        (lambda r: r.controller([1.0, 2.0], [1.0, 2.0, 3.0]), "error, rate, last"),
+        (lambda r: r.estimate(5, np.eye(3), np.zeros(3)), "measurements: a int"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_name(result, make, said):
+    with pytest.raises(PosegsaError, match=said):
+        make(result)
+
+
+def sphere(x):
+    return jnp.sum(x**2, axis=1)
+
+
+GOOD = {
+    "objective": sphere,
+    "box": posegsa.box([0.0], [1.0]),
+    "optimiser": posegsa.GSA(agents=3, iterations=2),
+    "key": jax.random.key(0),
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"objective": 5}, "objective: a int; allowed: a function"),
+        ({"objective": lambda x: np.sin(x)[:, 0]}, "objective: .*outside JAX.*jax.numpy"),
+        ({"objective": lambda x: 0.0 if x[0, 0] > 0 else 1.0}, "objective: .*outside JAX"),
+        ({"objective": lambda x: None}, "objective: returns a NoneType"),
+        ({"objective": lambda x: sphere(x).astype(jnp.complex64)}, "objective: returns complex64"),
+        ({"objective": lambda x: x}, r"objective: costs of shape \(3, 1\)"),
+        ({"box": ([0.0], [1.0])}, "box: a tuple; allowed: a Box"),
+        ({"box": posegsa.box([0.0], [1.0])._replace(upper=[np.nan])}, r"box: upper\[0\] = nan"),
+        ({"optimiser": posegsa.GSA}, "optimiser: a type"),
+        ({"optimiser": "gsa"}, "optimiser: a str"),
+        ({"key": 0}, "key: int; allowed: a random key"),
+        ({"key": jax.random.split(jax.random.key(0))}, r"key: key<fry> \(2,\)"),
+        ({"callback": 5}, "callback: a int"),
+    ],
+)
+def test_minimise_refuses_by_name(change, said):
+    with pytest.raises(ArgumentError, match=said):
+        posegsa.minimise(**GOOD | change)
+
+
+def test_what_an_objective_raises_is_its_own():
+    def objective(x):
+        raise LookupError("mine")
+
+    with pytest.raises(LookupError, match="mine"):
+        posegsa.minimise(**GOOD | {"objective": objective})
+
+
+def test_measurements_made_by_hand_are_checked_too(result):
+    good = posegsa.Measurements.from_arrays(
+        time_step=0.01,
+        angular_velocity=np.zeros((5, 3)),
+        velocity=np.zeros((5, 3)),
+        landmarks=np.ones((5, 1, 3)),
+        landmark_references=np.ones((1, 3)),
+    )
+    start = (posegsa.initial_state(np.eye(3), np.zeros(3)),)
+    start += (posegsa.filter_settings(tiny().filter, np.float32),)
+    start += (posegsa.signal_settings(tiny().gain, np.float32),)
+    for change, said in (
+        ({"velocity": jnp.full((5, 3), jnp.nan)}, "velocity: must be finite, got nan"),
+        ({"velocity": jnp.zeros((4, 3))}, r"velocity: must have the shape \(5, 3\)"),
+        (
+            {"time_step": jnp.asarray([1, 1, -1, 1, 1]) / 100},
+            "time_step: must be positive",
+        ),
+        ({"time_step": jnp.full(5, jnp.inf)}, "time_step: must be finite"),
+        ({"landmark_weights": -jnp.ones((5, 1))}, "landmark_weights: must be finite and not neg"),
+    ):
+        with pytest.raises(MeasurementError, match=said):
+            posegsa.run_filter(posegsa.ConstantGain(jnp.ones(())), good._replace(**change), *start)
+
+
+# Memory -------------------------------------------------------------------------------------------
+
+
+def test_memory_is_estimated_by_what_takes_it():
+    from posegsa.search import make_ready
+
+    with pytest.warns(posegsa.PosegsaWarning):
+        task = make_ready(tiny())
+    held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.everywhere.tracks))
+    shares = memory.needs(tiny())
+    estimated = shares["run.held_out_scenarios"] + shares["run.training_scenarios"]
+    assert held < estimated < 20 * held
+    double = memory.needs(tiny("run.held_out_scenarios=6"))
+    assert double["run.held_out_scenarios"] == 2 * shares["run.held_out_scenarios"]
+    assert memory.available() is None or memory.available() > 0
+
+
+def test_what_would_not_fit_is_refused_with_an_estimate(monkeypatch):
+    huge = tiny("run.training_scenarios=1000000", "search.agents=3000")
+    with pytest.raises(MemoryLimitError) as refused:
+        posegsa.tune(huge)
+    text = str(refused.value)
+    for words in ("GiB", "search.agents = 3000", "run.training_scenarios = 1000000"):
+        assert words in text
+    monkeypatch.setattr(memory, "available", lambda: 2**30)
+    memory.check([tiny()])
+    with pytest.raises(MemoryLimitError, match="scenarios = 1000000"):
+        memory.check([tiny()], held_out=10**6)
+    with pytest.raises(MemoryLimitError, match="2000 experiments"):
+        memory.check([tiny("run.held_out_scenarios=500")] * 2000)
+    monkeypatch.setattr(memory, "available", lambda: None)
+    memory.check([huge])
+    assert len(TINY) == 6

@@ -1,0 +1,221 @@
+"""A run that is interrupted and goes on is, to the last bit, the run that never stopped."""
+
+import resource
+import signal
+
+import numpy as np
+import pytest
+from test_checkpoint import same
+from test_tuning import tiny
+
+import posegsa
+from posegsa import config, resume
+from posegsa.checkpoint import read
+from posegsa.errors import (
+    CheckpointError,
+    ConfigError,
+    PosegsaWarning,
+    RunFolderError,
+    SearchError,
+    SearchInterrupted,
+)
+from posegsa.interrupt import Asked
+from posegsa.optimisers import GSA, lengthened
+from posegsa.search import first_search, make_optimiser, make_ready, run_search
+
+pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
+
+LONG = tiny("search.iterations=8", "checkpoint.iterations=3")
+
+
+@pytest.fixture(scope="module")
+def task():
+    with pytest.warns(PosegsaWarning, match="not a rotation"):
+        return make_ready(LONG)
+
+
+@pytest.fixture(scope="module")
+def whole(task):
+    """The search without interruption."""
+    return run_search(task).search
+
+
+def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
+    """Search with checkpoints; a signal asks to stop once each of these iterations is done."""
+    search, asked = None, Asked()
+    if begun is not None:
+        search = begun.checkpoint.search(first_search(task))
+
+    def tell(progress) -> None:
+        if progress.iteration in stop_at:
+            asked.signal_number = signal.SIGTERM
+
+    with resume.Saver(folder, experiment, asked) as keep:
+        return run_search(task, tell, search=search, keep=keep).search
+
+
+def names(folder) -> list[int]:
+    return sorted(int(path.stem) for path in (folder / "checkpoints").glob("*.checkpoint"))
+
+
+def test_checkpoints_come_at_their_intervals_and_the_last_two_stay(task, whole, tmp_path):
+    assert same(search_in(tmp_path, task), whole)
+    assert names(tmp_path) == [6, 8]
+    about = read(tmp_path / "checkpoints" / "000000008.checkpoint").about
+    assert config.from_dict(about["experiment"]) == LONG
+    assert about["search_seconds"] > 0
+
+
+def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
+    """Real clocks that are asked here never go back; one that does costs no more than patience."""
+    times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
+    hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
+    with resume.Saver(tmp_path, hasty, Asked(), clock=lambda: next(times)) as keep:
+        assert same(run_search(task, keep=keep).search, whole)
+    assert names(tmp_path)[-1] == 8
+
+
+@pytest.mark.parametrize("stops", [[0], [1], [4], [6], [1, 2, 3, 5, 6]])
+def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, stops):
+    begun = None
+    for at in stops:
+        with pytest.raises(SearchInterrupted, match=rf"of 8, .* --resume {tmp_path}") as stopped:
+            search_in(tmp_path, task, stop_at=[at], begun=begun)
+        assert stopped.value.signal_number == signal.SIGTERM
+        begun = resume.begun(tmp_path)
+        # The signal is seen when the running chunk, here an iteration, is done.
+        assert int(begun.checkpoint.arrays[".iteration"][1]) == at + 1
+    assert same(search_in(tmp_path, task, begun=begun), whole)
+
+
+def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tmp_path):
+    search_in(tmp_path, task)
+    newest = tmp_path / "checkpoints" / "000000008.checkpoint"
+    newest.write_bytes(newest.read_bytes()[:-5])
+    with pytest.warns(PosegsaWarning, match=r"000000008.*damaged.*going on from 000000006"):
+        begun = resume.begun(tmp_path)
+    assert same(search_in(tmp_path, task, begun=begun), whole)
+    for path in (tmp_path / "checkpoints").iterdir():
+        path.write_bytes(b"")
+    with pytest.raises(CheckpointError, match=r"000000008(.|\n)*000000006(.|\n)*no checkpoint"):
+        resume.begun(tmp_path)
+
+
+def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
+    search_in(tmp_path, task)
+    elsewhere = resume.environment() | {"jax": "0.99"}
+    monkeypatch.setattr(resume, "environment", lambda: elsewhere)
+    with pytest.warns(PosegsaWarning, match=r"jax 0\.\d+\.\d+, here 0\.99"):
+        resume.begun(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("run.seed=4", r"run.seed = 4\s+the run has 0"),
+        ("run.dtype=float64", "run.dtype"),
+        ("filter.gamma=5.0", "filter.gamma"),
+        ("scenario.landmarks.0.noise=0.2", "scenario.landmarks.0.noise"),
+        ("run.held_out_scenarios=4", "run.held_out_scenarios"),
+        ("search.iterations=7", "as many or more"),
+        ("gsa.decay_iterations=5", "gsa.decay_iterations"),
+    ],
+)
+def test_another_experiment_is_refused_by_what_differs(setting, said):
+    with pytest.raises(ConfigError, match=said):
+        resume.agreed(LONG, config.override(LONG, [setting]))
+
+
+def test_intervals_and_more_iterations_may_differ():
+    asked = config.override(LONG, ["checkpoint.keep=5", "search.iterations=20"])
+    agreed = resume.agreed(LONG, asked)
+    assert agreed == config.override(asked, ["gsa.decay_iterations=8"])
+    again = resume.agreed(agreed, config.override(LONG, ["search.iterations=30"]))
+    assert again.gsa.decay_iterations == 8
+    assert again.search.iterations == 30
+    by_chance = config.override(LONG, ["search.optimiser=random_search"])
+    more = config.override(by_chance, ["search.iterations=30"])
+    assert resume.agreed(by_chance, more) == more, "random search has no schedule to hold"
+
+
+def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
+    """By real means: for a while the system refuses to write such files."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_and_clear(progress) -> None:
+        room = 100 if progress.iteration in range(2, 7) else soft
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+
+    often = config.override(LONG, ["checkpoint.iterations=1"])
+    try:
+        with (
+            pytest.warns(PosegsaWarning, match=r"File too large; the search goes on, .* 2"),
+            resume.Saver(tmp_path, often, Asked()) as keep,
+        ):
+            assert same(run_search(task, fill_and_clear, keep=keep).search, whole)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert names(tmp_path)[-1] == 8
+    assert same(resume.begun(tmp_path).checkpoint.search(first_search(task)), whole)
+
+
+def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(CheckpointError, match="cannot be written: File too large"):
+            search_in(tmp_path, task)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not any((tmp_path / "checkpoints").iterdir())
+
+
+def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
+    from jax.errors import JaxRuntimeError
+
+    def fail(progress) -> None:
+        if progress.iteration == 5:
+            raise JaxRuntimeError("RESOURCE_EXHAUSTED: no memory")
+
+    with (
+        pytest.raises(SearchError, match=r"after iteration 5 of 8, .*--resume.*"),
+        resume.Saver(tmp_path, LONG, Asked()) as keep,
+    ):
+        run_search(task, fail, keep=keep)
+    assert same(search_in(tmp_path, task, begun=resume.begun(tmp_path)), whole)
+
+
+def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
+    """G and K_best hold from the eighth iteration on; the configuration says so."""
+    search_in(tmp_path, task)
+    begun = resume.begun(tmp_path)
+    more = resume.agreed(begun.experiment, config.override(LONG, ["search.iterations=11"]))
+    longer = task._replace(experiment=more, optimiser=make_optimiser(more))
+    going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
+    extended = run_search(longer, search=going_on).search
+    assert same(extended, run_search(longer).search)
+    assert (extended.history.best[:8] == whole.history.best).all()
+    held, longest = (o.schedule()[0] for o in (longer.optimiser, GSA(6, 11)))
+    assert (held[:8] < longest[:8]).all(), "it is not the longer run"
+
+
+def test_resume_refuses_what_it_cannot_mean(tmp_path):
+    with pytest.raises(RunFolderError, match="not a folder"):
+        posegsa.tune(resume=tmp_path / "none")
+    with pytest.raises(RunFolderError, match="no checkpoint"):
+        posegsa.tune(resume=tmp_path)
+    with pytest.raises(ValueError, match="overwrite = True"):
+        posegsa.tune(resume=tmp_path, overwrite=True)
+    with pytest.raises(ValueError, match="out = "):
+        posegsa.tune(resume=tmp_path, out=tmp_path / "other")
+    with pytest.raises(RunFolderError, match="resume = 5"):
+        posegsa.tune(resume=5)  # type: ignore[arg-type]
+
+
+def test_a_checkpoint_says_what_it_is_of(task, tmp_path):
+    """A checkpoint of a search that is no tuning run's is refused, not guessed at."""
+    (tmp_path / "checkpoints").mkdir()
+    path = tmp_path / "checkpoints" / "000000001.checkpoint"
+    posegsa.save_search(path, first_search(task))
+    with pytest.raises(CheckpointError, match="no tuning run's"):
+        resume.begun(tmp_path)

@@ -1,0 +1,137 @@
+"""A run's folder changes all at once, for one writer at a time, and nothing leads out of it."""
+
+import resource
+from pathlib import Path
+
+import pytest
+
+from posegsa import files, run_folder
+from posegsa.errors import RunFolderError
+from posegsa.run_folder import claim, claimed, read, replace_files, settle
+
+OLD = {"result.json": b"old", "figures/a.png": b"old", "figures/b.png": b"old"}
+NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """All files but the lock."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+@pytest.fixture
+def folder(tmp_path):
+    replace_files(tmp_path, OLD, remove=())
+    assert content(tmp_path) == OLD
+    return tmp_path
+
+
+def test_all_files_are_replaced_and_those_that_go_are_gone(folder):
+    replace_files(folder, NEW, remove=["figures/a.png", "figures/b.png", "figures/c.png"])
+    assert content(folder) == NEW
+
+
+@pytest.mark.parametrize("written", [0, 1, 2])
+def test_what_cannot_be_written_leaves_the_old_ones(folder, monkeypatch, written):
+    def full(path, data, left=[written]):  # noqa: B006 - counts over calls
+        if left[0] == 0:
+            raise OSError(28, "No space left on device")
+        left[0] -= 1
+        path.write_bytes(data)
+
+    monkeypatch.setattr(run_folder, "write_synced", full)
+    with pytest.raises(RunFolderError, match="cannot be written: No space left"):
+        replace_files(folder, NEW, remove=["figures/b.png"])
+    assert content(folder) == OLD
+
+
+@pytest.mark.parametrize("when", ["staging", "moving"])
+def test_ctrl_c_leaves_the_old_result_or_the_new(folder, monkeypatch, when):
+    """Before the moment from which the new ones hold, and after it, with some of them moved."""
+    own, moved = Path.replace, []
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    def interrupted_later(self, target):
+        if moved:
+            raise KeyboardInterrupt
+        moved.append(own(self, target))
+
+    with monkeypatch.context() as patch:
+        if when == "staging":
+            patch.setattr(run_folder, "sync_folder", interrupted)
+        else:
+            patch.setattr(Path, "replace", interrupted_later)
+        with pytest.raises(KeyboardInterrupt):
+            replace_files(folder, NEW, remove=())
+    kept = "old" if when == "staging" else "new"
+    assert read(folder, "result.json", 10) == read(folder, "figures/a.png", 10) == kept
+    with claimed(folder, overwrite=True):
+        assert content(folder) == (OLD if when == "staging" else OLD | NEW)
+    settle(folder)
+
+
+def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
+    with claimed(tmp_path):
+        with (
+            pytest.raises(RunFolderError, match=r"another run is writing there \(process \d+ on"),
+            claimed(tmp_path),
+        ):
+            pytest.fail("two at once")
+        with claimed(tmp_path / "other"):
+            pass
+    with claimed(tmp_path):
+        pass
+
+
+def test_a_run_that_appears_between_look_and_lock_is_seen(tmp_path, monkeypatch):
+    looks = []
+
+    def claim_and_lose(folder, *, overwrite=False):
+        looks.append(claim(folder, overwrite=overwrite))
+        if len(looks) == 1:
+            (tmp_path / "result.json").write_text("{}")
+        return looks[-1]
+
+    monkeypatch.setattr(run_folder, "claim", claim_and_lose)
+    with pytest.raises(RunFolderError, match="holds a run already"), claimed(tmp_path):
+        pytest.fail("the other's run is lost")
+
+
+@pytest.mark.parametrize("name", ["figures", "checkpoints"])
+def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / name).symlink_to(outside)
+    with pytest.raises(RunFolderError, match=f"{name}: is a link"):
+        claim(run)
+    (run / "result.json").symlink_to(tmp_path / "elsewhere")
+    (run / name).unlink()
+    replace_files(run, NEW, remove=())
+    assert not (tmp_path / "elsewhere").exists(), "a link is replaced, not followed"
+
+
+def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
+    """By real means: the system refuses to write more than this to a file."""
+    path = tmp_path / "file"
+    files.write_atomically(path, "old")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            files.write_atomically(path, bytes(1000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert content(tmp_path) == {"file": b"old"}
+
+
+@pytest.mark.parametrize("value", ["", "no\0path", 5, None, b"bytes"])
+def test_what_is_no_path_is_refused(value):
+    with pytest.raises(RunFolderError, match=r"folder = .*; allowed: a path"):
+        claim(value)
