@@ -188,7 +188,7 @@ class _Progress:
     def __call__(self, progress) -> None:
         if progress.iteration == 0:
             # Rate and time left are those of the search: the clock starts after compiling.
-            self.bar.reset()
+            self.bar.reset(total=progress.iterations)
             self.bar.set_description_str("tuning")
             return
         self.bar.set_postfix_str(f"best cost {progress.best_cost:.4g}", refresh=False)

@@ -16,9 +16,19 @@ from posegsa.comparison import held_out_keys, training_keys
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
 from posegsa.metrics import take
-from posegsa.optimisers import GSA, Box, Optimiser, RandomSearch, Search, advance, start
+from posegsa.named_optimisers import make_optimiser
+from posegsa.optimisers import (
+    AnyOptimiser,
+    Box,
+    Search,
+    advance,
+    advance_on_host,
+    ask,
+    forward_mode,
+    start,
+)
 from posegsa.parameters import ParameterSpace, parameter_space
-from posegsa.population import Problem, population_costs, problem
+from posegsa.population import Problem, evaluate_population, population_costs, problem
 from posegsa.scenario import Scenario, scenario
 
 CHUNKS = 50
@@ -47,7 +57,7 @@ class Task(NamedTuple):
     """Training scenarios, then held-out ones."""
     training: Problem
     space: ParameterSpace
-    optimiser: Optimiser
+    optimiser: AnyOptimiser
 
 
 class Found(NamedTuple):
@@ -73,17 +83,9 @@ def make_ready(experiment: config.Experiment) -> Task:
     )
 
 
-def make_optimiser(experiment: config.Experiment) -> Optimiser:
-    """The optimiser that an experiment configures."""
-    search = experiment.search
-    if search.optimiser == "random_search":
-        return RandomSearch(search.agents, search.iterations)
-    return GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
-
-
 @partial(jax.jit, static_argnums=(0, 1))
 def _advance(
-    optimiser: Optimiser,
+    optimiser: AnyOptimiser,
     objective: config.ObjectiveConfig,
     search: Search,
     training: Problem,
@@ -95,12 +97,13 @@ def _advance(
     def costs(vectors: Array) -> Array:
         return population_costs(vectors, training, space, objective)
 
-    return advance(optimiser, costs, Box(space.lower, space.upper), search, stop)
+    box = Box(space.lower, space.upper)
+    return advance(optimiser, forward_mode(costs), box, search, stop)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _advance_batch(
-    optimiser: Optimiser,
+    optimiser: AnyOptimiser,
     objective: config.ObjectiveConfig,
     search: Search,
     training: Problem,
@@ -142,13 +145,30 @@ def _run(
 
 def run_search(task: Task, progress: Callable[[Progress], object] | None = None) -> Found:
     """Search a task's parameter space; nothing held out is looked at."""
+    return run_search_from(task, keys(task.experiment.run.seed).search, progress)
+
+
+def run_search_from(
+    task: Task, key: Array, progress: Callable[[Progress], object] | None = None
+) -> Found:
+    """The same with another random key of the search."""
     experiment, space, optimiser = task.experiment, task.space, task.optimiser
-    search = start(optimiser, Box(space.lower, space.upper), keys(experiment.run.seed).search)
+    box = Box(space.lower, space.upper)
+    search = start(optimiser, box, key)
 
     def go(search: Search, stop: int) -> Search:
         return _advance(optimiser, experiment.objective, search, task.training, space, stop)
 
-    return _run(go, search, optimiser.iterations, progress)
+    def costs(vectors: Array) -> Array:
+        return evaluate_population(vectors, task.training, space, objective=experiment.objective)
+
+    def go_on_host(search: Search, stop: int) -> Search:
+        if stop == 0:  # compile
+            jax.block_until_ready(costs(ask(optimiser, box, search)))
+        return advance_on_host(optimiser, costs, box, search, stop, numpy_objective=False)
+
+    on_host = getattr(optimiser, "on_host", False)
+    return _run(go_on_host if on_host else go, search, optimiser.iterations, progress)
 
 
 def search_batch(
@@ -157,11 +177,16 @@ def search_batch(
     """Search all tasks in one compiled call."""
     optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
     for name, differs in (
-        ("search or gsa", any(t.optimiser != optimiser for t in tasks)),
+        ("search, or its optimiser's section,", any(t.optimiser != optimiser for t in tasks)),
         ("objective", any(t.experiment.objective != objective for t in tasks)),
     ):
         if differs:
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
+    if getattr(optimiser, "on_host", False):
+        name = tasks[0].experiment.search.optimiser
+        raise ConfigError(
+            f"search.optimiser = {name!r} can't be compiled, and so not run in a batch"
+        )
     try:
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves), *((t.training, t.space) for t in tasks)

@@ -20,6 +20,7 @@ from posegsa.errors import ConfigError
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import metrics_of, run, take
+from posegsa.optimisers import evaluations_spent
 from posegsa.results import TuneResult
 from posegsa.runtime import environment
 from posegsa.search import Found, Progress, Task, make_ready, run_search, search_batch
@@ -144,7 +145,7 @@ def _result(task: Task, found: Found) -> TuneResult:
         trust=trust.check(
             experiment, parameters, everywhere, tuned_tracks, trajectory.error, trajectory.rate
         ),
-        evaluations=task.optimiser.agents * task.optimiser.iterations,
+        evaluations=int(evaluations_spent(task.optimiser)[-1]),
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,
         search_seconds=found.search_seconds,

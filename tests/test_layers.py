@@ -11,6 +11,7 @@ LAYERS = [
     "optimisers",
     "history",
     "config",
+    "named_optimisers",
     "se3",
     "measurements",
     "filter",

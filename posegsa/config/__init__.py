@@ -8,13 +8,21 @@ from posegsa.config.experiment import (
     CostConfig,
     Experiment,
     FilterConfig,
-    GsaConfig,
     ObjectiveConfig,
     RunConfig,
-    SearchConfig,
 )
 from posegsa.config.family import FamilyConfig
 from posegsa.config.files import from_dict, load, override, to_toml
+from posegsa.config.optimisers import (
+    AdamConfig,
+    DeConfig,
+    EvosaxConfig,
+    GsaConfig,
+    OptimiserName,
+    PsoConfig,
+    PycmaConfig,
+    SearchConfig,
+)
 from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
 from posegsa.config.schedule import (
     INPUT_RANGE,
@@ -30,7 +38,10 @@ __all__ = [
     "INPUT_RANGE",
     "PARAMETERS",
     "TERMS",
+    "AdamConfig",
     "CostConfig",
+    "DeConfig",
+    "EvosaxConfig",
     "Experiment",
     "FamilyConfig",
     "FilterConfig",
@@ -39,8 +50,11 @@ __all__ = [
     "GsaConfig",
     "Landmark",
     "ObjectiveConfig",
+    "OptimiserName",
     "ParametersConfig",
     "Profile",
+    "PsoConfig",
+    "PycmaConfig",
     "RunConfig",
     "ScenarioConfig",
     "SearchConfig",

@@ -1,8 +1,4 @@
-"""The search box, the ask/tell protocol and the one loop that runs every optimiser.
-
-An optimiser sees the unit box and finite costs only. This module maps its positions into the
-user's box, deals with costs that are not finite, and keeps the record of the search.
-"""
+"""The search box, the ask/tell protocol that every optimiser keeps, and the checks they share."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,7 +8,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax, random
+from jax import Array, random
 from jax.typing import ArrayLike, DTypeLike
 
 Objective = Callable[[Array], Array]
@@ -26,31 +22,10 @@ class Box(NamedTuple):
     upper: Array  # (dimensions,); equal to lower where a coordinate is fixed
 
 
-class History(NamedTuple):
-    """What each iteration saw; NaN (0 for the count) from `Search.iteration` on."""
+class Asking(Protocol):
+    """What optimisers of both kinds share; positions lie in the unit box.
 
-    best: Array  # (iterations,) best cost so far; inf before any finite one
-    mean: Array  # (iterations,) mean of the iteration's finite costs; NaN if there were none
-    worst: Array  # (iterations,) largest of the iteration's finite costs; NaN if there were none
-    non_finite: Array  # (iterations,) int32, number of the iteration's costs that were not finite
-
-
-class Search(NamedTuple):
-    """The whole state of a search: all that `advance` needs to go on, and all it found."""
-
-    state: Any  # the optimiser's own state
-    best_position: Array  # (dimensions,) in the box's coordinates; its centre until a finite cost
-    best_cost: Array  # () inf until a finite cost
-    iteration: Array  # () int32, iterations done
-    non_finite: Array  # () int32, costs so far that were not finite
-    history: History
-
-
-class Optimiser(Protocol):
-    """Settings with three pure methods over an immutable state; positions lie in the unit box.
-
-    An implementation is frozen and hashable, so that it can be static in a compiled function. The
-    costs it is told are finite: `advance` sees to that.
+    An implementation is frozen and hashable, so that it can be static in a compiled function.
     """
 
     @property
@@ -71,8 +46,31 @@ class Optimiser(Protocol):
         """Return the positions (agents, dimensions) in [0, 1] whose costs are wanted next."""
         ...
 
+
+class Optimiser(Asking, Protocol):
+    """Settings with three pure methods over an immutable state.
+
+    The costs it is told are finite: the loop (`posegsa.optimisers.loop`) sees to that.
+    """
+
     def tell(self, state: Any, costs: Array) -> Any:
         """Return the state after learning the costs (agents,) of the positions asked for."""
+        ...
+
+
+class GradientOptimiser(Asking, Protocol):
+    """The same for an optimiser that needs gradients; they are finite too."""
+
+    @property
+    def gradient_price(self) -> int:
+        """How many evaluations a cost with its gradient counts as."""
+        ...
+
+    def tell(self, state: Any, costs: Array, gradients: Array) -> Any:
+        """Return the state after learning costs (agents,) and their gradients.
+
+        The gradients (agents, dimensions) are with respect to the positions in the unit box.
+        """
         ...
 
 
@@ -97,13 +95,13 @@ def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) 
         low, high = low.astype(dtype), high.astype(dtype)
     for name, bound in (("lower", low), ("upper", high)):
         if bound.ndim != 1 or bound.size == 0:
-            _refuse(f"box: {name} has shape {bound.shape}", "(dimensions,), dimensions >= 1")
+            refuse(f"box: {name} has shape {bound.shape}", "(dimensions,), dimensions >= 1")
         for i in np.flatnonzero(~np.isfinite(bound)):
-            _refuse(f"box: {name}[{i}] = {bound[i]}", f"a finite {dtype} number")
+            refuse(f"box: {name}[{i}] = {bound[i]}", f"a finite {dtype} number")
     if low.shape != high.shape:
-        _refuse(f"box: lower has shape {low.shape}, upper {high.shape}", "equal shapes")
+        refuse(f"box: lower has shape {low.shape}, upper {high.shape}", "equal shapes")
     for i in np.flatnonzero(low > high):
-        _refuse(f"box: lower[{i}] = {low[i]}, upper[{i}] = {high[i]}", "lower <= upper")
+        refuse(f"box: lower[{i}] = {low[i]}, upper[{i}] = {high[i]}", "lower <= upper")
     return Box(jnp.asarray(low), jnp.asarray(high))
 
 
@@ -122,151 +120,6 @@ def from_unit(box: Box, unit: Array) -> Array:
     return jnp.clip(lower * (1 - unit) + upper * unit, lower, upper)
 
 
-def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
-    """Return a search that has not evaluated anything yet.
-
-    Args:
-        optimiser: What searches.
-        box: Where.
-        key: Random key of the whole search.
-
-    Returns:
-        The search at iteration 0. Its best position is the box's centre, with cost inf: a
-        position that is safe to use, but that nobody has evaluated.
-    """
-    dimensions, dtype = box.lower.shape[0], box.lower.dtype
-    unknown = jnp.full(optimiser.iterations, jnp.nan, dtype)
-    return Search(
-        state=optimiser.init(key, dimensions, dtype),
-        best_position=from_unit(box, jnp.full(dimensions, 0.5, dtype)),
-        best_cost=jnp.asarray(jnp.inf, dtype),
-        iteration=jnp.asarray(0, jnp.int32),
-        non_finite=jnp.asarray(0, jnp.int32),
-        history=History(
-            best=unknown,
-            mean=unknown,
-            worst=unknown,
-            non_finite=jnp.zeros(optimiser.iterations, jnp.int32),
-        ),
-    )
-
-
-def advance(
-    optimiser: Optimiser, objective: Objective, box: Box, search: Search, stop: ArrayLike
-) -> Search:
-    """Run a search on, from the iteration it has reached to `stop`.
-
-    It is pure, and made for the caller's own jit: `objective` may close over traced arrays. `stop`
-    may be traced too, so that one compilation serves chunks of every size, and a search gives the
-    same bits in whatever chunks it is run. On several devices, run it inside `jax.shard_map` and
-    let the objective split the agents and gather their costs: the search itself is then the same
-    on every device, to the last bit.
-
-    Args:
-        optimiser: What searches; the one that `search` was started with.
-        objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,).
-            A cost that is not finite marks a position that could not be judged: it is counted,
-            told to the optimiser as the iteration's worst finite cost (all costs as 0 where none
-            is finite), and never becomes the best.
-        box: Where to search.
-        search: The search so far, from `start` or `advance`.
-        stop: Number of iterations, counted from the start of the search, after which to stop; the
-            search ends at `optimiser.iterations` in any case.
-
-    Returns:
-        The search with `stop` iterations done.
-
-    Raises:
-        ValueError: If the objective does not return one cost per agent.
-    """
-    stop = jnp.minimum(stop, optimiser.iterations)
-    return lax.while_loop(
-        lambda search: search.iteration < stop,
-        lambda search: _iterate(optimiser, objective, box, search),
-        search,
-    )
-
-
-def _iterate(optimiser: Optimiser, objective: Objective, box: Box, search: Search) -> Search:
-    """Ask, evaluate, record and tell, once."""
-    dtype = box.lower.dtype
-    positions = from_unit(box, optimiser.ask(search.state))
-    costs = jnp.asarray(objective(positions)).astype(dtype)
-    if costs.shape != (optimiser.agents,):
-        _refuse(f"objective: costs of shape {costs.shape}", f"({optimiser.agents},), one per agent")
-
-    finite = jnp.isfinite(costs)
-    failures = jnp.sum(~finite, dtype=jnp.int32)
-    some = finite.any()
-    worst = jnp.max(costs, where=finite, initial=-jnp.inf)
-    told = jnp.where(finite, costs, jnp.where(some, worst, 0))
-
-    champion = jnp.argmin(jnp.where(finite, costs, jnp.inf))
-    better = finite[champion] & (costs[champion] < search.best_cost)
-    best_cost = jnp.where(better, costs[champion], search.best_cost)
-    best_position = jnp.where(better, positions[champion], search.best_position)
-
-    seen = History(
-        best=best_cost,
-        mean=jnp.mean(costs, where=finite),
-        worst=jnp.where(some, worst, jnp.nan),
-        non_finite=failures,
-    )
-    return Search(
-        state=optimiser.tell(search.state, told),
-        best_position=best_position,
-        best_cost=best_cost,
-        iteration=search.iteration + 1,
-        non_finite=search.non_finite + failures,
-        history=jax.tree.map(lambda h, s: h.at[search.iteration].set(s), search.history, seen),
-    )
-
-
-_advance = jax.jit(advance, static_argnums=(0, 1))
-
-
-def minimise(
-    objective: Objective,
-    box: Box,
-    optimiser: Optimiser,
-    key: Array,
-    *,
-    chunk: int | None = None,
-    callback: Callable[[Search], object] | None = None,
-) -> Search:
-    """Minimise a batched function over a box.
-
-    The loop is compiled once for each objective (told apart by identity), optimiser and shape of
-    the box. An objective that closes over large arrays, or that is built anew for each call, is
-    better served by `start` and `advance` inside a compiled function that takes them as arguments.
-
-    Args:
-        objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,);
-            see `advance` for costs that are not finite.
-        box: Where to search.
-        optimiser: What searches, for how long and with how many agents.
-        key: Random key; the same key gives the same search, in whatever chunks.
-        chunk: Iterations between two calls of `callback`; by default all of them.
-        callback: Called with the search after each chunk, for progress or to save it.
-
-    Returns:
-        The finished search.
-
-    Raises:
-        ValueError: If `chunk` is not a positive integer, or the objective does not return one
-            cost per agent.
-    """
-    end = optimiser.iterations
-    chunk = end if chunk is None else chunk
-    check_count("minimise: chunk", chunk)
-    search = start(optimiser, box, key)
-    for done in range(0, end, chunk):
-        search = _advance(optimiser, objective, box, search, min(done + chunk, end))
-        if callback is not None:
-            callback(search)
-    return search
-
-
 def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     """Draw from [0, 1) in float32 and cast, so that a key means the same in every dtype."""
     return random.uniform(key, shape, jnp.float32).astype(dtype)
@@ -275,7 +128,7 @@ def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
 def check_count(name: str, value: Any, least: int = 1) -> None:
     """Raise a ValueError unless `value` is an integer of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
-        _refuse(f"{name} = {value!r}", f"an integer of at least {least}")
+        refuse(f"{name} = {value!r}", f"an integer of at least {least}")
 
 
 def check_number(name: str, value: Any, least: float = 0, most: float = math.inf) -> None:
@@ -283,14 +136,15 @@ def check_number(name: str, value: Any, least: float = 0, most: float = math.inf
     number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     if not (math.isfinite(number) and least <= number <= most):
         most_words = "" if most == math.inf else f" and at most {most:g}"
-        _refuse(f"{name} = {value!r}", f"a finite number of at least {least:g}{most_words}")
+        refuse(f"{name} = {value!r}", f"a finite number of at least {least:g}{most_words}")
 
 
 def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
     """Raise a ValueError unless `value` is one of `choices`."""
     if value not in choices:
-        _refuse(f"{name} = {value!r}", " or ".join(map(repr, choices)))
+        refuse(f"{name} = {value!r}", " or ".join(map(repr, choices)))
 
 
-def _refuse(problem: str, allowed: str) -> NoReturn:
+def refuse(problem: str, allowed: str) -> NoReturn:
+    """Raise the ValueError of this package: what is wrong, and what is allowed."""
     raise ValueError(f"{problem}; allowed: {allowed}")

@@ -1,0 +1,124 @@
+"""The optimisers by the names that a configuration calls them."""
+
+from collections.abc import Callable
+
+from posegsa.config import Experiment, OptimiserName
+from posegsa.errors import ConfigError
+from posegsa.optimisers import (
+    GSA,
+    Adam,
+    AnyOptimiser,
+    DifferentialEvolution,
+    ParticleSwarm,
+    Polish,
+    RandomSearch,
+)
+
+TITLES: dict[OptimiserName, str] = {
+    "gsa": "The gravitational search algorithm",
+    "random_search": "Random search",
+    "pso": "Particle swarm",
+    "de": "Differential evolution",
+    "adam": "Gradient descent (Adam)",
+    "gsa+adam": "The gravitational search algorithm, then gradient descent (Adam),",
+    "cma_es": "CMA-ES (evosax)",
+    "evosax": "A strategy of evosax",
+    "pycma": "CMA-ES (pycma)",
+}
+"""The names, and each as the beginning of a sentence."""
+
+
+def make_optimiser(experiment: Experiment) -> AnyOptimiser:
+    """The optimiser that an experiment configures.
+
+    All spend agents x iterations evaluations, or as many of them as make whole iterations.
+
+    Raises:
+        ConfigError: The optimiser can't run with these settings, or its library is not installed.
+    """
+    name = experiment.search.optimiser
+    try:
+        return _MAKERS[name](experiment)
+    except (ValueError, ImportError) as error:
+        raise ConfigError(f"search.optimiser = {name!r} can't be used: {error}") from None
+
+
+def _gsa(experiment: Experiment) -> GSA:
+    search = experiment.search
+    return GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
+
+
+def _random_search(experiment: Experiment) -> RandomSearch:
+    return RandomSearch(experiment.search.agents, experiment.search.iterations)
+
+
+def _pso(experiment: Experiment) -> ParticleSwarm:
+    search = experiment.search
+    return ParticleSwarm(search.agents, search.iterations, **experiment.pso.model_dump())
+
+
+def _de(experiment: Experiment) -> DifferentialEvolution:
+    search = experiment.search
+    return DifferentialEvolution(search.agents, search.iterations, **experiment.de.model_dump())
+
+
+def _adam(experiment: Experiment, evaluations: int | None = None) -> Adam:
+    search, adam = experiment.search, experiment.adam
+    budget = search.agents * search.iterations if evaluations is None else evaluations
+    step = adam.starts * adam.gradient_price
+    if budget < step:
+        raise ValueError(
+            f"{budget} evaluations are not enough for one step; allowed: at least {step}, "
+            f"adam.starts x adam.gradient_price"
+        )
+    return Adam(
+        adam.starts,
+        budget // step,
+        learning_rate=adam.learning_rate,
+        spread=adam.spread,
+        gradient_price=adam.gradient_price,
+    )
+
+
+def _gsa_adam(experiment: Experiment) -> Polish:
+    search, share = experiment.search, experiment.adam.share
+    iterations = max(1, round(search.iterations * (1 - share)))
+    left = search.agents * (search.iterations - iterations)
+    return Polish(
+        GSA(search.agents, iterations, **experiment.gsa.model_dump()), _adam(experiment, left)
+    )
+
+
+def _cma_es(experiment: Experiment) -> AnyOptimiser:
+    return _of_evosax(experiment, "CMA_ES")
+
+
+def _evosax(experiment: Experiment) -> AnyOptimiser:
+    return _of_evosax(experiment, experiment.evosax.strategy)
+
+
+def _of_evosax(experiment: Experiment, strategy: str) -> AnyOptimiser:
+    from posegsa.optimisers.evosax import Evosax  # of an extra, which may not be installed
+
+    search = experiment.search
+    return Evosax(strategy, search.agents, search.iterations, experiment.evosax.sigma)
+
+
+def _pycma(experiment: Experiment) -> AnyOptimiser:
+    from posegsa.optimisers.pycma import PyCMA
+
+    search = experiment.search
+    return PyCMA(search.agents, search.iterations, experiment.pycma.sigma)
+
+
+_MAKERS: dict[OptimiserName, Callable[[Experiment], AnyOptimiser]] = {
+    "gsa": _gsa,
+    "random_search": _random_search,
+    "pso": _pso,
+    "de": _de,
+    "adam": _adam,
+    "gsa+adam": _gsa_adam,
+    "cma_es": _cma_es,
+    "evosax": _evosax,
+    "pycma": _pycma,
+}
