@@ -1,4 +1,4 @@
-"""The command line: `posegsa tune`, `evaluate` and `export`."""
+"""The command line: `posegsa tune`, `evaluate`, `export` and `compare`."""
 
 import argparse
 import signal
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from posegsa.cli_compare import add_compare
 from posegsa.errors import PosegsaError, PosegsaWarning
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
 
@@ -102,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--format", choices=("json", "csv", "c"), required=True)
     export.add_argument("--out", metavar="FILE", help="file to write; default standard output")
     export.set_defaults(command=_export)
+    add_compare(commands)
     return parser
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from posegsa.config import Experiment, OptimiserName
+from posegsa.config import Experiment, OptimiserName, override
 from posegsa.errors import ConfigError
 from posegsa.optimisers import (
     GSA,
@@ -26,6 +26,17 @@ TITLES: dict[OptimiserName, str] = {
     "pycma": "CMA-ES (pycma)",
 }
 """The names, and each as the beginning of a sentence."""
+_SECTIONS: dict[str, tuple[str, ...]] = {
+    "gsa": ("gsa",),
+    "random_search": (),
+    "pso": ("pso",),
+    "de": ("de",),
+    "adam": ("adam",),
+    "gsa+adam": ("gsa", "adam"),
+    "cma_es": ("evosax",),
+    "evosax": ("evosax",),
+    "pycma": ("pycma",),
+}
 
 
 def make_optimiser(experiment: Experiment) -> AnyOptimiser:
@@ -41,6 +52,49 @@ def make_optimiser(experiment: Experiment) -> AnyOptimiser:
         return _MAKERS[name](experiment)
     except (ValueError, ImportError) as error:
         raise ConfigError(f"search.optimiser = {name!r} can't be used: {error}") from None
+
+
+def specify(experiment: Experiment, text: str, evaluations: int) -> Experiment:
+    """The experiment with another optimiser, and settings of its own, at a given budget.
+
+    Args:
+        experiment: Where the other settings come from.
+        text: A name, as in search.optimiser or "random", and after colons settings of its section,
+            or the number of agents: "gsa:g0=1.0", "cma_es:agents=20".
+        evaluations: Evaluations of the search; rounded down to whole iterations.
+
+    Raises:
+        ConfigError: The name or a setting is not valid, or the budget is below one iteration.
+    """
+    given, *own = text.split(":")
+    name = {"random": "random_search"}.get(given, given)
+    if name not in _SECTIONS:
+        known = ", ".join(["random", *_SECTIONS])
+        raise ConfigError(f"optimiser {given!r} of {text!r}; allowed: {known}")
+    settings = [f"search.optimiser={name}"]
+    for setting in own:
+        key = setting.partition("=")[0].strip()
+        of = "search" if key == "agents" else _section(name, key)
+        if of is None:
+            keys = [k for s in _SECTIONS[name] for k in type(getattr(experiment, s)).model_fields]
+            raise ConfigError(f"{key!r} of {text!r}; allowed: {', '.join(['agents', *keys])}")
+        settings.append(f"{of}.{setting}")
+    changed = override(experiment, settings)
+    agents = changed.search.agents
+    if evaluations < agents:
+        raise ConfigError(
+            f"evaluations = {evaluations} of {text!r}; allowed: at least {agents}, one iteration"
+        )
+    return override(changed, [f"search.iterations={evaluations // agents}"])
+
+
+def _section(name: str, key: str) -> str | None:
+    """The section of an optimiser that has this key."""
+    fields = Experiment.model_fields
+    for section in _SECTIONS[name]:
+        if key in getattr(fields[section].annotation, "model_fields", ()):
+            return section
+    return None
 
 
 def _gsa(experiment: Experiment) -> GSA:

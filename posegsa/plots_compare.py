@@ -1,0 +1,66 @@
+"""The figure of a comparison of optimisers: how fast each gets how far."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from posegsa.compared import Comparison
+from posegsa.figure_style import (
+    BLACK,
+    BLUE,
+    DPI,
+    GREEN,
+    LOG_RATIO,
+    PURPLE,
+    SKY,
+    VERMILION,
+    Style,
+    finite,
+    panels,
+    styled,
+)
+
+_STYLES: tuple[Style, ...] = (
+    {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
+    {"color": BLACK, "linestyle": (0, (1, 1))},
+    {"color": VERMILION, "linestyle": (0, (4, 1.5))},
+    {"color": GREEN, "linestyle": "-."},
+    {"color": PURPLE, "linestyle": (0, (7, 1.5))},
+    {"color": SKY, "linestyle": "-"},
+    {"color": "0.45", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+)
+EARLY = 0.05
+"""Share of the budget before which curves may leave the figure at the top."""
+
+
+@styled
+def plot_comparison(comparison: Comparison) -> Figure:
+    """Best cost so far against evaluations: median and quartiles over repeats of each optimiser.
+
+    A cost with its gradient counts as its price. Costs that differ by more than LOG_RATIO are drawn
+    over a logarithmic axis; otherwise the first steps may leave the figure at the top.
+    """
+    figure, (ax,) = panels(1, 4.2)
+    low, high = np.inf, -np.inf
+    for i, name in enumerate(comparison.repeats):
+        style = _STYLES[i % len(_STYLES)]
+        evaluations, (lower, middle, upper) = comparison.bands(name)
+        lower, middle, upper = (finite(band) for band in (lower, middle, upper))
+        ax.fill_between(
+            evaluations, lower, upper, color=style["color"], alpha=0.15, linewidth=0, step="post"
+        )
+        ax.step(evaluations, middle, where="post", label=name, **style)
+        late = evaluations >= EARLY * comparison.budget
+        low = min(low, np.nanmin(lower, initial=np.inf))
+        high = max(high, np.nanmax(upper[late], initial=-np.inf))
+    ax.set_xscale("log")
+    if low > 0 and high > LOG_RATIO * low:
+        ax.set_yscale("log")
+    elif np.isfinite([low, high]).all() and high > low:
+        margin = 0.05 * (high - low)
+        ax.set_ylim(low - margin, high + margin)
+    ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]", title=comparison.subject)
+    ax.title.set_size("medium")
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    figure.set_dpi(DPI)
+    return figure
