@@ -27,9 +27,15 @@ _STYLES: tuple[Style, ...] = (
     {"color": PURPLE, "linestyle": (0, (7, 1.5))},
     {"color": SKY, "linestyle": "-"},
     {"color": "0.45", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    {"color": "#E69F00", "linestyle": "-", "linewidth": 1.0},
+    {"color": "#661100", "linestyle": (0, (2, 2))},
+    {"color": BLUE, "linestyle": (0, (1, 2))},
 )
 EARLY = 0.05
 """Share of the budget before which curves may leave the figure at the top."""
+
+LINE, HANDLE = 72, 7
+"""Characters in a line of the legend, and those that a curve's sample takes."""
 
 
 @styled
@@ -61,6 +67,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
     ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]", title=comparison.subject)
     ax.title.set_size("medium")
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    across = max(1, LINE // (max(map(len, labels)) + HANDLE))
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(across, len(labels)))
     figure.set_dpi(DPI)
     return figure

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.core import Tracer
 
 from posegsa.optimisers.base import Box, check_count, check_number, refuse
@@ -30,6 +30,30 @@ CHUNKS = 50
 """How often `minimise` looks at the clock where it has a limit and no chunk."""
 
 _advance = jax.jit(advance, static_argnums=(0, 1))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _advance_many(
+    optimiser: AnyOptimiser,
+    objective: AnyObjective,
+    box: Box,
+    searches: Search,
+    stop: int,
+    until: Until | None,
+) -> Search:
+    """Run searches, leaves (R, ...), on: on CPUs one after the other, elsewhere side by side.
+
+    On a CPU a search fills the vector units by itself. XLA's fast path there
+    (`posegsa.enable_fast_path`) also fails on some searches with one more batch axis.
+    """
+
+    def one(search: Search) -> Search:
+        return advance(optimiser, objective, box, search, stop, until)
+
+    together = lax.map if jax.default_backend() == "cpu" else lambda f, a: jax.vmap(f)(a)
+    return together(one, searches)
+
+
 _ask = jax.jit(ask, static_argnums=0)
 _tell = jax.jit(tell, static_argnums=0)
 _is_satisfied = jax.jit(is_satisfied)
@@ -62,7 +86,7 @@ def minimise(
         box: Where to search; `box` makes one.
         optimiser: What searches, for how long and with how many agents.
         key: Random key (`jax.random.key`); the same key gives the same search, in whatever chunks.
-            Keys (R,) give R searches side by side, every array with a leading axis of R.
+            Keys (R,) give R searches in one call, every array with a leading axis of R.
         chunk: Iterations between two calls of `callback`; by default all of them.
         callback: Called with the search after each chunk, for progress or to save it.
         target: Stop once the best cost is at most this.
@@ -103,9 +127,7 @@ def minimise(
     else:
         go = partial(_advance, optimiser, objective, box)
     if not single:
-        begin = jax.vmap(begin)
-        one = go
-        go = lambda many, stop, until: jax.vmap(lambda s: one(s, stop, until))(many)  # noqa: E731
+        begin, go = jax.vmap(begin), partial(_advance_many, optimiser, objective, box)
 
     begun = time.monotonic()
     search = begin(key)
@@ -192,10 +214,9 @@ def _check_arguments(objective: Any, box: Any, optimiser: Any, key: Any) -> None
     if not isinstance(box, Box):
         kind = type(box).__name__
         refuse(f"minimise: box is a {kind}", "a Box, as posegsa.box(lower, upper) makes it")
-    for name in ("init", "agents", "iterations"):
-        if not hasattr(optimiser, name) and not isinstance(optimiser, Polish):
-            kind = type(optimiser).__name__
-            refuse(f"minimise: optimiser is a {kind}", "settings such as posegsa.GSA(agents=50)")
+    if isinstance(optimiser, type) or not hasattr(optimiser, "init"):
+        kind = type(optimiser).__name__
+        refuse(f"minimise: optimiser is a {kind}", "settings such as posegsa.GSA(agents=50)")
     dtype = getattr(key, "dtype", None)
     if dtype is None or not jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key) or key.ndim > 1:
         given = f"{type(key).__name__}" if dtype is None else f"{dtype} of shape {key.shape}"
