@@ -35,6 +35,8 @@ from posegsa.search import CHUNKS, Progress, make_ready, run_search_from
 
 OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
 """What is compared unless something else is asked for."""
+POINTS = 250
+"""Iterations of a search whose best cost is kept, at most."""
 DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
 """The files of a comparison."""
 
@@ -246,10 +248,10 @@ def _settings(experiment: config.Experiment, function: ClassicalFunction | None)
 def _gradients(optimiser: AnyOptimiser) -> Gradients | None:
     """How an optimiser uses gradients, if it does."""
     if isinstance(optimiser, Polish):
-        second = optimiser.second
-        return Gradients(second.gradient_price, second.agents, optimiser.first.iterations)
+        begin = int(evaluations_spent(optimiser.first)[-1])
+        return Gradients(optimiser.second.gradient_price, begin)
     price = getattr(optimiser, "gradient_price", None)
-    return None if price is None else Gradients(price, optimiser.agents, 0)
+    return None if price is None else Gradients(price, 0)
 
 
 def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
@@ -305,7 +307,9 @@ def _search(
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = evaluations_spent(optimiser)
-    times = np.interp(np.arange(1, len(spent) + 1), *zip(*stamps, strict=True))
+    kept = np.unique(np.linspace(0, len(spent) - 1, POINTS).round().astype(int))
+    times = np.interp(kept + 1, *zip(*stamps, strict=True))
+    best = np.asarray(search.history.best, np.float64)[kept]
     return Repeat(
         float(search.best_cost),
         subject.held_out(search.best_position),
@@ -313,8 +317,8 @@ def _search(
         seconds,
         compile_seconds,
         int(search.non_finite),
-        spent.tolist(),
-        [float(f"{c:.{DIGITS}g}") for c in np.asarray(search.history.best).tolist()],
+        spent[kept].tolist(),
+        [float(f"{c:.{DIGITS}g}") for c in best],
         [round(t, 4) for t in times.tolist()],
     )
 

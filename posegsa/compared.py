@@ -31,11 +31,11 @@ class Repeat(NamedTuple):
     non_finite: int
     """Evaluations that were not finite."""
     evaluations: list[int]
-    """(n,) evaluations made after each iteration; a gradient counts at its price."""
+    """(n,) evaluations made after some or all iterations; a gradient counts at its price."""
     best: list[float]
-    """(n,) best cost so far after each iteration."""
+    """(n,) best cost so far, then."""
     times: list[float]
-    """(n,) seconds since the search began."""
+    """(n,) seconds since the search began, then."""
 
 
 class Gradients(NamedTuple):
@@ -43,10 +43,8 @@ class Gradients(NamedTuple):
 
     price: int
     """Evaluations that a cost with its gradient counts as."""
-    starts: int
-    """Gradients in an iteration."""
     begin: int
-    """Iterations before the first one with gradients."""
+    """Evaluations before the first gradient."""
 
 
 class Quartiles(NamedTuple):
@@ -86,11 +84,6 @@ class Comparison:
     environment: dict[str, str] = field(default_factory=dict)
     """The machine that made them."""
 
-    @property
-    def paired(self) -> int:
-        """Number of repeats that all optimisers have made."""
-        return min((len(r) for r in self.repeats.values()), default=0)
-
     def only(self, names: Sequence[str]) -> "Comparison":
         """The same with some of the optimisers, in this order."""
         return Comparison(
@@ -104,7 +97,7 @@ class Comparison:
 
     def costs(self, name: str, *, held_out: bool = False) -> np.ndarray:
         """Final costs (repeats,) of an optimiser."""
-        found = self.repeats[name][: self.paired]
+        found = self.repeats[name]
         return np.array([r.held_out if held_out else r.cost for r in found], np.float64)
 
     @property
@@ -113,13 +106,14 @@ class Comparison:
         return all(r.held_out is not None for each in self.repeats.values() for r in each)
 
     def versus_first(self, *, held_out: bool = False) -> dict[str, Versus]:
-        """Each other optimiser against the first, over the same repeats."""
+        """Each other optimiser against the first, over the repeats that both have made."""
         first, *others = self.repeats
-        ours = self.costs(first, held_out=held_out)
-        found = {}
+        ours, found = self.costs(first, held_out=held_out), {}
         for name in others:
+            theirs = self.costs(name, held_out=held_out)
+            both = min(len(ours), len(theirs))
             with np.errstate(invalid="ignore"):
-                difference = ours - self.costs(name, held_out=held_out)
+                difference = ours[:both] - theirs[:both]
             found[name] = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
         corrected = holm([signed_rank(d) for d in found.values()])
         return {
@@ -139,7 +133,7 @@ class Comparison:
         Both are infinite where fewer than half of the repeats got there.
         """
         evaluations, seconds = [], []
-        for repeat in self.repeats[name][: self.paired]:
+        for repeat in self.repeats[name]:
             there = np.flatnonzero(np.asarray(repeat.best) <= level)
             evaluations.append(repeat.evaluations[there[0]] if there.size else math.inf)
             seconds.append(repeat.times[there[0]] if there.size else math.inf)
@@ -153,7 +147,7 @@ class Comparison:
 
     def bands(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Evaluations (n,) and quartiles (3, n) over repeats of the best cost so far."""
-        found = self.repeats[name][: self.paired]
+        found = self.repeats[name]
         best = np.array([r.best for r in found], np.float64)
         return np.array(found[0].evaluations), quantiles(best)
 
@@ -165,7 +159,13 @@ class Comparison:
         """
         levels = self.levels() if levels is None else levels
         first, judged = next(iter(self.repeats)), self.has_held_out
-        header = ["optimiser", "cost, median [quartiles]", "best", f"{first} minus this (p)"]
+        header = [
+            "optimiser",
+            "repeats",
+            "cost, median [quartiles]",
+            "best",
+            f"{first} minus this (p)",
+        ]
         if judged:
             header += ["held out", f"{first} minus this (p)"]
         header += [f"to {level:.5g}" for level in levels] + ["s"]
@@ -174,11 +174,17 @@ class Comparison:
         unseen = self.versus_first(held_out=True) if judged else {}
         for name in self.repeats:
             costs = self.costs(name)
-            row = [name, str(_quartiles(costs)), f"{costs.min():.5g}", _versus(training, name)]
+            row = [
+                name,
+                str(len(costs)),
+                str(_quartiles(costs)),
+                f"{costs.min():.5g}",
+                _versus(training, name),
+            ]
             if judged:
                 row += [str(_quartiles(self.costs(name, held_out=True))), _versus(unseen, name)]
             row += [_reached(*self.reached(name, level)) for level in levels]
-            seconds = [r.seconds for r in self.repeats[name][: self.paired]]
+            seconds = [r.seconds for r in self.repeats[name]]
             rows.append([*row, f"{np.median(seconds):.3g}"])
         return rows
 
@@ -203,7 +209,9 @@ class Comparison:
 
     def heading(self) -> str:
         """What was compared."""
-        return f"{self.subject}: {self.paired} repeats of {self.budget} evaluations each."
+        made = sorted({len(repeats) for repeats in self.repeats.values()})
+        count = str(made[0]) if len(made) == 1 else f"{made[0]} to {made[-1]}"
+        return f"{self.subject}: {count} repeats of {self.budget} evaluations each."
 
     def notes(self) -> list[str]:
         """How to read the table."""
@@ -229,11 +237,11 @@ class Comparison:
         """Time of one cost with its gradient; None for an optimiser without gradients."""
         if name not in self.gradients:
             return None
-        _, starts, before = self.gradients[name]
+        price, begin = self.gradients[name]
         per = []
         for r in self.repeats[name]:
-            begun = r.times[before - 1] if before else 0.0
-            per.append((r.times[-1] - begun) / (len(r.times) - before) / starts)
+            begun = np.interp(begin, [0, *r.evaluations], [0.0, *r.times])
+            per.append((r.times[-1] - begun) * price / (r.evaluations[-1] - begin))
         return float(np.median(per))
 
     def _evaluation_seconds(self) -> float | None:

@@ -54,6 +54,24 @@ def make_optimiser(experiment: Experiment) -> AnyOptimiser:
         raise ConfigError(f"search.optimiser = {name!r} can't be used: {error}") from None
 
 
+def size_in_words(experiment: Experiment, between: str = " x ") -> str:
+    """Agents and iterations of an experiment's search, such as "100 agents x 250 iterations"."""
+    search, parts = experiment.search, []
+    if search.optimiser == "gsa+adam":
+        both = _gsa_adam(experiment)
+        parts = [(both.first.agents, "agent", both.first.iterations, "iteration")]
+        parts += [(both.second.agents, "start", both.second.iterations, "step")]
+    elif search.optimiser == "adam":
+        adam = _adam(experiment)
+        parts = [(adam.agents, "start", adam.iterations, "step")]
+    else:  # without making it: its library may not be installed where a result is read
+        parts = [(search.agents, "agent", search.iterations, "iteration")]
+    return ", then ".join(
+        f"{agents} {who}{'s' * (agents != 1)}{between}{rounds} {what}{'s' * (rounds != 1)}"
+        for agents, who, rounds, what in parts
+    )
+
+
 def specify(experiment: Experiment, text: str, evaluations: int) -> Experiment:
     """The experiment with another optimiser, and settings of its own, at a given budget.
 

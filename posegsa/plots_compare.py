@@ -1,6 +1,9 @@
 """The figure of a comparison of optimisers: how fast each gets how far."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from posegsa.compared import Comparison
@@ -13,9 +16,11 @@ from posegsa.figure_style import (
     PURPLE,
     SKY,
     VERMILION,
+    WIDTH,
     Style,
     finite,
     panels,
+    style_ticks,
     styled,
 )
 
@@ -46,11 +51,36 @@ def plot_comparison(comparison: Comparison) -> Figure:
     over a logarithmic axis; otherwise the first steps may leave the figure at the top.
     """
     figure, (ax,) = panels(1, 4.2)
+    _draw(ax, comparison)
+    _legend(figure, ax)
+    figure.set_dpi(DPI)
+    return figure
+
+
+@styled
+def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figure:
+    """The same for several comparisons of the same optimisers, a panel each."""
+    down = -(-len(comparisons) // across)
+    figure = Figure(figsize=(WIDTH, 0.8 + 2.4 * down), layout="constrained")
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for ax, comparison in zip(axes, comparisons, strict=False):
+        style_ticks(ax)
+        _draw(ax, comparison)
+        ax.title.set_size("small")
+    for ax in axes[len(comparisons) :]:
+        ax.set_visible(False)
+    _legend(figure, axes[0])
+    figure.set_dpi(DPI)
+    return figure
+
+
+def _draw(ax: Axes, comparison: Comparison) -> None:
+    """Bands and medians of all optimisers."""
     low, high = np.inf, -np.inf
     for i, name in enumerate(comparison.repeats):
         style = _STYLES[i % len(_STYLES)]
-        evaluations, (lower, middle, upper) = comparison.bands(name)
-        lower, middle, upper = (finite(band) for band in (lower, middle, upper))
+        evaluations, bands = comparison.bands(name)
+        lower, middle, upper = (finite(band) for band in bands)
         ax.fill_between(
             evaluations, lower, upper, color=style["color"], alpha=0.15, linewidth=0, step="post"
         )
@@ -66,8 +96,10 @@ def plot_comparison(comparison: Comparison) -> Figure:
         ax.set_ylim(low - margin, high + margin)
     ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]", title=comparison.subject)
     ax.title.set_size("medium")
+
+
+def _legend(figure: Figure, ax: Axes) -> None:
+    """The names above all panels, in as few lines as they fit into."""
     handles, labels = ax.get_legend_handles_labels()
     across = max(1, LINE // (max(map(len, labels)) + HANDLE))
     figure.legend(handles, labels, loc="outside upper center", ncols=min(across, len(labels)))
-    figure.set_dpi(DPI)
-    return figure

@@ -38,7 +38,7 @@ def made(**costs: list[float]) -> Comparison:
     return Comparison("something", 40, {"a": 1}, repeats)
 
 
-A, B = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5], [1.5, 3.0, 4.75, 4.25, 6.25, 6.0]
+A, B = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5], [1.5, 3.0, 4.75, 4.25, 6.25, 5.9]
 
 
 def test_the_others_are_tested_against_the_first_over_repeats() -> None:
@@ -52,9 +52,15 @@ def test_the_others_are_tested_against_the_first_over_repeats() -> None:
     assert comparison.versus_first(held_out=True) == found
 
 
+def test_repeats_that_only_one_has_made_are_not_paired() -> None:
+    more, fewer = made(a=[*A, 0.0, 0.0], b=B), made(a=A, b=B)
+    assert more.versus_first() == fewer.versus_first()
+    assert len(more.costs("a")) == 8
+
+
 def test_levels_evaluations_and_seconds() -> None:
     comparison = made(a=A, b=B)
-    assert comparison.levels() == [4.375, 3.5]
+    assert comparison.levels() == [4.5, 3.5]
     evaluations, seconds, share = comparison.reached("a", 4.0)
     # Costs fall to 4, 2 and once the final cost: 10, 20, 30, 30 and twice never.
     assert (evaluations, seconds, share) == (30, 1.5, pytest.approx(4 / 6))
@@ -76,10 +82,10 @@ def test_infinite_costs_rank_last_and_survive_the_file() -> None:
 
 def test_a_gradients_time_is_told_in_evaluations() -> None:
     comparison = made(a=A, g=B)
-    comparison.gradients["g"] = Gradients(price=23, starts=2, begin=2)
-    # 0.5 s an iteration of two gradients, against 2 s / 40 an evaluation.
+    comparison.gradients["g"] = Gradients(price=5, begin=20)
+    # 4 gradients, from 20 to 40 evaluations, in the second half of 2 s; an evaluation: 2 s / 40.
     assert comparison.gradient_seconds("g") == pytest.approx(0.25)
-    assert "counts as 23 evaluations; it took 250 ms, as long as 5." in comparison.table()
+    assert "counts as 5 evaluations; it took 250 ms, as long as 5." in comparison.table()
 
 
 def test_the_figure_shows_median_and_quartiles() -> None:
@@ -142,7 +148,8 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None
     assert list(more.repeats) == ["random", "gsa"], "what the folder held is kept"
     assert more.repeats["gsa"] == comparison.repeats["gsa"]
     assert more.repeats["random"][:3] == comparison.repeats["random"]
-    assert more.paired == 3
+    assert "3 to 4 repeats" in more.heading()
+    assert set(more.versus_first()) == {"gsa"}
 
 
 def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:

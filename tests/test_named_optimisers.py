@@ -7,7 +7,7 @@ from test_tuning import tiny
 
 from posegsa.config import OptimiserName
 from posegsa.errors import ConfigError
-from posegsa.named_optimisers import TITLES, make_optimiser, specify
+from posegsa.named_optimisers import TITLES, make_optimiser, size_in_words, specify
 from posegsa.optimisers import GSA, DifferentialEvolution, Polish, evaluations_spent
 
 
@@ -59,3 +59,17 @@ def test_what_can_not_be_run_is_refused(text: str, evaluations: int, message: st
 def test_a_search_too_small_for_its_optimiser_is_refused(settings: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=f"search.optimiser = .*{message}"):
         make_optimiser(tiny(*settings))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("gsa", "50 agents x 40 iterations"),
+        ("pycma", "50 agents x 40 iterations"),
+        ("adam", "8 starts x 10 steps"),
+        ("gsa+adam", "50 agents x 20 iterations, then 8 starts x 5 steps"),
+    ],
+)
+def test_a_search_is_told_in_words(name: str, words: str) -> None:
+    settings = [f"search.optimiser={name}", "search.agents=50", "search.iterations=40"]
+    assert size_in_words(tiny(*settings)) == words
