@@ -308,7 +308,8 @@ def _search(
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = evaluations_spent(optimiser)
     kept = np.unique(np.linspace(0, len(spent) - 1, POINTS).round().astype(int))
-    times = np.interp(kept + 1, *zip(*stamps, strict=True))
+    done, since = np.array(stamps).T
+    times = np.interp(kept + 1, done, since)
     best = np.asarray(search.history.best, np.float64)[kept]
     return Repeat(
         float(search.best_cost),

@@ -51,7 +51,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
     over a logarithmic axis; otherwise the first steps may leave the figure at the top.
     """
     figure, (ax,) = panels(1, 4.2)
-    _draw(ax, comparison)
+    _draw(ax, comparison, "medium")
     _legend(figure, ax)
     figure.set_dpi(DPI)
     return figure
@@ -65,8 +65,7 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
     axes = figure.subplots(down, across, squeeze=False).ravel()
     for ax, comparison in zip(axes, comparisons, strict=False):
         style_ticks(ax)
-        _draw(ax, comparison)
-        ax.title.set_size("small")
+        _draw(ax, comparison, "small")
     for ax in axes[len(comparisons) :]:
         ax.set_visible(False)
     _legend(figure, axes[0])
@@ -74,7 +73,7 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
     return figure
 
 
-def _draw(ax: Axes, comparison: Comparison) -> None:
+def _draw(ax: Axes, comparison: Comparison, size: str) -> None:
     """Bands and medians of all optimisers."""
     low, high = np.inf, -np.inf
     for i, name in enumerate(comparison.repeats):
@@ -94,8 +93,8 @@ def _draw(ax: Axes, comparison: Comparison) -> None:
     elif np.isfinite([low, high]).all() and high > low:
         margin = 0.05 * (high - low)
         ax.set_ylim(low - margin, high + margin)
-    ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]", title=comparison.subject)
-    ax.title.set_size("medium")
+    ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]")
+    ax.set_title(comparison.subject, size=size)
 
 
 def _legend(figure: Figure, ax: Axes) -> None:

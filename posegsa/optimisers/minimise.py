@@ -12,6 +12,7 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from posegsa.optimisers.base import Box, check_count, check_number, refuse
+from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import (
     AnyObjective,
     AnyOptimiser,
@@ -123,7 +124,9 @@ def minimise(
     if on_host or getattr(optimiser, "on_host", False):
         if not single:
             refuse(f"minimise: keys of shape {key.shape} on the host", "one key")
-        go = partial(advance_on_host, optimiser, objective, box, numpy_objective=on_host)
+        plain: Any = objective.costs if isinstance(objective, Differentiable) else objective
+        on_positions = plain if on_host else jax.jit(plain)
+        go = partial(advance_on_host, optimiser, on_positions, box, numpy_objective=on_host)
     else:
         go = partial(_advance, optimiser, objective, box)
     if not single:
@@ -218,6 +221,6 @@ def _check_arguments(objective: Any, box: Any, optimiser: Any, key: Any) -> None
         kind = type(optimiser).__name__
         refuse(f"minimise: optimiser is a {kind}", "settings such as posegsa.GSA(agents=50)")
     dtype = getattr(key, "dtype", None)
-    if dtype is None or not jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key) or key.ndim > 1:
+    if dtype is None or not jnp.issubdtype(dtype, jax.dtypes.prng_key) or key.ndim > 1:
         given = f"{type(key).__name__}" if dtype is None else f"{dtype} of shape {key.shape}"
         refuse(f"minimise: key is {given}", "jax.random.key(seed), or several of them (R,)")
