@@ -2,6 +2,7 @@
 
     python benchmarks/optimisers.py filter --optimisers gsa,pso --repeats 10
     python benchmarks/optimisers.py functions --functions sphere,ackley
+    python benchmarks/optimisers.py scenarios --repeats 3
     python benchmarks/optimisers.py speed
     python benchmarks/optimisers.py write
 
@@ -27,11 +28,15 @@ import posegsa
 from posegsa import config
 from posegsa.compare import compare, load_comparison
 from posegsa.compared import Comparison
+from posegsa.gain import FuzzyGain
+from posegsa.keys import keys, scenario_keys
 from posegsa.named_optimisers import make_optimiser, specify
 from posegsa.optimisers import AnyOptimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.plots_compare import plot_comparison, plot_comparisons
+from posegsa.population import costs_by_scenario, problem
 from posegsa.runtime import environment
+from posegsa.search import make_ready, run_search
 
 BEST = "de:strategy=best/1/bin"
 FILTER = ("gsa", "random", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
@@ -48,6 +53,9 @@ FUNCTIONS = (
     ClassicalFunction("ellipsoid", DIMENSIONS, shift=0.5, rotation=1),
     ClassicalFunction("schwefel", DIMENSIONS),
 )
+SPENT = (("gsa", 8), (BEST, 8), (BEST, 32))
+"""Optimisers and numbers of training scenarios that the same simulations are spent on."""
+VALIDATION_SCENARIOS = 64
 AGENTS, ITERATIONS = 50, 1000
 """Of a search of a function, as in Rashedi's article."""
 PAGE = "docs/optimisers.md"
@@ -95,6 +103,53 @@ def name_of(function: ClassicalFunction) -> str:
     """A folder's name."""
     turned = "" if function.rotation is None else "-rotated"
     return f"{function.name}{'-shifted' if function.shift else ''}{turned}"
+
+
+def scenarios(options: argparse.Namespace) -> None:
+    """Few or many training scenarios for the same number of simulations, on several such sets."""
+    path = options.folder / "scenarios.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    held = json.loads(path.read_text()) if path.exists() else {}
+    for seed in range(1, options.repeats + 1):
+        for name, count in SPENT:
+            if f"{name} {count} {seed}" in held:
+                continue
+            simulations = (50 if options.quick else 25000) * 8
+            settings = [f"run.training_scenarios={count}", f"run.seed={seed}"]
+            experiment = config.override(config.Experiment(), settings)
+            task = make_ready(specify(experiment, name, max(100, simulations // count)))
+            found = run_search(task).search
+            # The same validation scenarios for all; held-out ones are not read.
+            key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
+            controller = task.space.controller(found.best_position)
+            one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+            costs = costs_by_scenario(one, problem(experiment, task.scenario, key))
+            held[f"{name} {count} {seed}"] = float(found.best_cost), float(np.mean(costs))
+            print(seed, name, count, *held[f"{name} {count} {seed}"], flush=True)
+            path.write_text(json.dumps(held) + "\n")
+
+
+def scenarios_table(path: Path) -> str:
+    """Training and validation cost by number of training scenarios."""
+    held = json.loads(path.read_text())
+    seeds = sorted({int(key.split()[-1]) for key in held})
+    seeds = [s for s in seeds if all(f"{name} {count} {s}" in held for name, count in SPENT)]
+    head = " | ".join(f"set {seed}" for seed in seeds)
+    lines = [
+        f"| optimiser | training scenarios | evaluations | validation cost: {head} |",
+        "|" + " --- |" * (3 + len(seeds)),
+    ]
+    for name, count in SPENT:
+        costs = " | ".join(f"{held[f'{name} {count} {seed}'][1]:.2f}" for seed in seeds)
+        lines.append(f"| {name} | {count} | {25000 * 8 // count} | {costs} |")
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"One search for each set of training scenarios; mean cost on {VALIDATION_SCENARIOS} "
+            "validation scenarios, the same for all.",
+        ]
+    )
 
 
 def speed(options: argparse.Namespace) -> None:
@@ -196,6 +251,7 @@ def write(options: argparse.Namespace) -> None:
     functions = [found.only([n for n in ON_FUNCTIONS if n in found.repeats]) for found in functions]
     write_block("comparison", held.markdown(), PAGE)
     write_block("functions", function_table(functions), PAGE)
+    write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
     write_block("speed", speed_table(options.folder / "speed.json"), PAGE)
     data = {"recommended": summary(held), "functions": [summary(found) for found in functions]}
     JSON.write_text(json.dumps(data) + "\n", encoding="utf-8")
@@ -211,7 +267,13 @@ def names(text: str) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Optimisers at equal budgets, and their speed.")
-    parts = {"filter": on_filter, "functions": on_functions, "speed": speed, "write": write}
+    parts = {
+        "filter": on_filter,
+        "functions": on_functions,
+        "scenarios": scenarios,
+        "speed": speed,
+        "write": write,
+    }
     parser.add_argument("part", choices=parts)
     parser.add_argument("--folder", type=Path, default=ROOT / "runs" / "optimisers")
     parser.add_argument("--optimisers", type=names, help="some of them; by default all")

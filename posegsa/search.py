@@ -177,7 +177,7 @@ def search_batch(
     """Search all tasks in one compiled call."""
     optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
     for name, differs in (
-        ("search, or its optimiser's section,", any(t.optimiser != optimiser for t in tasks)),
+        ("search or the optimiser's section", any(t.optimiser != optimiser for t in tasks)),
         ("objective", any(t.experiment.objective != objective for t in tasks)),
     ):
         if differs:
