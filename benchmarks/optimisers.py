@@ -28,6 +28,7 @@ import posegsa
 from posegsa import config
 from posegsa.compare import compare, load_comparison
 from posegsa.compared import Comparison
+from posegsa.figure_style import png
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys, scenario_keys
 from posegsa.named_optimisers import make_optimiser, specify
@@ -40,18 +41,15 @@ from posegsa.search import make_ready, run_search
 
 BEST = "de:strategy=best/1/bin"
 FILTER = ("gsa", "random", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
-ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random", "pso", "de", BEST, "cma_es", "pycma", "adam")
+ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random", "pso", "de", BEST, "cma_es", "adam")
 DIMENSIONS = 30
 FUNCTIONS = (
     ClassicalFunction("sphere", DIMENSIONS),
     ClassicalFunction("sphere", DIMENSIONS, shift=0.5),
     ClassicalFunction("ackley", DIMENSIONS),
-    ClassicalFunction("ackley", DIMENSIONS, shift=0.5, rotation=1),
-    ClassicalFunction("rosenbrock", DIMENSIONS),
     ClassicalFunction("rastrigin", DIMENSIONS),
     ClassicalFunction("rastrigin", DIMENSIONS, shift=0.5, rotation=1),
-    ClassicalFunction("ellipsoid", DIMENSIONS, shift=0.5, rotation=1),
-    ClassicalFunction("schwefel", DIMENSIONS),
+    ClassicalFunction("rosenbrock", DIMENSIONS),
 )
 SPENT = (("gsa", 8), (BEST, 8), (BEST, 32))
 """Optimisers and numbers of training scenarios that the same simulations are spent on."""
@@ -133,6 +131,7 @@ def scenarios_table(path: Path) -> str:
     """Training and validation cost by number of training scenarios."""
     held = json.loads(path.read_text())
     seeds = sorted({int(key.split()[-1]) for key in held})
+    # Sets that all have searched on; a run that was cut short has others.
     seeds = [s for s in seeds if all(f"{name} {count} {s}" in held for name, count in SPENT)]
     head = " | ".join(f"set {seed}" for seed in seeds)
     lines = [
@@ -196,7 +195,8 @@ def function_table(comparisons: Sequence[Comparison]) -> str:
             *lines,
             "",
             f"Median of the best cost over {repeats} repeats of {counted.budget} evaluations "
-            f"({AGENTS} agents), {DIMENSIONS} dimensions; the least of a row in bold.",
+            f"({AGENTS} agents), {DIMENSIONS} dimensions, float32; the least of a row in bold. 0 is "
+            "less than float32 resolves about the minimum.",
         ]
     )
 
@@ -245,18 +245,19 @@ def summary(found: Comparison) -> dict:
 def write(options: argparse.Namespace) -> None:
     """Write page, JSON and figures from what the folder holds."""
     held = load_comparison(options.folder / "recommended")
-    held = held.only([name for name in FILTER if name in held.repeats])
+    held = held.only([name for name in FILTER if held.repeats.get(name)])
     folders = [options.folder / name_of(function) for function in FUNCTIONS]
     functions = [load_comparison(folder) for folder in folders if folder.exists()]
     functions = [found.only([n for n in ON_FUNCTIONS if n in found.repeats]) for found in functions]
+    functions = [found for found in functions if all(found.repeats.values())]  # those complete
     write_block("comparison", held.markdown(), PAGE)
     write_block("functions", function_table(functions), PAGE)
     write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
     write_block("speed", speed_table(options.folder / "speed.json"), PAGE)
     data = {"recommended": summary(held), "functions": [summary(found) for found in functions]}
     JSON.write_text(json.dumps(data) + "\n", encoding="utf-8")
-    plot_comparison(held).savefig(FIGURE)
-    plot_comparisons(functions, across=3).savefig(FUNCTION_FIGURE)
+    FIGURE.write_bytes(png(plot_comparison(held)))
+    FUNCTION_FIGURE.write_bytes(png(plot_comparisons(functions)))
     print(f"Written: {PAGE}, {JSON}, {FIGURE}, {FUNCTION_FIGURE}")
 
 

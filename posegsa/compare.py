@@ -14,6 +14,7 @@ from jax import Array
 from posegsa import config
 from posegsa.compared import DIGITS, Comparison, Gradients, Repeat, from_json
 from posegsa.errors import ConfigError, RunFolderError
+from posegsa.figure_style import png
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -225,7 +226,7 @@ def save(comparison: Comparison, folder: str | Path, levels: Sequence[float] | N
     _write(folder / DATA, comparison.to_json())
     _write(folder / TABLE, comparison.table(levels) + "\n")
     with _writing(folder):
-        plot_comparison(comparison).savefig(folder / FIGURE)
+        (folder / FIGURE).write_bytes(png(plot_comparison(comparison)))
 
 
 def _loaded(experiment: config.Experiment | str | Path | None) -> config.Experiment:

@@ -10,7 +10,6 @@ from posegsa.compared import Comparison
 from posegsa.figure_style import (
     BLACK,
     BLUE,
-    DPI,
     GREEN,
     LOG_RATIO,
     PURPLE,
@@ -53,7 +52,6 @@ def plot_comparison(comparison: Comparison) -> Figure:
     figure, (ax,) = panels(1, 4.2)
     _draw(ax, comparison, "medium")
     _legend(figure, ax)
-    figure.set_dpi(DPI)
     return figure
 
 
@@ -69,7 +67,6 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
     for ax in axes[len(comparisons) :]:
         ax.set_visible(False)
     _legend(figure, axes[0])
-    figure.set_dpi(DPI)
     return figure
 
 
