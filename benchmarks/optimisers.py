@@ -195,8 +195,8 @@ def function_table(comparisons: Sequence[Comparison]) -> str:
             *lines,
             "",
             f"Median of the best cost over {repeats} repeats of {counted.budget} evaluations "
-            f"({AGENTS} agents), {DIMENSIONS} dimensions, float32; the least of a row in bold. 0 is "
-            "less than float32 resolves about the minimum.",
+            f"({AGENTS} agents), {DIMENSIONS} dimensions, float32; the least of a row in bold. 0 "
+            "is less than float32 resolves about the minimum.",
         ]
     )
 
@@ -252,7 +252,8 @@ def write(options: argparse.Namespace) -> None:
     functions = [found for found in functions if all(found.repeats.values())]  # those complete
     write_block("comparison", held.markdown(), PAGE)
     write_block("functions", function_table(functions), PAGE)
-    write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
+    if (options.folder / "scenarios.json").exists():
+        write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
     write_block("speed", speed_table(options.folder / "speed.json"), PAGE)
     data = {"recommended": summary(held), "functions": [summary(found) for found in functions]}
     JSON.write_text(json.dumps(data) + "\n", encoding="utf-8")

@@ -36,6 +36,6 @@ def test_commands_and_files_that_it_names() -> None:
 
 
 def test_the_results_are_there() -> None:
-    for block in ("comparison", "scenarios", "functions", "speed"):
+    for block in ("comparison", "functions", "speed"):
         (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", TEXT, re.DOTALL)
         assert "gsa" in text
