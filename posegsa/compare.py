@@ -37,7 +37,7 @@ from posegsa.search import CHUNKS, Progress, make_ready, run_search_from
 OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
 """What is compared unless something else is asked for."""
 POINTS = 250
-"""Iterations of a search whose best cost is kept, at most."""
+"""Iterations of a search whose best cost is kept, and some more of the first."""
 DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
 """The files of a comparison."""
 
@@ -308,7 +308,7 @@ def _search(
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = evaluations_spent(optimiser)
-    kept = np.unique(np.linspace(0, len(spent) - 1, POINTS).round().astype(int))
+    kept = _kept(len(spent))
     done, since = np.array(stamps).T
     times = np.interp(kept + 1, done, since)
     best = np.asarray(search.history.best, np.float64)[kept]
@@ -323,6 +323,13 @@ def _search(
         [float(f"{c:.{DIGITS}g}") for c in best],
         [round(t, 4) for t in times.tolist()],
     )
+
+
+def _kept(iterations: int) -> np.ndarray:
+    """Which iterations are kept: POINTS evenly spaced ones, and more of the first."""
+    even = np.linspace(1, iterations, POINTS)
+    early = np.geomspace(1, iterations, POINTS // 4)
+    return np.unique(np.concatenate([even, early]).round().astype(int)) - 1
 
 
 @contextmanager

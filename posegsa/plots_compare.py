@@ -1,5 +1,6 @@
 """The figure of a comparison of optimisers: how fast each gets how far."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,6 +39,8 @@ _STYLES: tuple[Style, ...] = (
 EARLY = 0.05
 """Share of the budget before which curves may leave the figure at the top."""
 
+TITLE = 40
+"""Characters in a line of a panel's title."""
 LINE, HANDLE = 72, 7
 """Characters in a line of the legend, and those that a curve's sample takes."""
 
@@ -72,26 +75,30 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
 
 def _draw(ax: Axes, comparison: Comparison, size: str) -> None:
     """Bands and medians of all optimisers."""
-    low, high = np.inf, -np.inf
-    for i, name in enumerate(comparison.repeats):
-        style = _STYLES[i % len(_STYLES)]
-        evaluations, bands = comparison.bands(name)
-        lower, middle, upper = (finite(band) for band in bands)
-        ax.fill_between(
-            evaluations, lower, upper, color=style["color"], alpha=0.15, linewidth=0, step="post"
-        )
-        ax.step(evaluations, middle, where="post", label=name, **style)
+    bands, low, high, positive = {}, np.inf, -np.inf, np.inf
+    for name in comparison.repeats:
+        evaluations, quartiles = comparison.bands(name)
+        lower, middle, upper = (finite(quartile) for quartile in quartiles)
+        bands[name] = evaluations, lower, middle, upper
         late = evaluations >= EARLY * comparison.budget
         low = min(low, np.nanmin(lower, initial=np.inf))
         high = max(high, np.nanmax(upper[late], initial=-np.inf))
+        positive = min(positive, np.nanmin(lower[lower > 0], initial=np.inf))
+    logarithmic = low >= 0 and high > LOG_RATIO * positive
+    for i, (name, (evaluations, lower, middle, upper)) in enumerate(bands.items()):
+        style = _STYLES[i % len(_STYLES)]
+        there = lower > 0 if logarithmic else np.isfinite(lower)  # a curve that gets to 0 ends
+        band: Style = {"color": style["color"], "alpha": 0.15, "linewidth": 0, "step": "post"}
+        ax.fill_between(evaluations, lower, upper, where=there.tolist(), **band)
+        ax.step(evaluations, middle, where="post", label=name, **style)
     ax.set_xscale("log")
-    if low > 0 and high > LOG_RATIO * low:
-        ax.set_yscale("log")
+    if logarithmic:
+        ax.set_yscale("log", nonpositive="mask")
     elif np.isfinite([low, high]).all() and high > low:
         margin = 0.05 * (high - low)
         ax.set_ylim(low - margin, high + margin)
     ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]")
-    ax.set_title(comparison.subject, size=size)
+    ax.set_title(textwrap.fill(comparison.subject, TITLE), size=size)
 
 
 def _legend(figure: Figure, ax: Axes) -> None:
