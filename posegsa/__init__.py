@@ -8,6 +8,8 @@ Importing it changes nothing in the process. `enable_fast_path()`, called first,
 
 from posegsa.batch import TuneBatch
 from posegsa.checkpoint import load_search, save_search
+from posegsa.compare import compare
+from posegsa.compared import Comparison
 from posegsa.config import Experiment
 from posegsa.config import load as load_config
 from posegsa.errors import PosegsaError, PosegsaWarning, SearchInterrupted
@@ -17,7 +19,15 @@ from posegsa.filter import FilterSettings, FilterState, filter_settings, initial
 from posegsa.fuzzy import FuzzyController
 from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
 from posegsa.measurements import Measurements
-from posegsa.optimisers import GSA, RandomSearch, box, minimise
+from posegsa.optimisers import (
+    GSA,
+    Adam,
+    DifferentialEvolution,
+    ParticleSwarm,
+    RandomSearch,
+    box,
+    minimise,
+)
 from posegsa.parameters import parameter_space
 from posegsa.plots import plot_input_terms, plot_output_terms, plot_surface
 from posegsa.results import VERSION as __version__
@@ -28,7 +38,10 @@ from posegsa.tuning import tune, tune_batch
 
 __all__ = [
     "GSA",
+    "Adam",
+    "Comparison",
     "ConstantGain",
+    "DifferentialEvolution",
     "Estimates",
     "Experiment",
     "FilterSettings",
@@ -36,6 +49,7 @@ __all__ = [
     "FuzzyController",
     "FuzzyGain",
     "Measurements",
+    "ParticleSwarm",
     "PosegsaError",
     "PosegsaWarning",
     "RandomSearch",
@@ -46,6 +60,7 @@ __all__ = [
     "__version__",
     "begin",
     "box",
+    "compare",
     "enable_fast_path",
     "evaluate",
     "export_c",

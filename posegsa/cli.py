@@ -1,4 +1,4 @@
-"""The command line: `posegsa tune`, `evaluate` and `export`."""
+"""The command line: `posegsa tune`, `evaluate`, `export` and `compare`."""
 
 import argparse
 import signal
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from posegsa import interrupt
+from posegsa.cli_compare import add_compare
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
 
@@ -126,6 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--format", choices=("json", "csv", "c"), required=True)
     export.add_argument("--out", metavar="FILE", help="file to write; default standard output")
     export.set_defaults(command=_export)
+    add_compare(commands)
     return parser
 
 
@@ -244,7 +246,7 @@ class _Progress:
         if not self.searching:
             # Rate and time left are those of the search: the clock starts after compiling.
             self.searching = True
-            self.bar.reset()
+            self.bar.reset(total=progress.iterations)
             self.bar.initial = self.bar.n = progress.iteration
             self.bar.set_description_str("tuning")
             return

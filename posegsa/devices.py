@@ -40,5 +40,7 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
 
 
 def collect(tree: Any) -> Any:
-    """The same arrays on this process' first device."""
-    return jax.tree.map(lambda a: a.addressable_shards[0].data, tree)
+    """The same arrays on this process' first device; what is no array stays as it is."""
+    return jax.tree.map(
+        lambda a: a.addressable_shards[0].data if isinstance(a, jax.Array) else a, tree
+    )

@@ -31,12 +31,12 @@ from posegsa.config.fields import MOST
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import run
-from posegsa.optimisers import RandomSearch
+from posegsa.optimisers import GSA, RandomSearch
 from posegsa.parameters import parameter_space
 from posegsa.population import problem
 from posegsa.results import TuneResult
 from posegsa.scenario import Scenario, scenario
-from posegsa.search import make_optimiser, make_ready, run_search
+from posegsa.search import make_ready, run_search
 
 ORACLE_SCENARIOS = 32
 """Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""
@@ -99,7 +99,7 @@ def evaluate(
 def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     """How to find each baseline of a run, by name."""
     experiment = result.experiment
-    space, optimiser = parameter_space(experiment), make_optimiser(experiment)
+    space, search = parameter_space(experiment), experiment.search
     training = problem(experiment, one, training_keys(experiment))
     gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
     use = keys(experiment.run.seed)
@@ -111,13 +111,14 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
 
     def random() -> tuple[GainSchedule, dict[str, Any]]:
         task = make_ready(experiment)
-        search = RandomSearch(optimiser.agents, optimiser.iterations)
-        best = run_search(task._replace(optimiser=search)).search.best_position
+        optimiser = RandomSearch(search.agents, search.iterations)
+        best = run_search(task._replace(optimiser=optimiser)).search.best_position
         controller = space.controller(best)
         return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
 
     def smooth() -> tuple[GainSchedule, dict[str, Any]]:
         box = smooth_box(gains, dtype)
+        optimiser = GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
         found = search_schedule(optimiser, smooth_gain, objective, box, training, use.baselines)
         schedule = smooth_gain(found)
         return schedule, {name: float(value) for name, value in vars(schedule).items()}

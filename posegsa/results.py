@@ -23,6 +23,7 @@ from posegsa.fuzzy import FuzzyController
 from posegsa.gain import FuzzyGain, signal_settings
 from posegsa.history import history_csv, read_history
 from posegsa.measurements import Measurements
+from posegsa.named_optimisers import size_in_words
 from posegsa.optimisers import History
 from posegsa.parameters import parameter_space
 from posegsa.report import report_html
@@ -166,7 +167,7 @@ class TuneResult:
 
         return "\n".join(
             [
-                f"{search.optimiser}: {search.agents} agents x {search.iterations} iterations on "
+                f"{search.optimiser}: {size_in_words(self.experiment)} on "
                 f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
                 f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
                 f"(+ {self.compile_seconds:.2f} s to compile)",

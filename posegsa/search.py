@@ -18,9 +18,18 @@ from posegsa.devices import AXIS, collect, mesh_for, spread
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
 from posegsa.metrics import take
-from posegsa.optimisers import GSA, Box, Optimiser, RandomSearch, Search, advance, start
+from posegsa.named_optimisers import make_optimiser
+from posegsa.optimisers import (
+    AnyOptimiser,
+    Box,
+    Search,
+    advance,
+    advance_on_host,
+    forward_mode,
+    start,
+)
 from posegsa.parameters import ParameterSpace, parameter_space
-from posegsa.population import Problem, population_costs, problem
+from posegsa.population import Problem, evaluate_population, population_costs, problem
 from posegsa.scenario import Scenario, scenario
 
 CHUNKS = 50
@@ -56,7 +65,7 @@ class Task(NamedTuple):
     """Training scenarios, then held-out ones."""
     training: Problem
     space: ParameterSpace
-    optimiser: Optimiser
+    optimiser: AnyOptimiser
 
 
 class Found(NamedTuple):
@@ -88,20 +97,9 @@ def make_ready(experiment: config.Experiment) -> Task:
     )
 
 
-def make_optimiser(experiment: config.Experiment) -> Optimiser:
-    """The optimiser that an experiment configures."""
-    search = experiment.search
-    if search.optimiser == "random_search":
-        return RandomSearch(search.agents, search.iterations)
-    settings = experiment.gsa.model_dump()
-    if settings["decay_iterations"] == "all":
-        settings["decay_iterations"] = None
-    return GSA(search.agents, search.iterations, **settings)
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
-    optimiser: Optimiser,
+    optimiser: AnyOptimiser,
     objective: config.ObjectiveConfig,
     mesh: Mesh | None,
     search: Search,
@@ -121,14 +119,14 @@ def _advance(
         def costs(vectors: Array) -> Array:
             return population_costs(vectors, training, space, objective, axis)
 
-        return advance(optimiser, costs, Box(space.lower, space.upper), search, stop)
+        return advance(optimiser, forward_mode(costs), Box(space.lower, space.upper), search, stop)
 
     return _on(mesh, on_each_device)(search, training, space, jnp.asarray(stop))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance_batch(
-    optimiser: Optimiser,
+    optimiser: AnyOptimiser,
     objective: config.ObjectiveConfig,
     mesh: Mesh | None,
     search: Search,
@@ -191,10 +189,10 @@ def _run(
     return Found(here, compiled - begun, time.monotonic() - compiled)
 
 
-def first_search(task: Task) -> Search:
-    """A task's search before its first iteration."""
+def first_search(task: Task, key: Array | None = None) -> Search:
+    """A task's search before its first iteration; by default with the key of its seed."""
     space = task.space
-    key = keys(task.experiment.run.seed).search
+    key = keys(task.experiment.run.seed).search if key is None else key
     return start(task.optimiser, Box(space.lower, space.upper), key)
 
 
@@ -213,16 +211,39 @@ def run_search(
         search: A search of this task to go on with; by default a new one.
         keep: What looks at the search on its way, such as to save it.
     """
-    experiment, space, optimiser = task.experiment, task.space, task.optimiser
-
-    mesh = mesh_for(optimiser.agents * experiment.run.training_scenarios)
     search = first_search(task) if search is None else search
-    search, training, space = spread((search, task.training, space), mesh)
+    if getattr(task.optimiser, "on_host", False):
+        return _run(_on_host(task), search, task.optimiser.iterations, progress, keep)
+    objective = task.experiment.objective
+    mesh = _mesh(task)
+    started, training, space = spread((search, task.training, task.space), mesh)
 
     def go(search: Search, stop: int) -> Search:
-        return _advance(optimiser, experiment.objective, mesh, search, training, space, stop)
+        return _advance(task.optimiser, objective, mesh, search, training, space, stop)
 
-    return _run(go, search, optimiser.iterations, progress, keep)
+    return _run(go, started, task.optimiser.iterations, progress, keep)
+
+
+def _mesh(task: Task) -> Mesh | None:
+    experiment = task.experiment
+    return mesh_for(experiment.search.agents * experiment.run.training_scenarios)
+
+
+def _on_host(task: Task) -> Callable[[Search, int], Search]:
+    """What runs a search on whose optimiser can't be compiled; the simulations are."""
+    experiment, space = task.experiment, task.space
+
+    def costs(vectors: Array) -> Array:
+        return evaluate_population(vectors, task.training, space, objective=experiment.objective)
+
+    def go(search: Search, stop: int) -> Search:
+        if stop == 0:  # compile
+            anything = jnp.tile(space.lower[None], (experiment.search.agents, 1))
+            jax.block_until_ready(costs(anything))
+        box = Box(space.lower, space.upper)
+        return advance_on_host(task.optimiser, costs, box, search, stop, numpy_objective=False)
+
+    return go
 
 
 def search_batch(
@@ -231,11 +252,16 @@ def search_batch(
     """Search all tasks in one compiled call."""
     optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
     for name, differs in (
-        ("search or gsa", any(t.optimiser != optimiser for t in tasks)),
+        ("search or the optimiser's section", any(t.optimiser != optimiser for t in tasks)),
         ("objective", any(t.experiment.objective != objective for t in tasks)),
     ):
         if differs:
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
+    if getattr(optimiser, "on_host", False):
+        name = tasks[0].experiment.search.optimiser
+        raise ConfigError(
+            f"search.optimiser = {name!r} can't be compiled, and so not run in a batch"
+        )
     try:
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves), *((t.training, t.space) for t in tasks)
@@ -250,7 +276,7 @@ def search_batch(
         space, search_keys
     )
 
-    mesh = mesh_for(optimiser.agents * tasks[0].experiment.run.training_scenarios)
+    mesh = _mesh(tasks[0])
     search, training, space = spread((search, training, space), mesh)
 
     def go(search: Search, stop: int) -> Search:

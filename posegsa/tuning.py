@@ -26,7 +26,7 @@ from posegsa.gain import FuzzyGain
 from posegsa.interrupt import deferred
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import metrics_of, run, take
-from posegsa.optimisers import lengthened
+from posegsa.optimisers import evaluations_spent, lengthened
 from posegsa.results import TuneResult
 from posegsa.run_folder import as_path, claimed
 from posegsa.runtime import environment
@@ -258,7 +258,7 @@ def _result(task: Task, found: Found) -> TuneResult:
         trust=trust.check(
             experiment, parameters, everywhere, tuned_tracks, trajectory.error, trajectory.rate
         ),
-        evaluations=task.optimiser.agents * task.optimiser.iterations,
+        evaluations=int(evaluations_spent(task.optimiser)[-1]),
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,
         search_seconds=found.search_seconds,

@@ -339,7 +339,7 @@ def test_a_batch_of_traced_values_is_compiled_once():
     [
         ("filter.substeps=3", "structure"),
         ("run.dtype=float64", "run.dtype"),
-        ("search.agents=7", "search or gsa"),
+        ("search.agents=7", "search or the optimiser"),
         ("objective.name=worst", "objective"),
     ],
 )

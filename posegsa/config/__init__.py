@@ -9,13 +9,21 @@ from posegsa.config.experiment import (
     CostConfig,
     Experiment,
     FilterConfig,
-    GsaConfig,
     ObjectiveConfig,
     RunConfig,
-    SearchConfig,
 )
 from posegsa.config.family import FamilyConfig
 from posegsa.config.files import from_dict, load, override, to_toml
+from posegsa.config.optimisers import (
+    AdamConfig,
+    DeConfig,
+    EvosaxConfig,
+    GsaConfig,
+    OptimiserName,
+    PsoConfig,
+    PycmaConfig,
+    SearchConfig,
+)
 from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
 from posegsa.config.schedule import (
     INPUT_RANGE,
@@ -31,8 +39,11 @@ __all__ = [
     "INPUT_RANGE",
     "PARAMETERS",
     "TERMS",
+    "AdamConfig",
     "CheckpointConfig",
     "CostConfig",
+    "DeConfig",
+    "EvosaxConfig",
     "Experiment",
     "FamilyConfig",
     "FilterConfig",
@@ -41,8 +52,11 @@ __all__ = [
     "GsaConfig",
     "Landmark",
     "ObjectiveConfig",
+    "OptimiserName",
     "ParametersConfig",
     "Profile",
+    "PsoConfig",
+    "PycmaConfig",
     "RunConfig",
     "ScenarioConfig",
     "SearchConfig",

@@ -1,4 +1,4 @@
-"""The whole experiment, and the sections that are about running, filtering and searching."""
+"""The whole experiment, and the sections that are about running, filtering and judging."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.fields import MOST, Count, Index, NonNegative, Positive, Section
+from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.config.optimisers import (
+    AdamConfig,
+    DeConfig,
+    EvosaxConfig,
+    GsaConfig,
+    PsoConfig,
+    PycmaConfig,
+    SearchConfig,
+)
 from posegsa.config.problems import Problem
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
@@ -75,38 +84,6 @@ class ObjectiveConfig(Section):
     """Of "mean_std": the multiple of the standard deviation, no unit."""
 
 
-class SearchConfig(Section):
-    """[search]: the optimiser and its size."""
-
-    optimiser: Literal["gsa", "random_search"] = "gsa"
-    """The gravitational search algorithm, or points drawn at random to compare it with."""
-    agents: Annotated[int, Field(strict=True, ge=2, le=MOST)] = 100
-    """Number of agents N: parameter vectors that are evaluated at once."""
-    iterations: Count = 250
-    """Number of iterations T."""
-
-
-class GsaConfig(Section):
-    """[gsa]: the gravitational search algorithm (Rashedi 2009); agents move in the unit box."""
-
-    g0: Positive = 100.0
-    """Gravitational constant at the start, G0, relative to the width of the box."""
-    alpha: NonNegative = 20.0
-    """Decay of the gravitational constant, G = G0 exp(-alpha it / T), no unit."""
-    force_power: Positive = 1.0
-    """Power p of the distance in the force, M / (R^p + eps); the paper prints 2."""
-    random: Literal["dimension", "agent"] = "dimension"
-    """Whether random factors are drawn per dimension, or one per agent, as the paper prints."""
-    bounds: Literal["redraw", "clip", "reflect"] = "redraw"
-    """What happens to a coordinate that leaves the box."""
-    final_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 2.0
-    """Share of the agents that still attract others at the end [%]."""
-    decay_iterations: Count | Literal["all"] = "all"
-    """T in G and in the number of agents that attract, both of which hold their final values past
-    it; "all" is search.iterations. A run that was resumed for more iterations keeps its first T, so
-    that it is not the longer run."""
-
-
 class CheckpointConfig(Section):
     """[checkpoint]: when a search that writes to a folder saves its state; no result depends on it.
 
@@ -148,6 +125,16 @@ class Experiment(Section):
     """The gravitational search algorithm."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
+    pso: PsoConfig = PsoConfig()
+    """Particle swarm."""
+    de: DeConfig = DeConfig()
+    """Differential evolution."""
+    adam: AdamConfig = AdamConfig()
+    """Gradient descent."""
+    evosax: EvosaxConfig = EvosaxConfig()
+    """Strategies of the evosax library."""
+    pycma: PycmaConfig = PycmaConfig()
+    """CMA-ES of the pycma library."""
 
     def _conflicts(self) -> Iterator[Problem]:
         samples = self.scenario.samples

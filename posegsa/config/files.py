@@ -19,7 +19,7 @@ MAX_BYTES = 2**20
 """Size up to which a configuration file is read: 1 MiB."""
 
 _SHOWN = 100  # characters of a line that a message shows
-_BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+_BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 

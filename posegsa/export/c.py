@@ -24,6 +24,7 @@ from posegsa.export.c_source import (
     SAMPLED_CONSTANTS,
 )
 from posegsa.fuzzy import FuzzyController
+from posegsa.named_optimisers import size_in_words
 from posegsa.results import VERSION, TuneResult
 
 _WIDTH = 96
@@ -100,8 +101,7 @@ def _head(result: TuneResult, controller: FuzzyController) -> list[str]:
         "Fuzzy gain schedule of a pose filter on SE(3), as C99; also valid C++.",
         *_text(
             f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
-            f"{search.optimiser}, {search.agents} agents x {search.iterations} iterations, seed "
-            f"{run.seed}."
+            f"{search.optimiser}, {size_in_words(experiment)}, seed {run.seed}."
         ),
         "",
         *_costs(result),

@@ -29,6 +29,14 @@ def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
     return array
 
 
+def refuse_unreal(name: str, found: Any) -> None:
+    """Raise an ArgumentError unless a function has returned an array of real numbers."""
+    if not hasattr(found, "dtype") or not jnp.issubdtype(found.dtype, jnp.number):
+        refuse(f"{name}: returns a {type(found).__name__}", "an array of numbers")
+    if jnp.issubdtype(found.dtype, jnp.complexfloating):
+        refuse(f"{name}: returns {found.dtype}", "real numbers")
+
+
 def check_callable(name: str, value: Any) -> None:
     """Raise an ArgumentError unless this is a function."""
     if not callable(value):

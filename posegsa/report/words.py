@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from posegsa.named_optimisers import TITLES, size_in_words
 from posegsa.report.markup import counted
 
 if TYPE_CHECKING:
     from posegsa.config import Experiment, ObjectiveConfig
     from posegsa.results import TuneResult
-
-_OPTIMISERS = {"gsa": "The gravitational search algorithm", "random_search": "Random search"}
 
 
 def what_was_run(result: TuneResult) -> Iterator[tuple[str, str]]:
@@ -28,8 +27,7 @@ def _search(result: TuneResult) -> str:
     over = counted(run.training_scenarios, "training scenario")
     bad = result.non_finite
     return (
-        f"{_OPTIMISERS[search.optimiser]} with {counted(search.agents, 'agent')} over "
-        f"{counted(search.iterations, 'iteration')} minimised "
+        f"{TITLES[search.optimiser]} with {size_in_words(result.experiment, ' over ')} minimised "
         f"{_objective(result.experiment.objective)} {over}. It made "
         f"{counted(result.evaluations, 'evaluation')} in {result.search_seconds:.2f} s, "
         f"after {result.compile_seconds:.2f} s of compiling; {bad or 'none'} of them had no finite "

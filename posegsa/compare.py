@@ -1,0 +1,352 @@
+"""`posegsa compare`: optimisers at equal budgets on the same scenarios, or on a test function."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jax import Array
+
+from posegsa import config
+from posegsa.compared import DIGITS, Comparison, Gradients, Repeat, from_json
+from posegsa.errors import ConfigError, RunFolderError
+from posegsa.figure_style import png
+from posegsa.gain import FuzzyGain
+from posegsa.keys import keys
+from posegsa.metrics import take
+from posegsa.named_optimisers import make_optimiser, specify
+from posegsa.optimisers import (
+    AnyOptimiser,
+    Polish,
+    Search,
+    advance,
+    advance_on_host,
+    evaluations_spent,
+    start,
+)
+from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.plots_compare import plot_comparison
+from posegsa.population import costs_by_scenario
+from posegsa.runtime import environment
+from posegsa.search import CHUNKS, Progress, first_search, make_ready, run_search
+
+OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
+"""What is compared unless something else is asked for."""
+POINTS = 250
+"""Iterations of a search whose best cost is kept, and some more of the first."""
+DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
+"""The files of a comparison."""
+
+
+class Status(NamedTuple):
+    """What a progress callback is told."""
+
+    optimiser: str
+    repeat: int
+    """Searches of this optimiser that are done."""
+    repeats: int
+    share: float
+    """Of the search that is running."""
+    best_cost: float
+    """Its best cost so far."""
+
+
+class Subject(Protocol):
+    """Something to minimise, again and again."""
+
+    title: str
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> tuple[Search, float, float]:
+        """The finished search, and the seconds to compile it and to run it."""
+        ...
+
+    def held_out(self, position: Array) -> float | None:
+        """Cost on unseen scenarios, where there are any."""
+        ...
+
+
+class _Filter:
+    """An experiment's filter: every search meets its training scenarios."""
+
+    def __init__(self, experiment: config.Experiment) -> None:
+        self.task = make_ready(experiment)
+        count = experiment.run.training_scenarios
+        self.unseen = take(self.task.everywhere, slice(count, None))
+        self.title = f"fuzzy gain on {count} training scenarios"
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> tuple[Search, float, float]:
+        task = self.task._replace(optimiser=optimiser)
+        return run_search(task, progress, search=first_search(task, key))
+
+    def held_out(self, position: Array) -> float:
+        controller = self.task.space.controller(position)
+        one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        return float(np.mean(costs_by_scenario(one, self.unseen)))
+
+
+_advance = jax.jit(advance, static_argnums=(0, 1))
+
+
+class _Function:
+    """A test function; a gradient is taken by reverse mode."""
+
+    def __init__(self, function: ClassicalFunction) -> None:
+        self.function, self.box = function, function.box
+        self.costs = jax.jit(function)
+        self.title = function.title
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> tuple[Search, float, float]:
+        on_host = getattr(optimiser, "on_host", False)
+        go = (
+            partial(advance_on_host, optimiser, self.costs, self.box, numpy_objective=False)
+            if on_host
+            else partial(_advance, optimiser, self.function, self.box)
+        )
+        begun = time.perf_counter()
+        search = jax.block_until_ready(go(start(optimiser, self.box, key), 0))
+        compiled, end = time.perf_counter(), optimiser.iterations
+        chunk = -(-end // CHUNKS)
+        for done in range(0, end, chunk):
+            stop = min(done + chunk, end)
+            search = go(search, stop)
+            best, seconds = float(search.best_cost), time.perf_counter() - compiled
+            progress(Progress(stop, end, best, seconds))
+        return search, compiled - begun, time.perf_counter() - compiled
+
+    def held_out(self, position: Array) -> None:
+        del position
+
+
+def compare(
+    experiment: config.Experiment | str | Path | None = None,
+    *,
+    optimisers: Iterable[str] = OPTIMISERS,
+    repeats: int = 20,
+    evaluations: int = 25000,
+    function: ClassicalFunction | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    levels: Sequence[float] | None = None,
+    progress: Callable[[Status], object] | None = None,
+) -> Comparison:
+    """Run several optimisers many times on the same problem, each with the same evaluations.
+
+    All searches of an experiment meet the same training scenarios; the repeats of an optimiser
+    differ in the random key of the search, and repeat r of every optimiser has the same key. They
+    run one after the other: a search fills the machine by itself.
+
+    Args:
+        experiment: Problem and settings of the optimisers, or a TOML file; by default the
+            recommended experiment. Its search.optimiser and search.iterations are not used.
+        optimisers: Names as in search.optimiser ("random" for random_search), each with settings
+            of its own after colons if wanted, such as "gsa:g0=1.0" or "cma_es:agents=20". The
+            others are compared with the first.
+        repeats: Searches of each.
+        evaluations: Evaluations of a search, rounded down to whole iterations. A cost with its
+            gradient counts as adam.gradient_price.
+        function: A test function to minimise instead of the experiment's cost.
+        out: Folder to keep the comparison in, as JSON, table and figure. It is written after each
+            search, and searches that it holds already, of the same problem, budget and settings,
+            are not run again.
+        overwrite: Replace a comparison of something else in that folder.
+        levels: Costs to reach, in the table that is written to `out`; by default medians.
+        progress: Told several times a search where it stands.
+
+    Returns:
+        The comparison; of a folder also those optimisers that it held before, after the others.
+
+    Raises:
+        ConfigError: The experiment, an optimiser's name or setting, or a number is not valid.
+        RunFolderError: `out` holds another comparison, or can't be used.
+    """
+    one = _loaded(experiment)
+    names = list(dict.fromkeys(optimisers))
+    if not names:
+        raise ConfigError("optimisers: none were given; allowed: at least one")
+    for label, value in (("repeats", repeats), ("evaluations", evaluations)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ConfigError(f"{label} = {value!r}; allowed: a whole number from 1")
+    specified = {name: specify(one, name, evaluations) for name in names}
+    made = {name: make_optimiser(experiment) for name, experiment in specified.items()}
+    with jax.enable_x64(one.run.dtype == "float64"):
+        subject: Subject = _Filter(one) if function is None else _Function(function)
+        ran = Comparison(
+            subject.title,
+            evaluations,
+            _settings(one, function),
+            {name: [] for name in names},
+            {name: used for name, each in made.items() if (used := _gradients(each))},
+            environment(),
+        )
+        if out is not None:
+            _take_over(Path(out), ran, overwrite=overwrite)
+        for name, optimiser in made.items():
+            for repeat in range(len(ran.repeats[name]), repeats):
+                key = jax.random.fold_in(keys(one.run.seed).search, repeat)
+                tell = _teller(progress, name, repeat, repeats)
+                ran.repeats[name].append(_search(subject, optimiser, key, tell))
+                if out is not None:
+                    _write(Path(out) / DATA, ran.to_json())
+    if out is not None:
+        save(ran, out, levels)
+    return ran
+
+
+def load_comparison(folder: str | Path) -> Comparison:
+    """The comparison that a folder holds.
+
+    Raises:
+        RunFolderError: It holds none, or one that can't be read.
+    """
+    path = Path(folder) / DATA
+    try:
+        return from_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RunFolderError(f"{folder}: holds no comparison ({DATA} is missing)") from None
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunFolderError(f"{path}: cannot be read as a comparison: {error}") from None
+
+
+def save(comparison: Comparison, folder: str | Path, levels: Sequence[float] | None = None) -> None:
+    """Write a comparison's JSON, table and figure to a folder.
+
+    Raises:
+        RunFolderError: It can't be written to.
+    """
+    folder = Path(folder)
+    _write(folder / DATA, comparison.to_json())
+    _write(folder / TABLE, comparison.table(levels) + "\n")
+    with _writing(folder):
+        (folder / FIGURE).write_bytes(png(plot_comparison(comparison)))
+
+
+def _loaded(experiment: config.Experiment | str | Path | None) -> config.Experiment:
+    if experiment is None:
+        return config.Experiment()
+    return experiment if isinstance(experiment, config.Experiment) else config.load(experiment)
+
+
+def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
+    """What searches depend on: all but what `compare` sets itself."""
+    data = experiment.model_dump(mode="json")
+    for key in ("optimiser", "iterations"):
+        del data["search"][key]
+    if function is None:
+        return data
+    sections = ("run", "search", "gsa", "pso", "de", "adam", "evosax", "pycma")
+    return {"function": vars(function), **{name: data[name] for name in sections}}
+
+
+def _gradients(optimiser: AnyOptimiser) -> Gradients | None:
+    """How an optimiser uses gradients, if it does."""
+    if isinstance(optimiser, Polish):
+        begin = int(evaluations_spent(optimiser.first)[-1])
+        return Gradients(optimiser.second.gradient_price, begin)
+    price = getattr(optimiser, "gradient_price", None)
+    return None if price is None else Gradients(price, 0)
+
+
+def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
+    """Put what a folder holds of this comparison into it; the others of it come after.
+
+    Raises:
+        RunFolderError: The folder holds another comparison, or can't be used.
+    """
+    with _writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / DATA).exists():
+        _write(folder / DATA, ran.to_json())  # before the minutes, not after
+        return
+    try:
+        held = load_comparison(folder)
+    except RunFolderError:
+        if overwrite:
+            return
+        raise
+    if (held.budget, held.settings) != (ran.budget, ran.settings):
+        if overwrite:
+            return
+        raise RunFolderError(
+            f"{folder}: holds a comparison with another problem, budget or settings "
+            f"({held.subject}, {held.budget} evaluations); choose another folder, or replace it "
+            "(--overwrite; overwrite=True)"
+        )
+    ran.repeats.update(held.repeats | {n: [] for n in ran.repeats if n not in held.repeats})
+    ran.gradients.update(held.gradients)
+
+
+def _teller(
+    progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int
+) -> Callable[[Progress], object]:
+    """What turns a search's progress into the comparison's."""
+    if progress is None:
+        return lambda _: None
+    return lambda p: progress(
+        Status(name, repeat, repeats, p.iteration / p.iterations, p.best_cost)
+    )
+
+
+def _search(
+    subject: Subject, optimiser: AnyOptimiser, key: Array, tell: Callable[[Progress], object]
+) -> Repeat:
+    """Search once, and judge what was found."""
+    stamps = [(0, 0.0)]
+
+    def told(progress: Progress) -> None:
+        if progress.iteration:
+            stamps.append((progress.iteration, progress.seconds))
+        tell(progress)
+
+    search, compile_seconds, seconds = subject.search(optimiser, key, told)
+    spent = evaluations_spent(optimiser)
+    kept = _kept(len(spent))
+    done, since = np.array(stamps).T
+    times = np.interp(kept + 1, done, since)
+    best = np.asarray(search.history.best, np.float64)[kept]
+    return Repeat(
+        float(search.best_cost),
+        subject.held_out(search.best_position),
+        np.asarray(search.best_position, np.float64).tolist(),
+        seconds,
+        compile_seconds,
+        int(search.non_finite),
+        spent[kept].tolist(),
+        [float(f"{c:.{DIGITS}g}") for c in best],
+        [round(t, 4) for t in times.tolist()],
+    )
+
+
+def _kept(iterations: int) -> np.ndarray:
+    """Which iterations are kept: POINTS evenly spaced ones, and more of the first."""
+    even = np.linspace(1, iterations, POINTS)
+    early = np.geomspace(1, iterations, POINTS // 4)
+    return np.unique(np.concatenate([even, early]).round().astype(int)) - 1
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Turn what goes wrong while writing to a folder into an error that names it."""
+    try:
+        yield
+    except FileExistsError:
+        raise RunFolderError(f"{folder}: is not a folder") from None
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    part = path.with_suffix(f"{path.suffix}.part")
+    with _writing(path.parent):
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)

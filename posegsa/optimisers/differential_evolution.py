@@ -1,0 +1,106 @@
+"""Differential evolution: agents move by differences of other agents, and keep what is better.
+
+Source: R. Storn, K. Price, "Differential Evolution - A Simple and Efficient Heuristic for Global
+Optimization over Continuous Spaces", J. Global Optimization 11 (1997) 341-359, schemes
+"rand/1/bin" and "best/1/bin". Equation numbers are the article's. Each generation is made as a
+whole from the one before it, as in the article. A coordinate of a trial that leaves the box, which
+the article does not speak of, is drawn anew.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import jax.numpy as jnp
+from jax import Array, random
+from jax.typing import DTypeLike
+
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_choice, check_count, check_number
+
+Strategy = Literal["rand/1/bin", "best/1/bin"]
+
+
+class DifferentialEvolutionState(NamedTuple):
+    """State between two iterations; positions lie in the unit box."""
+
+    position: Array  # x (agents, dimensions)
+    cost: Array  # (agents,) of x; inf before the first costs
+    trial: Array  # u (agents, dimensions), what is asked for
+    key: Array  # random key of what is still to be drawn
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution:
+    """Settings of differential evolution.
+
+    Attributes:
+        agents: NP, number of agents, at least 4.
+        iterations: Generations of a whole search, the first one drawn at random included.
+        strategy: Where a mutant starts from: "rand/1/bin" a random agent, "best/1/bin" the best.
+        factor: F, weight of the difference.
+        crossover: CR, probability that a coordinate comes from the mutant.
+
+    Raises:
+        ArgumentError: If a setting is out of its range.
+    """
+
+    agents: int = 100
+    iterations: int = 250
+    strategy: Strategy = "rand/1/bin"
+    factor: float = 0.5
+    crossover: float = 0.9
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_count("DifferentialEvolution: agents", self.agents, least=4)
+        check_count("DifferentialEvolution: iterations", self.iterations)
+        check_choice("DifferentialEvolution: strategy", self.strategy, get_args(Strategy))
+        check_number("DifferentialEvolution: factor", self.factor, most=2)
+        check_number("DifferentialEvolution: crossover", self.crossover, most=1)
+
+    def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> DifferentialEvolutionState:
+        """Draw the first generation uniformly over the unit box."""
+        key, key_position = random.split(key)
+        first = uniform(key_position, (self.agents, dimensions), dtype)
+        unknown = jnp.full(self.agents, jnp.inf, dtype)
+        return DifferentialEvolutionState(first, unknown, first, key)
+
+    def ask(self, state: DifferentialEvolutionState) -> Array:
+        """Return the trials (agents, dimensions) in the unit box."""
+        return state.trial
+
+    def tell(self, state: DifferentialEvolutionState, costs: Array) -> DifferentialEvolutionState:
+        """Keep the trials that cost no more than their agents, and make the next ones."""
+        kept = costs <= state.cost
+        x = jnp.where(kept[:, None], state.trial, state.position)
+        cost = jnp.where(kept, costs, state.cost)
+
+        key, *keys = random.split(state.key, 5)
+        others = distinct_others(keys[0], self.agents)
+        base = x[others[0]] if self.strategy == "rand/1/bin" else x[jnp.argmin(cost)][None, :]
+        mutant = base + self.factor * (x[others[1]] - x[others[2]])  # Eq. 2
+        mutant = jnp.where((mutant < 0) | (mutant > 1), uniform(keys[1], x.shape, x.dtype), mutant)
+        trial = jnp.where(self._crossed(keys[2], keys[3], x.shape), mutant, x)  # Eq. 4
+        return DifferentialEvolutionState(x, cost, trial, key)
+
+    def _crossed(self, key: Array, key_sure: Array, shape: tuple[int, ...]) -> Array:
+        """Return which coordinates come from the mutant: at least one of each agent's."""
+        agents, dimensions = shape
+        sure = random.randint(key_sure, (agents, 1), 0, dimensions)
+        drawn = uniform(key, shape, jnp.float32) < self.crossover
+        return drawn | (jnp.arange(dimensions)[None, :] == sure)
+
+
+def distinct_others(key: Array, agents: int) -> Array:
+    """Return three agents r1, r2, r3 (3, agents) for each agent i, all four of them distinct.
+
+    The k-th is drawn from the agents - k that are left: its number among them becomes an agent's
+    by stepping over those already taken, in ascending order.
+    """
+    taken = jnp.arange(agents, dtype=jnp.int32)[None, :]
+    for k, each in enumerate(random.split(key, 3), start=1):
+        drawn = random.randint(each, (agents,), 0, agents - k, jnp.int32)
+        for before in jnp.sort(taken, axis=0):
+            drawn = drawn + (drawn >= before).astype(jnp.int32)
+        taken = jnp.concatenate([taken, drawn[None, :]])
+    return taken[1:]

@@ -1,0 +1,143 @@
+"""Strategies of the evosax library, CMA-ES among them, behind this package's protocol.
+
+Source: R. T. Lange, "evosax: JAX-based Evolution Strategies", 2022, version 0.3 of the library.
+It comes with the extra `posegsa[compare]`; nothing else of this package needs it.
+
+A strategy knows no box. Its positions are mirrored at the faces of the unit box (and again, should
+they have gone further) to be evaluated, and it is told the costs as those of its own positions.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax, random
+from jax.typing import DTypeLike
+
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_choice, check_count, check_number
+
+
+class EvosaxState(NamedTuple):
+    """State of a strategy between two iterations."""
+
+    strategy: Any  # evosax's own
+    asked: Array  # (agents, dimensions) the strategy's positions, inside the box or not
+    begun: Array  # () bool, whether costs have been told
+    key: Array  # random key of what is still to be drawn
+
+
+@dataclass(frozen=True)
+class Evosax:
+    """Settings of a strategy of evosax.
+
+    Attributes:
+        strategy: Its name in `evosax.algorithms`, such as "CMA_ES", "SNES", "SimpleGA".
+        agents: Positions per iteration.
+        iterations: Iterations of a whole search.
+        sigma: Standard deviation at the start, in widths of the box, of strategies that have one.
+
+    Raises:
+        ArgumentError: If a setting is out of its range, or there is no strategy of this name.
+        ImportError: If evosax is not installed.
+    """
+
+    strategy: str = "CMA_ES"
+    agents: int = 100
+    iterations: int = 250
+    sigma: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_count("Evosax: agents", self.agents, least=2)
+        check_count("Evosax: iterations", self.iterations)
+        check_number("Evosax: sigma", self.sigma)
+        check_choice("Evosax: strategy", self.strategy, tuple(sorted(_strategies())))
+
+    def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> EvosaxState:
+        """Begin in the middle of the box, or with a population drawn uniformly over it."""
+        key, key_first = random.split(key)
+        strategy, params = self._made(dimensions)
+        asked = uniform(key_first, (self.agents, dimensions), dtype)
+        with _loose():
+            if _has_population(strategy):
+                made = strategy.init(key_first, asked, jnp.zeros(self.agents, dtype), params)
+                made = jax.tree.map(jnp.asarray, made)
+            else:
+                middle = jnp.full(dimensions, 0.5, dtype)
+                made = strategy.init(key_first, middle, params)
+                asked, made = strategy.ask(key_first, jax.tree.map(jnp.asarray, made), params)
+        return EvosaxState(_like(made, made), asked.astype(dtype), jnp.asarray(False), key)
+
+    def ask(self, state: EvosaxState) -> Array:
+        """Return the strategy's positions (agents, dimensions), mirrored into the unit box."""
+        path = jnp.mod(state.asked, 2)  # there and back again
+        return jnp.where(jnp.isfinite(path), jnp.where(path > 1, 2 - path, path), 0.5)
+
+    def tell(self, state: EvosaxState, costs: Array) -> EvosaxState:
+        """Tell the strategy what its positions cost, and let it choose the next."""
+        dimensions, dtype = state.asked.shape[1], state.asked.dtype
+        strategy, params = self._made(dimensions)
+        key, key_tell, key_ask = random.split(state.key, 3)
+
+        def told(old: Any) -> Any:
+            made, _ = strategy.tell(key_tell, state.asked, costs, old, params)
+            return _like(made, old)
+
+        def begun(old: Any) -> Any:
+            return _like(strategy.init(key_tell, state.asked, costs, params), old)
+
+        with _loose():
+            old = state.strategy
+            if _has_population(strategy):  # its first costs are those of its first population
+                made = lax.cond(state.begun, told, begun, old)
+            else:
+                made = told(old)
+            asked, made = strategy.ask(key_ask, made, params)
+        return EvosaxState(_like(made, old), asked.astype(dtype), jnp.asarray(True), key)
+
+    def _made(self, dimensions: int) -> tuple[Any, Any]:
+        return _make(self.strategy, self.agents, dimensions, self.sigma)
+
+
+def _strategies() -> dict[str, Any]:
+    """The strategies of evosax by name."""
+    try:
+        from evosax.algorithms import algorithms
+    except ImportError:
+        raise ImportError("evosax is not installed; pip install 'posegsa[compare]'") from None
+    return algorithms
+
+
+@cache
+def _make(name: str, agents: int, dimensions: int, sigma: float) -> tuple[Any, Any]:
+    """A strategy and its parameters; one for each setting, whatever is being compiled."""
+    with jax.ensure_compile_time_eval(), jax.enable_x64(False), _loose():
+        strategy = _strategies()[name](population_size=agents, solution=jnp.zeros(dimensions))
+        params = strategy.default_params
+        if hasattr(params, "std_init"):
+            params = params.replace(std_init=jnp.asarray(sigma))
+    return strategy, params
+
+
+def _has_population(strategy: Any) -> bool:
+    """Whether a strategy begins with the costs of a population, and not with a mean."""
+    from evosax.algorithms.population_based.base import PopulationBasedAlgorithm
+
+    return isinstance(strategy, PopulationBasedAlgorithm)
+
+
+def _like(tree: Any, model: Any) -> Any:
+    """A tree in the types of another, as a compiled loop needs them."""
+    return jax.tree.map(lambda a, m: jnp.asarray(a).astype(jnp.asarray(m).dtype), tree, model)
+
+
+@contextmanager
+def _loose() -> Iterator[None]:
+    """Let another library mix types and shapes as it is used to."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield

@@ -1,0 +1,100 @@
+"""Particle swarm: each agent is drawn to the best place it has seen and to the best that all have.
+
+Sources: J. Kennedy, R. Eberhart, "Particle Swarm Optimization", IEEE ICNN 1995; M. Clerc,
+J. Kennedy, "The particle swarm: explosion, stability, and convergence in a multidimensional complex
+space", IEEE Trans. Evolutionary Computation 6 (2002) 58-73, whose constriction (their type 1'')
+is written here as an inertia, after R. Eberhart, Y. Shi, "Comparing inertia weights and
+constriction factors in particle swarm optimization", IEEE CEC 2000:
+
+    v <- w v + c1 r1 (p - x) + c2 r2 (g - x),   x <- x + v
+
+with fresh r1, r2 in [0, 1) for each agent and dimension, p the agent's own best place and g the
+best of all. A coordinate that leaves the box stops at its bound, with velocity 0.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, random
+from jax.typing import DTypeLike
+
+from posegsa.optimisers.base import uniform
+from posegsa.optimisers.checks import check_count, check_number
+
+
+def constriction(phi: float) -> float:
+    """Return chi of Clerc and Kennedy (2002, Eq. 4.15 with kappa = 1) for phi = phi1 + phi2 > 4."""
+    return 2 / (phi - 2 + math.sqrt(phi**2 - 4 * phi))
+
+
+CONSTRICTION = constriction(4.1)
+"""chi = 0.7298 for the usual phi1 = phi2 = 2.05."""
+
+
+class ParticleSwarmState(NamedTuple):
+    """State of the swarm between two iterations; places lie in the unit box."""
+
+    position: Array  # x (agents, dimensions)
+    velocity: Array  # v (agents, dimensions) in widths of the box per iteration
+    best_position: Array  # p (agents, dimensions)
+    best_cost: Array  # (agents,) cost of p; inf before the first costs
+    key: Array  # random key of what is still to be drawn
+
+
+@dataclass(frozen=True)
+class ParticleSwarm:
+    """Settings of the particle swarm.
+
+    Attributes:
+        agents: Number of particles.
+        iterations: Iterations of a whole search.
+        inertia: w.
+        cognitive: c1, pull of the agent's own best place.
+        social: c2, pull of the best place of all.
+
+    Raises:
+        ArgumentError: If a setting is out of its range.
+    """
+
+    agents: int = 100
+    iterations: int = 250
+    inertia: float = CONSTRICTION
+    cognitive: float = CONSTRICTION * 2.05
+    social: float = CONSTRICTION * 2.05
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_count("ParticleSwarm: agents", self.agents, least=2)
+        check_count("ParticleSwarm: iterations", self.iterations)
+        check_number("ParticleSwarm: inertia", self.inertia)
+        check_number("ParticleSwarm: cognitive", self.cognitive)
+        check_number("ParticleSwarm: social", self.social)
+
+    def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> ParticleSwarmState:
+        """Spread the particles uniformly over the unit box, at rest."""
+        key, key_position = random.split(key)
+        position = uniform(key_position, (self.agents, dimensions), dtype)
+        unknown = jnp.full(self.agents, jnp.inf, dtype)
+        return ParticleSwarmState(position, jnp.zeros_like(position), position, unknown, key)
+
+    def ask(self, state: ParticleSwarmState) -> Array:
+        """Return the particles' positions (agents, dimensions) in the unit box."""
+        return state.position
+
+    def tell(self, state: ParticleSwarmState, costs: Array) -> ParticleSwarmState:
+        """Learn the costs (agents,) of the positions, and move the particles."""
+        x = state.position
+        better = costs < state.best_cost
+        p = jnp.where(better[:, None], x, state.best_position)
+        best_cost = jnp.where(better, costs, state.best_cost)
+        g = p[jnp.argmin(best_cost)][None, :]
+
+        key, key_own, key_all = random.split(state.key, 3)
+        r1, r2 = (uniform(k, x.shape, x.dtype) for k in (key_own, key_all))
+        v = self.inertia * state.velocity
+        v = v + self.cognitive * r1 * (p - x) + self.social * r2 * (g - x)
+        x = x + v
+        inside = (x >= 0) & (x <= 1)
+        return ParticleSwarmState(jnp.clip(x, 0, 1), jnp.where(inside, v, 0), p, best_cost, key)

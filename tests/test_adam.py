@@ -1,0 +1,181 @@
+"""Gradient descent: Adam against the article's algorithm, gradients of the filter, and polish."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array, random
+from test_optimisers_base import same
+from test_tuning import tiny
+
+from posegsa.keys import keys
+from posegsa.optimisers import (
+    GSA,
+    Adam,
+    Differentiable,
+    Polish,
+    RandomSearch,
+    ask,
+    box,
+    evaluations_spent,
+    from_unit,
+    minimise,
+    start,
+    tell,
+)
+from posegsa.population import evaluate_population
+from posegsa.search import make_ready, run_search
+
+TARGET = box([-1.0, -2.0], [3.0, 2.0])
+learn = jax.jit(tell, static_argnums=0)
+"""`tell`, compiled once for each optimiser."""
+
+
+def bowl(x: Array) -> Array:
+    """Weighted squares about (2.5, -3): the minimum lies outside `TARGET` in one coordinate."""
+    return 3 * (x[:, 0] - 2.5) ** 2 + 0.5 * (x[:, 1] + 3) ** 2
+
+
+def bowl_gradient(x: np.ndarray) -> np.ndarray:
+    return np.stack([6 * (x[:, 0] - 2.5), x[:, 1] + 3], axis=1)
+
+
+@pytest.mark.usefixtures("x64")
+def test_steps_against_algorithm_1() -> None:
+    adam = Adam(agents=2, iterations=5, learning_rate=0.2, beta1=0.8, beta2=0.95, epsilon=1e-6)
+    target = box([-1.0, -2.0], [3.0, 2.0])
+    search = start(adam, target, random.key(0))
+    theta = np.array(search.state.position)
+    m = v = np.zeros((2, 2))
+    for t in range(1, 6):
+        x = np.array(ask(adam, target, search))
+        np.testing.assert_allclose(x, from_unit(target, jnp.asarray(theta)), rtol=1e-12)
+        gradient = bowl_gradient(x)
+        search = learn(adam, target, search, np.zeros(2), gradient)
+        g = gradient * 4  # the box is 4 wide
+        m, v = 0.8 * m + 0.2 * g, 0.95 * v + 0.05 * g**2
+        step = (m / (1 - 0.8**t)) / (np.sqrt(v / (1 - 0.95**t)) + 1e-6)
+        rate = 0.5 * 0.2 * (1 + np.cos(np.pi * (t - 1) / 5))
+        theta = np.clip(theta - rate * step, 0, 1)
+        np.testing.assert_allclose(search.state.position, theta, rtol=1e-12)
+
+
+DESCENT = Adam(agents=3, iterations=40, learning_rate=0.1)
+
+
+def test_it_finds_a_minimum_on_the_face_of_the_box() -> None:
+    search = minimise(bowl, TARGET, DESCENT, random.key(1))
+    np.testing.assert_allclose(search.best_position, [2.5, -2], atol=0.02)
+    assert evaluations_spent(DESCENT)[-1] == 40 * 3 * 23
+
+
+def test_gradients_that_are_not_finite_are_counted_and_told_as_zero() -> None:
+    search = start(DESCENT, TARGET, random.key(2))
+    bad = np.array([[1, np.nan], [np.inf, 1], [1, 2]])
+    after = learn(DESCENT, TARGET, search, np.array([1.0, 2.0, np.nan]), bad)
+    assert after.non_finite == 3
+    assert after.best_cost == 1, "the cost of a position with a bad gradient is still its cost"
+    assert (after.state.position == search.state.position).all()
+    with pytest.raises(ValueError, match=r"gradients of shape None; allowed: \(3, 2\)"):
+        tell(DESCENT, TARGET, search, np.zeros(3))
+    with pytest.raises(ValueError, match=r"gradients of shape \(3,\); allowed: \(3, 2\)"):
+        tell(DESCENT, TARGET, search, np.zeros(3), np.zeros(3))
+
+
+def test_an_objective_may_bring_its_own_gradient() -> None:
+    calls = []
+
+    def both(x: Array) -> tuple[Array, Array]:
+        calls.append(x.shape)
+        return bowl(x), jnp.stack([6 * (x[:, 0] - 2.5), x[:, 1] + 3], axis=1)
+
+    own = minimise(Differentiable(bowl, both), TARGET, DESCENT, random.key(1))
+    assert calls == [(3, 2)]
+    derived = minimise(bowl, TARGET, DESCENT, random.key(1))
+    np.testing.assert_allclose(own.best_position, derived.best_position, rtol=1e-5)
+
+
+def test_polish_descends_from_the_best_and_chunks_do_not_change_a_bit() -> None:
+    search = GSA(agents=5, iterations=6)
+    polish = Polish(search, Adam(agents=2, iterations=30, learning_rate=0.03))
+    whole = minimise(bowl, TARGET, polish, random.key(3))
+    first = minimise(bowl, TARGET, search, random.key(3))
+    assert whole.history.best[:6].tolist() == first.history.best.tolist()
+    assert whole.history.best[6] <= first.best_cost * 1.001
+    assert whole.best_cost < first.best_cost
+    assert evaluations_spent(polish).tolist()[5:8] == [30, 30 + 46, 30 + 92]
+    for chunk in (1, 6, 4):
+        same(minimise(bowl, TARGET, polish, random.key(3), chunk=chunk), whole)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"learning_rate": -1}, "learning_rate = -1"),
+        ({"beta1": 1.5}, "beta1 = 1.5"),
+        ({"gradient_price": 0}, "gradient_price = 0"),
+    ],
+)
+def test_settings_out_of_range_are_refused(setting: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=f"Adam: {message}"):
+        Adam(**setting)
+
+
+SMALL = [
+    "run.dtype=float64",
+    "run.training_scenarios=1",
+    "search.optimiser=adam",
+    "adam.starts=2",
+    "search.agents=46",
+    "search.iterations=1",
+    "filter.substeps=1",
+    "scenario.cross_vector=false",
+    "gain.smoothing=0.0",
+    "gain.error_scale=8.0",
+    "scenario.duration=1.0",
+    "cost.transient_window=[0, 20]",
+    "cost.steady_window=[50, 99]",
+]
+
+
+@pytest.fixture
+def compile_fast() -> Iterator[None]:
+    """Compile without most optimisations: what is run once need not be quick."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+@pytest.mark.usefixtures("compile_fast")
+def test_gradients_of_the_filter_against_central_differences() -> None:
+    # One step of Adam on an experiment: its first moment is (1 - beta1) times the gradient.
+    with jax.enable_x64(True):
+        task = make_ready(tiny(*SMALL))
+        search = run_search(task).search
+        assert search.iteration == 1
+        assert isinstance(task.optimiser, Adam)
+        lower, width = np.asarray(task.space.lower), np.asarray(task.space.upper - task.space.lower)
+        first = task.optimiser.init(keys(0).search, 22, jnp.float64).position
+        gradient = np.asarray(search.state.moments.mu) / 0.1
+        h = 1e-6
+        moves = np.concatenate([h * np.eye(22), -h * np.eye(22)])
+        for i in range(2):
+            at = lower + width * (np.asarray(first[i]) + moves)
+            costs = np.asarray(evaluate_population(jnp.asarray(at), task.training, task.space))
+            differences = (costs[:22] - costs[22:]) / (2 * h)
+            np.testing.assert_allclose(gradient[i], differences, rtol=1e-4, atol=1e-6)
+        assert np.abs(gradient).max() > 0.01
+        # The optimiser's first costs were those of the same positions.
+        costs = evaluate_population(
+            jnp.asarray(np.tile(lower + width * np.asarray(first), (22, 1))),
+            task.training,
+            task.space,
+        )
+        np.testing.assert_allclose(search.best_cost, costs.min(), rtol=1e-9)
+
+
+def test_random_search_spends_an_evaluation_an_agent() -> None:
+    assert evaluations_spent(RandomSearch(agents=4, iterations=3)).tolist() == [4, 8, 12]

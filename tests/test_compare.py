@@ -1,0 +1,223 @@
+"""`posegsa compare`: on the filter and on functions, its folder, its table and its figure."""
+
+import json
+import sys
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+from test_tuning import tiny
+
+import posegsa
+from posegsa.cli import main
+from posegsa.compare import Status, _search, load_comparison
+from posegsa.compared import Comparison, Gradients, Repeat, from_json
+from posegsa.errors import ConfigError, RunFolderError
+from posegsa.gain import FuzzyGain
+from posegsa.keys import keys
+from posegsa.metrics import take
+from posegsa.optimisers import GSA, minimise
+from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.plots_compare import plot_comparison
+from posegsa.population import costs_by_scenario
+from posegsa.search import make_ready
+
+SPHERE = ClassicalFunction("sphere", 2)
+
+
+def repeat(cost: float, held_out: float | None = None) -> Repeat:
+    """A search that got to its cost half-way."""
+    best = [4 * cost, 2 * cost, cost, cost]
+    return Repeat(cost, held_out, [0.0], 2.0, 0.1, 0, [10, 20, 30, 40], best, [0.5, 1, 1.5, 2.0])
+
+
+def made(**costs: list[float]) -> Comparison:
+    """A comparison with these final costs; held out, each costs 1 more."""
+    repeats = {name: [repeat(c, c + 1) for c in each] for name, each in costs.items()}
+    return Comparison("something", 40, {"a": 1}, repeats)
+
+
+A, B = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5], [1.5, 3.0, 4.75, 4.25, 6.25, 5.9]
+
+
+def test_the_others_are_tested_against_the_first_over_repeats() -> None:
+    comparison = made(a=A, b=B, c=[c + 9 for c in A])
+    found = comparison.versus_first()
+    raw = [stats.wilcoxon(np.subtract(A, B), method="exact").pvalue, 2 / 2**6]
+    assert found["b"].difference == pytest.approx(np.median(np.subtract(A, B)))
+    assert raw[0] > 2 * raw[1]
+    assert found["b"].p == pytest.approx(raw[0])
+    assert found["c"].p == pytest.approx(2 * raw[1])
+    assert comparison.versus_first(held_out=True) == found
+
+
+def test_repeats_that_only_one_has_made_are_not_paired() -> None:
+    more, fewer = made(a=[*A, 0.0, 0.0], b=B), made(a=A, b=B)
+    assert more.versus_first() == fewer.versus_first()
+    assert len(more.costs("a")) == 8
+
+
+def test_levels_evaluations_and_seconds() -> None:
+    comparison = made(a=A, b=B)
+    assert comparison.levels() == [4.5, 3.5]
+    evaluations, seconds, share = comparison.reached("a", 4.0)
+    # Costs fall to 4, 2 and once the final cost: 10, 20, 30, 30 and twice never.
+    assert (evaluations, seconds, share) == (30, 1.5, pytest.approx(4 / 6))
+    assert comparison.reached("a", 0.5) == (np.inf, np.inf, 0)
+    table = comparison.table([4.0])
+    for words in ("a minus this", "held out", "to 4", "30 (1.5 s)", "something: 6 repeats of 40"):
+        assert words in table
+    assert comparison.markdown([4.0]).count("| --- ") == len(comparison.rows([4.0])[0])
+
+
+def test_infinite_costs_rank_last_and_survive_the_file() -> None:
+    comparison = made(a=[1.0, np.inf, 2.0], b=[np.inf, np.inf, 3.0])
+    assert comparison.costs("a").tolist() == [1, np.inf, 2]
+    assert comparison.versus_first()["b"].difference == -1
+    assert from_json(comparison.to_json()) == comparison
+    assert "inf" in comparison.table()
+    plot_comparison(comparison)
+
+
+def test_a_gradients_time_is_told_in_evaluations() -> None:
+    comparison = made(a=A, g=B)
+    comparison.gradients["g"] = Gradients(price=5, begin=20)
+    # 4 gradients, from 20 to 40 evaluations, in the second half of 2 s; an evaluation: 2 s / 40.
+    assert comparison.gradient_seconds("g") == pytest.approx(0.25)
+    assert "counts as 5 evaluations; it took 250 ms, as long as 5." in comparison.table()
+
+
+def test_the_figure_shows_median_and_quartiles() -> None:
+    comparison = made(a=A, b=B)
+    figure = plot_comparison(comparison)
+    (ax,) = figure.axes
+    line = ax.get_lines()[0]
+    assert line.get_label() == "a"
+    evaluations, (_, median, _) = comparison.bands("a")
+    np.testing.assert_array_equal(line.get_xdata(), evaluations)
+    np.testing.assert_array_equal(line.get_ydata(), median)
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b"]
+
+
+@pytest.fixture(scope="module")
+def on_sphere(tmp_path_factory: pytest.TempPathFactory):
+    """Two optimisers on the sphere, their folder and what was told."""
+    folder, told = tmp_path_factory.mktemp("compare") / "out", []
+    comparison = posegsa.compare(
+        tiny(),
+        optimisers=["gsa", "random"],
+        repeats=3,
+        evaluations=32,
+        function=SPHERE,
+        out=folder,
+        progress=told.append,
+    )
+    return comparison, folder, told
+
+
+def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
+    comparison, _, told = on_sphere
+    key = jax.random.fold_in(keys(0).search, 2)
+    alone = minimise(SPHERE, SPHERE.box, GSA(6, 5), key)
+    third = comparison.repeats["gsa"][2]
+    assert third.cost == float(alone.best_cost)
+    assert third.evaluations == [6, 12, 18, 24, 30]
+    assert third.held_out is None
+    np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
+    assert np.all(np.diff(third.times) >= 0)
+    assert told[-1] == Status("random", 2, 3, 1.0, comparison.repeats["random"][2].cost)
+
+
+def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None:
+    comparison, folder, _ = on_sphere
+    assert load_comparison(folder) == comparison
+    assert (folder / "comparison.txt").read_text().strip() == comparison.table()
+    assert (folder / "comparison.png").read_bytes()[:4] == b"\x89PNG"
+    searched = []
+    search = _search
+    monkeypatch.setattr(
+        sys.modules["posegsa.compare"],
+        "_search",
+        lambda *args: searched.append(args[1]) or search(*args),
+    )
+    more = posegsa.compare(
+        tiny(), optimisers=["random"], repeats=4, evaluations=32, function=SPHERE, out=folder
+    )
+    assert len(searched) == 1, "only the fourth repeat is new"
+    assert list(more.repeats) == ["random", "gsa"], "what the folder held is kept"
+    assert more.repeats["gsa"] == comparison.repeats["gsa"]
+    assert more.repeats["random"][:3] == comparison.repeats["random"]
+    assert "3 to 4 repeats" in more.heading()
+    assert set(more.versus_first()) == {"gsa"}
+
+
+def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
+    _, folder, _ = on_sphere
+    same = {"optimisers": ["gsa"], "repeats": 1, "function": SPHERE, "out": folder}
+    for changed in (
+        {"evaluations": 31},
+        {"evaluations": 32, "function": ClassicalFunction("sphere", 2, shift=0.1)},
+    ):
+        with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
+            posegsa.compare(tiny(), **(same | changed))
+    with pytest.raises(RunFolderError, match="holds a comparison"):
+        posegsa.compare(tiny("gsa.g0=3.0"), evaluations=32, **same)
+    (tmp_path / "comparison.json").write_text("{}")
+    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+        load_comparison(tmp_path)
+    with pytest.raises(RunFolderError, match="holds no comparison"):
+        load_comparison(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError, match="is not a folder"):
+        posegsa.compare(tiny(), **(same | {"out": tmp_path / "file", "evaluations": 32}))
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
+    experiment = tiny("run.held_out_scenarios=2")
+    comparison = posegsa.compare(experiment, optimisers=["gsa"], repeats=2, evaluations=24)
+    first, second = comparison.repeats["gsa"]
+    assert first.cost != second.cost
+    task = make_ready(experiment)
+    for found in (first, second):
+        assert found.evaluations[-1] == 24
+        controller = task.space.controller(task.space.checked(found.position))
+        schedule = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        for cost, part in ((found.cost, slice(2)), (found.held_out, slice(2, None))):
+            costs = costs_by_scenario(schedule, take(task.everywhere, part))
+            assert float(np.mean(costs)) == pytest.approx(cost, rel=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_the_command_prints_the_table(tmp_path, capsys) -> None:
+    words = ["compare", "--function", "sphere", "--dimensions", "2", "--evaluations", "32"]
+    words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random"]
+    assert main([*words, "--levels", "9000", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
+    assert "to 9000" in said.out
+    assert "random 2/2" in said.err
+    assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--optimisers", "gas"], "optimiser 'gas'"),
+        (["--optimisers", ","], "optimisers: none"),
+        (["--function", "spher"], "name = 'spher'"),
+        (["--function", "sphere", "--shift", "2"], "shift = 2.0"),
+        (["--evaluations", "10"], "evaluations = 10 of 'gsa'; allowed: at least 100"),
+    ],
+)
+def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) -> None:
+    assert main(["compare", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [{"repeats": 0}, {"evaluations": 2.5}, {"repeats": True}])
+def test_bad_numbers_are_refused_by_name(arguments: dict) -> None:
+    with pytest.raises(ConfigError, match=f"{next(iter(arguments))} = .*; allowed: a whole number"):
+        posegsa.compare(tiny(), **arguments)

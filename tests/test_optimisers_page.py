@@ -1,0 +1,41 @@
+"""The page on optimisers stays true: its examples run, and what it names exists."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from posegsa.cli import _parser
+from posegsa.config import OptimiserName
+
+ROOT = Path(__file__).parent.parent
+TEXT = (ROOT / "docs" / "optimisers.md").read_text(encoding="utf-8")
+
+
+def test_the_examples_run_and_find_what_they_say() -> None:
+    names: dict = {}
+    for code in re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL):
+        exec(code, names)  # the page's own text
+    np.testing.assert_allclose(names["found"].best_position, [2, 0.3, 2.5], rtol=0.05)
+    assert names["found"].best_cost < 0.004
+    assert names["at_bench"].best_cost <= 1e-3
+
+
+def test_every_optimiser_has_a_row() -> None:
+    rows = [line.split("|")[1] for line in TEXT.splitlines() if line.startswith("| `")]
+    assert set(re.findall(r"`([^`]+)`", " ".join(rows))) == set(get_args(OptimiserName))
+
+
+def test_commands_and_files_that_it_names() -> None:
+    for command in re.findall(r"`posegsa ((?:tune|compare) [^`]*)`", TEXT):
+        words = command.replace("[CONFIG]", "configs/paper.toml").split()
+        _parser().parse_args(words)
+    for path in re.findall(r"\]\(\.\./([\w./]+)\)", TEXT):
+        assert (ROOT / path).exists(), path
+
+
+def test_the_results_are_there() -> None:
+    for block in ("comparison", "functions", "speed"):
+        (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", TEXT, re.DOTALL)
+        assert "gsa" in text

@@ -1,0 +1,85 @@
+"""Strategies of evosax and pycma behind the protocol, and each other's reference."""
+
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_optimisers_base import same
+from test_tuning import tiny
+
+from posegsa.errors import ConfigError
+from posegsa.named_optimisers import make_optimiser
+from posegsa.optimisers import minimise
+from posegsa.optimisers.evosax import Evosax, EvosaxState
+from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.optimisers.pycma import PyCMA
+
+FUNCTION = ClassicalFunction("ellipsoid", 4, shift=0.6, rotation=2)
+KEY = jax.random.key(0)
+
+
+def test_cma_es_of_both_libraries_agree() -> None:
+    # The same algorithm, population, sigma and budget: the cost after 40 iterations, over 4 seeds,
+    # is within the spread. Both have to learn a rotated scale of 10^6 : 1, away from the middle.
+    pytest.importorskip("evosax")
+    pytest.importorskip("cma")
+    keys = jax.random.split(KEY, 4)
+    one = np.log10(
+        np.asarray(minimise(FUNCTION, FUNCTION.box, Evosax("CMA_ES", 12, 40, 0.3), keys).best_cost)
+    )
+    other = np.log10(
+        [float(minimise(FUNCTION, FUNCTION.box, PyCMA(12, 40, 0.3), key).best_cost) for key in keys]
+    )
+    assert abs(np.median(one) - np.median(other)) < max(np.ptp(one), np.ptp(other))
+    assert max(np.median(one), np.median(other)) < 5, "random points cost some 10^9"
+
+
+def test_a_population_of_evosax_begins_with_its_own_costs() -> None:
+    pytest.importorskip("evosax")
+    swarm = Evosax("PSO", 6, 5)
+    search = minimise(FUNCTION, FUNCTION.box, swarm, KEY)
+    again = minimise(FUNCTION, FUNCTION.box, swarm, KEY, chunk=2)
+    same(search, again)
+    assert isinstance(search.state, EvosaxState)
+    best = search.history.best
+    assert best[-1] < best[0]
+    assert search.state.strategy.best_fitness == search.best_cost
+
+
+def test_positions_beyond_the_box_are_mirrored_into_it() -> None:
+    pytest.importorskip("evosax")
+    optimiser = Evosax("CMA_ES", 12, 40, 0.3)
+    state = optimiser.init(KEY, 4, jnp.float32)
+    asked = jnp.tile(jnp.asarray([[-0.25, 1.5, 2.25, jnp.nan]], jnp.float32), (12, 1))
+    assert optimiser.ask(state._replace(asked=asked))[0].tolist() == [0.25, 0.5, 0.25, 0.5]
+
+
+def test_pycma_keeps_its_state_and_numpys_generator() -> None:
+    pytest.importorskip("cma")
+    optimiser = PyCMA(6, 5)
+    state = optimiser.init(KEY, 3, jnp.float32)
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002 - pycma's own would be this one
+    told = [optimiser.tell(state, jnp.arange(6.0)) for _ in range(2)]
+    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
+    assert (optimiser.ask(told[0]) == optimiser.ask(told[1])).all()
+    assert (optimiser.ask(told[0]) != optimiser.ask(state)).any()
+    assert ((optimiser.ask(state) >= 0) & (optimiser.ask(state) <= 1)).all()
+
+
+def test_an_unknown_strategy_is_refused_by_name() -> None:
+    pytest.importorskip("evosax")
+    with pytest.raises(ConfigError, match=r"evosax.*strategy = 'CMAES'; allowed: .*'CMA_ES'"):
+        make_optimiser(tiny("search.optimiser=evosax", "evosax.strategy=CMAES"))
+
+
+@pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
+def test_a_missing_library_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, name: str, library: str
+) -> None:
+    for module in [m for m in sys.modules if m.split(".")[0] == library]:
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ConfigError, match=rf"{name}.*pip install 'posegsa\[compare\]'"):
+        make_optimiser(tiny(f"search.optimiser={name}"))
