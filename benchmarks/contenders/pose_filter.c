@@ -14,7 +14,7 @@
  *     attitude part of the signal and the innovation);
  *   - pairs of output terms that overlap for no agent of the population are left out.
  *
- *     gcc -O3 -march=native -ffast-math -mprefer-vector-width=512 -fopenmp -shared -fPIC
+ * Built by c.py: gcc -O3 -march=native -ffast-math and a few options that pay.
  */
 #include <math.h>
 #include <stdlib.h>
