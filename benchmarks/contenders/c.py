@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
 from contenders.scene import Scene
 
 SOURCE = Path(__file__).with_name("pose_filter.c")
@@ -130,9 +131,11 @@ def prepare(scene: Scene, library: Path, threads: int = 1) -> Callable[[], np.nd
     What does not depend on the agents is done here, as posegsa does it before its own call.
 
     Raises:
-        ValueError: the gain limit has no curvature to act on at some sample.
+        RuntimeError: the library was built from another source.
     """
-    sample = packed(scene)
+    loaded, sample = ctypes.CDLL(str(library)), packed(scene)
+    if loaded.pose_filter_sample_numbers() != sample.shape[-1]:
+        raise RuntimeError(f"{library}: its samples do not have {sample.shape[-1]} numbers")
     c = _Settings(
         *scene.gamma,
         scene.gain_limit,
@@ -145,7 +148,7 @@ def prepare(scene: Scene, library: Path, threads: int = 1) -> Callable[[], np.nd
         np.concatenate([scene.attitude, _in_body(scene), scene.bias], axis=-1), np.float32
     )
     inputs, outputs = (np.ascontiguousarray(a, np.float32) for a in (scene.inputs, scene.outputs))
-    run = ctypes.CDLL(str(library)).pose_filter_costs
+    run = loaded.pose_filter_costs
     run.argtypes = [ctypes.c_int] * 3 + [_FLOATS] * 4 + [ctypes.POINTER(_Settings), ctypes.c_int]
     run.argtypes = [*run.argtypes, _FLOATS]
     out = np.empty((scene.scenarios, scene.agents), np.float32)

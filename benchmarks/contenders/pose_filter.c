@@ -165,8 +165,6 @@ INLINE float series(float x, int first, int terms)
 INLINE void step(Block *restrict b, const Sample *restrict s, const Settings *restrict c,
                  int limited, int far)
 {
-    /* With the gain limit an innovation turns by at most 1.5 rad; without, by several turns. */
-    const int terms = limited ? 6 : 14;
 #pragma omp simd
     for (int l = 0; l < LANES; ++l) {
         const float w = b->q[0][l], x = b->q[1][l], y = b->q[2][l], z = b->q[3][l];
@@ -242,11 +240,23 @@ INLINE void step(Block *restrict b, const Sample *restrict s, const Settings *re
         b->bias_linear[1][l] -= linear * v1;
         b->bias_linear[2][l] -= linear * v2;
 
-        /* T <- T exp([omega; v]^): p <- exp(-omega) p + V(-omega) v. */
+        /* T <- T exp([omega; v]^): p <- exp(-omega) p + V(-omega) v. The gain limit keeps the
+         * angle t under 1.5 rad and what the gyroscope says; without it there may be whole turns. */
         const float angle2 = o0 * o0 + o1 * o1 + o2 * o2;
-        const float half_cos = series(0.25f * angle2, 0, terms - 1);
-        const float half_sinc = 0.5f * series(0.25f * angle2, 1, terms - 1);
-        const float t_minus_sin = series(angle2, 3, terms);
+        float half_cos, half_sinc, t_minus_sin; /* cos(t/2), sin(t/2)/t, (t - sin t)/t^3 */
+        if (limited) {
+            half_cos = series(0.25f * angle2, 0, 5);
+            half_sinc = 0.5f * series(0.25f * angle2, 1, 5);
+            t_minus_sin = series(angle2, 3, 6);
+        } else {
+            const float angle = sqrtf(angle2), turns = rintf(angle * 0.15915494f);
+            const float rest = angle - turns * 6.2831853f; /* q and -q are the same attitude */
+            half_cos = series(0.25f * rest * rest, 0, 8);
+            half_sinc = 0.5f * series(0.25f * rest * rest, 1, 8);
+            half_sinc = turns > 0 ? half_sinc * rest / angle : half_sinc;
+            t_minus_sin = angle2 < 1 ? series(angle2, 3, 5)
+                                     : (1 - 2 * half_sinc * half_cos) / most(angle2, 1);
+        }
         const float sinc = 2 * half_sinc * half_cos, one_minus_cos = 2 * half_sinc * half_sinc;
         const float i0 = one_minus_cos * p0 + t_minus_sin * m0;
         const float i1 = one_minus_cos * p1 + t_minus_sin * m1;
@@ -342,6 +352,9 @@ static void run(Block *blocks, int count, const Sample *sample, int samples, con
         RUN(0, 1)
     }
 }
+
+/* Numbers in a sample, for the caller to check its packing. */
+int pose_filter_sample_numbers(void) { return sizeof(Sample) / sizeof(float); }
 
 /* Costs (scenarios, agents) of terms inputs and outputs (agents, 5, 3).
  *

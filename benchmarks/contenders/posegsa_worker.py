@@ -1,45 +1,261 @@
-"""WIP"""
+"""posegsa's own measurements, each in a process of its own: a command in, one line of JSON out.
+
+    python benchmarks/contenders/posegsa_worker.py scene OUT.npz
+    python benchmarks/contenders/posegsa_worker.py time --agents 1000 --devices 2
+    python benchmarks/contenders/posegsa_worker.py search
+
+`benchmarks/run.py` starts it. Processes are fresh because XLA reads its options once, because a
+compiled program stays in its process, and because peak memory is the process's.
+"""
+
+import argparse
+import json
+import os
+import resource
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import jax
+import jax.numpy as jnp
 import numpy as np
-from contenders.scene import Scene
 
-def scene_of(problem, controller) -> Scene:
-    """A posegsa problem and its controllers (leaves (A, ...)) as plain arrays, in float64."""
-    (landmark,) = problem.tracks.sample.landmarks
-    sample, truth, state = problem.tracks.sample, problem.tracks.truth, problem.initial
+import posegsa
+from contenders import c
+from contenders.scene import RULES, Scene
+from posegsa import config
+from posegsa.comparison import training_keys
+from posegsa.cost import cost_weights
+from posegsa.family import family, realise
+from posegsa.keys import keys
+from posegsa.optimisers import Box, minimise
+from posegsa.population import evaluate_population
+from posegsa.runtime import enable_compilation_cache, fast_path_flags
+from posegsa.se3 import quaternion
+from posegsa.search import Task, make_ready, run_search
 
-    def stack(components) -> np.ndarray:
-        return np.stack([np.asarray(a, np.float64) for a in components], axis=-1)
+PAPER = Path(__file__).parent.parent.parent / "configs" / "paper.toml"
+CHECKED_AGENTS = 100
+"""Random parameter vectors that all contenders are checked on; more agents repeat them."""
 
-    def plain(a) -> np.ndarray:
+
+def use_devices(count: int) -> None:
+    """Run on `count` CPU devices and as many cores; to be called before JAX makes its first array.
+
+    The process is held on its cores, so that "one device" is one core's work throughout.
+    """
+    own = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
+    os.environ["XLA_FLAGS"] = fast_path_flags(own)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:count])
+
+
+def task_of(dtype: str, scenarios: int = 1) -> Task:
+    """The paper's experiment, made ready."""
+    settings = [f"run.dtype={dtype}", f"run.training_scenarios={scenarios}"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+        return make_ready(config.override(config.load(PAPER), settings))
+
+
+def parameter_vectors(task: Task, agents: int) -> jax.Array:
+    """Parameter vectors (agents, 22), uniform in their boxes; the same in every dtype."""
+    unit = jax.random.uniform(jax.random.key(1), (CHECKED_AGENTS, 22), jnp.float32)
+    lower, upper = task.space.lower, task.space.upper
+    drawn = lower[None] + (upper - lower)[None] * unit.astype(lower.dtype)
+    return jnp.resize(drawn, (agents, drawn.shape[1]))
+
+
+def scene_of(task: Task, vectors: jax.Array) -> Scene:
+    """A task's training scenarios and the controllers of parameter vectors as plain arrays.
+
+    Raises:
+        ValueError: the experiment is not one that the other contenders can run.
+    """
+    e = task.experiment
+    one_landmark = len(e.scenario.landmarks) == 1 and e.gain.signal == "measured"
+    if e.filter.substeps != 1 or e.filter.law != "gradient" or not one_landmark:
+        raise ValueError("the other contenders know one landmark, one step and the gradient law")
+    if task.space.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != ("exact", "hold"):
+        raise ValueError("the other contenders know the paper's rules and the exact centroid")
+    spread = family(e.family, jnp.dtype(e.run.dtype))
+    realised = jax.jit(jax.vmap(realise, in_axes=(None, None, 0)))
+    drawn, truth, measured = realised(task.scenario, spread, training_keys(e))
+
+    def plain(a: Any) -> np.ndarray:
         return np.asarray(a, np.float64)
 
-    limit = problem.settings.gain_limit
-    signal = problem.signal
+    body, inertial = plain(measured.vectors), plain(measured.vector_references)
+    weights, samples = plain(measured.vector_weights), task.scenario.samples
+    body2, inertial2 = np.sum(body**2, axis=-1), np.sum(inertial**2, axis=-1)
+    window = cost_weights(e.cost, samples, jnp.dtype(e.run.dtype))
+    controller = jax.jit(jax.vmap(task.space.controller))(vectors)
+    gamma = e.filter.gamma if isinstance(e.filter.gamma, tuple) else (e.filter.gamma,) * 2
+    rotation, position = plain(truth.rotation), plain(truth.position)
     return Scene(
-        time_step=plain(sample.time_step),
-        angular_velocity=stack(sample.angular_velocity),
-        velocity=stack(sample.velocity),
-        profile=np.stack([stack(row) for row in sample.profile], axis=-2),
-        vector_power=plain(sample.vector_power),
-        vector_curvature=plain(sample.vector_curvature),
-        attitude_scale=plain(sample.attitude_scale),
-        landmark_body=stack(landmark.body),
-        landmark_inertial=stack(landmark.inertial),
-        landmark_weight=plain(landmark.weight),
-        true_attitude=stack(truth.attitude),
-        true_origin=stack(truth.origin),
-        attitude=stack(state.attitude),
-        position=stack(state.place),
-        bias=stack(state.bias_angular + state.bias_linear),
-        cost_weight=plain(problem.weights.transient) + plain(problem.weights.steady),
-        cost_position=float(problem.weights.position),
-        gamma=np.array([problem.settings.gamma_angular, problem.settings.gamma_linear], np.float64),
-        gain_limit=0.0 if limit is None else float(limit),
-        position_weight=float(signal.position_weight),
-        smoothing=float(signal.smoothing),
-        error_scale=float(signal.error_scale),
-        rate_scale=float(signal.rate_scale),
+        time_step=plain(measured.time_step),
+        angular_velocity=plain(measured.angular_velocity),
+        velocity=plain(measured.velocity),
+        profile=np.einsum("skn,skni,sknj->skij", weights, body, inertial),
+        vector_power=np.sum(weights * (body2 + inertial2), axis=-1),
+        vector_curvature=0.5 * np.sum(weights * np.sqrt(body2 * inertial2), axis=-1),
+        attitude_scale=0.375 / np.sum(weights, axis=-1),
+        landmark_body=plain(measured.landmarks)[:, :, 0],
+        landmark_inertial=plain(measured.landmark_references)[:, :, 0],
+        landmark_weight=plain(measured.landmark_weights)[:, :, 0],
+        true_attitude=plain(quaternion(truth.rotation)),
+        true_origin=np.einsum("skji,skj->ski", rotation, position),
+        attitude=plain(quaternion(drawn.rotation_estimate)),
+        position=plain(drawn.position_estimate),
+        bias=plain(drawn.bias_estimate),
+        cost_weight=plain(window.transient) + plain(window.steady),
+        cost_position=float(e.cost.position_weight),
+        gamma=np.array(gamma, np.float64),
+        gain_limit=0.0 if e.filter.gain_limit == "off" else float(e.filter.gain_limit),
+        position_weight=float(e.gain.position_weight),
+        smoothing=float(e.gain.smoothing),
+        error_scale=float(e.gain.error_scale),
+        rate_scale=float(e.gain.rate_scale),
         initial_gain=float(controller.initial_gain()),
         inputs=plain(controller.input_terms),
         outputs=plain(controller.output_terms),
     )
+
+
+def timed(run: Callable[[], object], seconds: float, least: int = 3) -> list[float]:
+    """Times of repeated calls [s], for about so many seconds."""
+    times: list[float] = []
+    while len(times) < least or sum(times) < seconds:
+        begun = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begun)
+    return times
+
+
+def make_scene(options: argparse.Namespace) -> dict[str, Any]:
+    """Write the scene in float64; posegsa's costs of it in both precisions."""
+    found = {}
+    for dtype in ("float64", "float32"):
+        with jax.enable_x64(dtype == "float64"):
+            task = task_of(dtype)
+            vectors = parameter_vectors(task, CHECKED_AGENTS)
+            costs = np.asarray(evaluate_population(vectors, task.training, task.space))
+            found[dtype] = [float(cost) for cost in costs]
+            if dtype == "float64":
+                scene_of(task, vectors).save(options.out)
+    return {"costs": found}
+
+
+def time_population(options: argparse.Namespace) -> dict[str, Any]:
+    """Time one call for all agents on all scenarios, and C's on the same, by turns."""
+    with jax.enable_x64(options.dtype == "float64"):
+        task = task_of(options.dtype, options.scenarios)
+        vectors = parameter_vectors(task, options.agents)
+
+        def run() -> np.ndarray:
+            return np.asarray(evaluate_population(vectors, task.training, task.space))
+
+        costs = run()
+        found: dict[str, Any] = {"devices": len(jax.devices())}
+        times, limits = timed(run, 0, least=2), []
+        if options.library is not None:
+            scene = scene_of(task, vectors)
+            limit = c.prepare(scene, options.library, options.devices)
+            of_c = np.mean(limit(), axis=0)
+            found["c_difference"] = float(np.max(np.abs(of_c / costs - 1)))
+        for _ in range(5):
+            times += timed(run, options.seconds / 10)
+            if options.library is not None:
+                time.sleep(0.01)
+                limits += timed(limit, options.seconds / 10)
+                time.sleep(0.01)  # OpenMP's threads wait actively for a while
+    found |= {"best": min(times), "median": float(np.median(times)), "calls": len(times)}
+    if limits:
+        found |= {"c_best": min(limits), "c_median": float(np.median(limits))}
+    return found
+
+
+def time_first(options: argparse.Namespace) -> dict[str, Any]:
+    """Time the first calls of a process: making ready, one population, the search's compiling."""
+    begun = time.perf_counter()
+    task = task_of("float32")
+    vectors = parameter_vectors(task, CHECKED_AGENTS).block_until_ready()
+    ready = time.perf_counter()
+    evaluate_population(vectors, task.training, task.space).block_until_ready()
+    done = time.perf_counter()
+    return {
+        "ready_seconds": ready - begun,
+        "first_seconds": done - ready,
+        "compile_seconds": run_search(task).compile_seconds,
+    }
+
+
+def time_search(options: argparse.Namespace) -> dict[str, Any]:
+    """Time the paper's whole search, and the optimiser alone on a cost that is almost free."""
+    task = task_of("float32")
+    runs = [run_search(task) for _ in range(options.repeats)]
+    optimiser = task.optimiser
+    box, key = Box(task.space.lower, task.space.upper), keys(0).search
+
+    def sphere(k: jax.Array) -> jax.Array:
+        return jnp.sum(k * k, axis=-1)
+
+    def alone() -> None:
+        jax.block_until_ready(minimise(sphere, box, optimiser, key))
+
+    alone()
+    times = timed(alone, 1.0)
+    return {
+        "devices": len(jax.devices()),
+        "compile_seconds": runs[0].compile_seconds,
+        "best": min(run.search_seconds for run in runs),
+        "median": float(np.median([run.search_seconds for run in runs])),
+        "best_cost": float(runs[0].search.best_cost),
+        "optimiser_best": min(times),
+        "optimiser_median": float(np.median(times)),
+        "iterations": optimiser.iterations,
+        "agents": optimiser.agents,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="One measurement of posegsa.")
+    actions = parser.add_subparsers(required=True)
+    scene = actions.add_parser("scene", help="write what all contenders compute")
+    scene.add_argument("out", type=Path)
+    scene.set_defaults(action=make_scene, devices=1)
+    population = actions.add_parser("time", help="one population")
+    population.add_argument("--agents", type=int, default=100)
+    population.add_argument("--scenarios", type=int, default=1)
+    population.add_argument("--dtype", choices=("float32", "float64"), default="float32")
+    population.add_argument("--devices", type=int, default=1)
+    population.add_argument("--seconds", type=float, default=2.0, help="to measure for")
+    population.add_argument("--library", type=Path, help="C's, to be timed by turns with posegsa")
+    population.set_defaults(action=time_population)
+    first = actions.add_parser("first", help="first calls, compiling included")
+    first.add_argument("--devices", type=int, default=1)
+    first.set_defaults(action=time_first)
+    search = actions.add_parser("search", help="the paper's whole search")
+    search.add_argument("--devices", type=int, default=1)
+    search.add_argument("--repeats", type=int, default=3)
+    search.set_defaults(action=time_search)
+    options = parser.parse_args()
+    use_devices(options.devices)
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        enable_compilation_cache()
+    found = options.action(options)
+    # Kilobytes on Linux, bytes on macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    found["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    found["jax"] = jax.__version__
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,6 +6,7 @@ without it, so that a contender may live in an environment of its own.
 
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -114,4 +115,5 @@ def load(path: Path) -> Scene:
     """Read what `Scene.save` wrote."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
-    return Scene(**{name: a if a.ndim else float(a) for name, a in arrays.items()})
+    values: dict[str, Any] = {name: a if a.ndim else float(a) for name, a in arrays.items()}
+    return Scene(**values)
