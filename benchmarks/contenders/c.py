@@ -16,7 +16,6 @@ FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
 OPTIONAL_FLAGS = (
     "-fopenmp",  # threads
     "-mprefer-vector-width=512",  # full vectors: twice as fast
-    "-mrecip=none",  # hardware square roots and divisions instead of refined estimates: 2 %
     "-fschedule-insns",  # instructions ordered by their waiting times before registers are given
     "-fsched-pressure",  # out, as long as registers last: 15 %
 )

@@ -181,24 +181,14 @@ def time_population(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
-def time_first(options: argparse.Namespace) -> dict[str, Any]:
-    """Time the first calls of a process: making ready, one population, the search's compiling."""
+def time_search(options: argparse.Namespace) -> dict[str, Any]:
+    """Time first calls, the paper's whole search, and the optimiser on a cost almost free."""
     begun = time.perf_counter()
     task = task_of("float32")
     vectors = parameter_vectors(task, CHECKED_AGENTS).block_until_ready()
     ready = time.perf_counter()
     evaluate_population(vectors, task.training, task.space).block_until_ready()
-    done = time.perf_counter()
-    return {
-        "ready_seconds": ready - begun,
-        "first_seconds": done - ready,
-        "compile_seconds": run_search(task).compile_seconds,
-    }
-
-
-def time_search(options: argparse.Namespace) -> dict[str, Any]:
-    """Time the paper's whole search, and the optimiser alone on a cost that is almost free."""
-    task = task_of("float32")
+    first = time.perf_counter() - ready
     runs = [run_search(task) for _ in range(options.repeats)]
     optimiser = task.optimiser
     box, key = Box(task.space.lower, task.space.upper), keys(0).search
@@ -213,6 +203,8 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
     times = timed(alone, 1.0)
     return {
         "devices": len(jax.devices()),
+        "ready_seconds": ready - begun,
+        "first_seconds": first,
         "compile_seconds": runs[0].compile_seconds,
         "best": min(run.search_seconds for run in runs),
         "median": float(np.median([run.search_seconds for run in runs])),
@@ -238,9 +230,6 @@ def main() -> None:
     population.add_argument("--seconds", type=float, default=2.0, help="to measure for")
     population.add_argument("--library", type=Path, help="C's, to be timed by turns with posegsa")
     population.set_defaults(action=time_population)
-    first = actions.add_parser("first", help="first calls, compiling included")
-    first.add_argument("--devices", type=int, default=1)
-    first.set_defaults(action=time_first)
     search = actions.add_parser("search", help="the paper's whole search")
     search.add_argument("--devices", type=int, default=1)
     search.add_argument("--repeats", type=int, default=3)
