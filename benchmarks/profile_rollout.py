@@ -265,7 +265,7 @@ def main() -> None:
         task = task_of("float32")
         vectors = parameter_vectors(task, options.agents)
         compiled = evaluate_population.lower(vectors, task.training, task.space).compile()
-        found: dict[str, Any] = {"hlo": of_hlo(compiled.as_text(), options.agents)}
+        found: dict[str, Any] = {"hlo": of_hlo(compiled.as_text() or "", options.agents)}
         objects = sorted(
             folder.glob("*population_costs*.o"), key=lambda path: path.stat().st_size, reverse=True
         )
