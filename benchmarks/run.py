@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 from contenders import c, numpy_vectorised
+from contenders.plain_loop import CHECKED
 from contenders.scene import Scene, load
 from readme import write_block
 from run_tables import (
@@ -49,7 +50,7 @@ WORKER = HERE / "contenders" / "posegsa_worker.py"
 FIGURE = HERE / "scaling.png"
 TOLERANCES = {"float32": 1e-3, "float64": 1e-6, "sampled": 1e-3}
 """Relative, for each cost: float32 with other orders of operations; float64; loops whose library
-samples the centroid, checked over 30 samples with 2001 points."""
+samples the centroid, checked on a slice with 2001 points."""
 
 
 def wrong(kind: str) -> str:
@@ -300,7 +301,7 @@ class Benchmark:
 
     def add_slice(self, name: str, found: dict[str, Any]) -> None:
         """A row extrapolated from a slice whose costs are checked against NumPy's."""
-        part = self.scene.first(agents=len(found["costs"]), samples=30)
+        part = self.scene.part(**CHECKED, agents=len(found["costs"]))
         known = numpy_vectorised.prepare(part)()[0]
         difference = float(np.max(np.abs(np.array(found["costs"]) / known - 1)))
         row = Row(name, 1, difference=difference, c_best=self.c_best.get(1))

@@ -30,6 +30,14 @@ def posed_scene() -> tuple[Scene, np.ndarray]:
     )
 
 
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The C contender, compiled."""
+    if c.compiler() is None:
+        pytest.skip("no C compiler")
+    return c.build(tmp_path_factory.mktemp("library"))
+
+
 def test_numpy_agrees(posed_scene: tuple[Scene, np.ndarray]) -> None:
     scene, costs = posed_scene
     found = numpy_vectorised.prepare(scene)()
@@ -37,26 +45,34 @@ def test_numpy_agrees(posed_scene: tuple[Scene, np.ndarray]) -> None:
     np.testing.assert_allclose(found.mean(axis=0), costs, rtol=1e-4)
 
 
-def test_the_plain_loop_agrees_with_numpy(posed_scene: tuple[Scene, np.ndarray]) -> None:
-    scene, _ = posed_scene
-    part = scene.first(agents=1, samples=20)
-    constant = replace(part, outputs=np.tile([29.0, 30.0, 31.0], (1, 5, 1)))
-    loop = plain_loop.simulate(constant, lambda error, rate, last: 31.0)
-    np.testing.assert_allclose(loop, numpy_vectorised.prepare(constant)()[0, 0], rtol=1e-6)
+def test_the_plain_loop_agrees_where_the_controller_matters(
+    posed_scene: tuple[Scene, np.ndarray],
+) -> None:
+    scene = posed_scene[0]
+    # Unit to float64's rounding: the two write rotations of quaternions differently.
+    q = scene.true_attitude / np.linalg.norm(scene.true_attitude, axis=-1, keepdims=True)
+    part = replace(scene, true_attitude=q).part(60, 30, agents=1)
+    gains = numpy_vectorised.Schedule(part).gain
+
+    def controller(error: float, rate: float, last: float) -> float:
+        return float(gains(*(np.array([a]) for a in (error, rate, last)))[0])
+
+    known = numpy_vectorised.prepare(part)()[0, 0]
+    assert plain_loop.simulate(part, controller) == pytest.approx(known, rel=1e-10)
+    # The slice is one where a wrong controller shows: 2 % here, at 10 000 times the tolerance.
+    off = plain_loop.simulate(part, lambda *inputs: 1.02 * controller(*inputs))
+    assert abs(off / known - 1) > 1e-6
 
 
-@pytest.mark.skipif(c.compiler() is None, reason="no C compiler")
-def test_c_agrees(posed_scene: tuple[Scene, np.ndarray], tmp_path: Path) -> None:
+def test_c_agrees(posed_scene: tuple[Scene, np.ndarray], library: Path) -> None:
     scene, costs = posed_scene
-    library = c.build(tmp_path)
     for threads in (1, 2):
         found = c.prepare(scene, library, threads)()
         np.testing.assert_allclose(found.mean(axis=0), costs, rtol=1e-4)
 
 
-@pytest.mark.skipif(c.compiler() is None, reason="no C compiler")
-def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], tmp_path: Path) -> None:
-    scene, library = posed_scene[0], c.build(tmp_path)
+def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], library: Path) -> None:
+    scene = posed_scene[0]
     # Output terms that overlap far and wide take another path through the centroid.
     wide = scene.outputs.copy()
     wide[:, 0, 2], wide[:, 1, 2], wide[:, 3:, 0] = 80.0, 85.0, 22.0

@@ -19,13 +19,13 @@ def prepare(scene: Scene) -> Callable[[], np.ndarray]:
     """A function of no arguments that computes the costs (S, A)."""
 
     def costs() -> np.ndarray:
-        schedule = _Schedule(scene)
+        schedule = Schedule(scene)
         return np.stack([_simulate(scene, s, schedule) for s in range(scene.scenarios)])
 
     return costs
 
 
-class _Schedule:
+class Schedule:
     """The fuzzy gain of all agents at once; exact centroid (see `posegsa.fuzzy`)."""
 
     def __init__(self, scene: Scene) -> None:
@@ -118,7 +118,7 @@ def _exponential(omega: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return rotation, v + second * turned + third * _cross(omega, turned)
 
 
-def _simulate(scene: Scene, s: int, schedule: _Schedule) -> np.ndarray:
+def _simulate(scene: Scene, s: int, schedule: Schedule) -> np.ndarray:
     """Costs (A,) on scenario s; the filter as `posegsa.filter` has it."""
     A, smoothing = scene.agents, scene.smoothing_factor[s]
     R = np.broadcast_to(matrix(scene.attitude[s]), (A, 3, 3))

@@ -11,6 +11,9 @@ import numpy as np
 
 from contenders.scene import Scene
 
+CHECKED = {"start": 400, "samples": 30}
+"""The slice that is run: in the steady window, where costs depend on the controller."""
+
 Controller = Callable[[float, float, float], float]
 """Gain [1/s] of error, rate and last gain."""
 
@@ -89,10 +92,10 @@ def measure(
         seconds: about how long to measure.
 
     Returns:
-        Costs of the first two agents over the first 30 samples, with 2001 points, and the mean
-        time per agent and step [s] over all agents that there was time for.
+        Costs of the first agents on the slice, with 2001 points, and the mean time per agent and
+        step [s] over all agents that there was time for.
     """
-    slice_ = scene.first(samples=30)
+    slice_ = scene.part(**CHECKED)
     checked = [simulate(slice_, make(scene.inputs[a], scene.outputs[a], 2001)) for a in range(2)]
     # Controllers are made outside: a search makes one for each agent, not for each step.
     spent, steps = 0.0, 0

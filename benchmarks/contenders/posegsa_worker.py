@@ -15,7 +15,7 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +30,10 @@ import posegsa
 from contenders import c
 from contenders.scene import RULES, Scene
 from posegsa import config
-from posegsa.comparison import training_keys
-from posegsa.cost import cost_weights
-from posegsa.family import family, realise
 from posegsa.keys import keys
 from posegsa.optimisers import Box, minimise
 from posegsa.population import evaluate_population
 from posegsa.runtime import enable_compilation_cache, fast_path_flags
-from posegsa.se3 import quaternion
 from posegsa.search import Task, make_ready, run_search
 
 PAPER = Path(__file__).parent.parent.parent / "configs" / "paper.toml"
@@ -84,44 +80,44 @@ def scene_of(task: Task, vectors: jax.Array) -> Scene:
         raise ValueError("the other contenders know one landmark, one step and the gradient law")
     if task.space.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != ("exact", "hold"):
         raise ValueError("the other contenders know the paper's rules and the exact centroid")
-    spread = family(e.family, jnp.dtype(e.run.dtype))
-    realised = jax.jit(jax.vmap(realise, in_axes=(None, None, 0)))
-    drawn, truth, measured = realised(task.scenario, spread, training_keys(e))
+    training = task.training
+    sample, truth, begun = training.tracks.sample, training.tracks.truth, training.initial
+    if truth is None:
+        raise ValueError("the true pose is needed for the cost")
+    (landmark,) = sample.landmarks
 
-    def plain(a: Any) -> np.ndarray:
+    def plain(a: jax.Array) -> np.ndarray:
         return np.asarray(a, np.float64)
 
-    body, inertial = plain(measured.vectors), plain(measured.vector_references)
-    weights, samples = plain(measured.vector_weights), task.scenario.samples
-    body2, inertial2 = np.sum(body**2, axis=-1), np.sum(inertial**2, axis=-1)
-    window = cost_weights(e.cost, samples, jnp.dtype(e.run.dtype))
+    def joined(components: Sequence[jax.Array]) -> np.ndarray:
+        return np.stack([plain(a) for a in components], axis=-1)
+
+    settings, signal = training.settings, training.signal
     controller = jax.jit(jax.vmap(task.space.controller))(vectors)
-    gamma = e.filter.gamma if isinstance(e.filter.gamma, tuple) else (e.filter.gamma,) * 2
-    rotation, position = plain(truth.rotation), plain(truth.position)
     return Scene(
-        time_step=plain(measured.time_step),
-        angular_velocity=plain(measured.angular_velocity),
-        velocity=plain(measured.velocity),
-        profile=np.einsum("skn,skni,sknj->skij", weights, body, inertial),
-        vector_power=np.sum(weights * (body2 + inertial2), axis=-1),
-        vector_curvature=0.5 * np.sum(weights * np.sqrt(body2 * inertial2), axis=-1),
-        attitude_scale=0.375 / np.sum(weights, axis=-1),
-        landmark_body=plain(measured.landmarks)[:, :, 0],
-        landmark_inertial=plain(measured.landmark_references)[:, :, 0],
-        landmark_weight=plain(measured.landmark_weights)[:, :, 0],
-        true_attitude=plain(quaternion(truth.rotation)),
-        true_origin=np.einsum("skji,skj->ski", rotation, position),
-        attitude=plain(quaternion(drawn.rotation_estimate)),
-        position=plain(drawn.position_estimate),
-        bias=plain(drawn.bias_estimate),
-        cost_weight=plain(window.transient) + plain(window.steady),
-        cost_position=float(e.cost.position_weight),
-        gamma=np.array(gamma, np.float64),
-        gain_limit=0.0 if e.filter.gain_limit == "off" else float(e.filter.gain_limit),
-        position_weight=float(e.gain.position_weight),
-        smoothing=float(e.gain.smoothing),
-        error_scale=float(e.gain.error_scale),
-        rate_scale=float(e.gain.rate_scale),
+        time_step=plain(sample.time_step),
+        angular_velocity=joined(sample.angular_velocity),
+        velocity=joined(sample.velocity),
+        profile=np.stack([joined(row) for row in sample.profile], axis=-2),
+        vector_power=plain(sample.vector_power),
+        vector_curvature=plain(sample.vector_curvature),
+        attitude_scale=plain(sample.attitude_scale),
+        landmark_body=joined(landmark.body),
+        landmark_inertial=joined(landmark.inertial),
+        landmark_weight=plain(landmark.weight),
+        true_attitude=joined(truth.attitude),
+        true_origin=joined(truth.origin),
+        attitude=joined(begun.attitude),
+        position=joined(begun.place),
+        bias=joined(begun.bias_angular + begun.bias_linear),
+        cost_weight=plain(training.weights.transient) + plain(training.weights.steady),
+        cost_position=float(training.weights.position),
+        gamma=np.array([settings.gamma_angular, settings.gamma_linear], np.float64),
+        gain_limit=0.0 if settings.gain_limit is None else float(settings.gain_limit),
+        position_weight=float(signal.position_weight),
+        smoothing=float(signal.smoothing),
+        error_scale=float(signal.error_scale),
+        rate_scale=float(signal.rate_scale),
         initial_gain=float(controller.initial_gain()),
         inputs=plain(controller.input_terms),
         outputs=plain(controller.output_terms),

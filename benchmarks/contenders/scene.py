@@ -96,15 +96,33 @@ class Scene:
         before = np.roll(self.time_step, 1, axis=1)
         return self.smoothing / (self.smoothing + before)
 
-    def first(self, agents: int | None = None, samples: int | None = None) -> "Scene":
-        """The first agents and samples of it."""
+    def part(self, start: int, samples: int, agents: int | None = None) -> "Scene":
+        """Samples from `start` on, of the first agents, begun at the true pose.
+
+        Far from the truth the gain limit decides the gain, and costs say nothing about the fuzzy
+        controller; from the truth on, they do.
+        """
         kept = {name: getattr(self, name)[:agents] for name in ("inputs", "outputs")}
-        whole = self.samples
+        chosen, whole = slice(start, start + samples), self.samples
         for field in fields(self):
             value = getattr(self, field.name)
             if np.ndim(value) >= 2 and np.shape(value)[1] == whole and field.name not in kept:
-                kept[field.name] = value[:, :samples]
-        return replace(self, cost_weight=self.cost_weight[:samples], **kept)
+                kept[field.name] = value[:, chosen]
+        w, v = self.true_attitude[:, start, :1], self.true_attitude[:, start, 1:]
+        origin = self.true_origin[:, start]
+        turned = 2 * np.cross(v, origin)
+        return replace(
+            self,
+            cost_weight=self.cost_weight[chosen],
+            attitude=self.true_attitude[:, start],
+            position=origin + w * turned + np.cross(v, turned),
+            **kept,
+        )
+
+    def first(self, samples: int) -> "Scene":
+        """The first samples of it, from the estimate that it begins with."""
+        begun = self.part(0, samples)
+        return replace(begun, attitude=self.attitude, position=self.position)
 
     def save(self, path: Path) -> None:
         """Write it as .npz."""
