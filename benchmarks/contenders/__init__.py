@@ -1,0 +1,1 @@
+"""What posegsa is measured against, one module each, and the scene that they all compute."""

@@ -1,0 +1,246 @@
+"""posegsa's own measurements, each in a process of its own: a command in, one line of JSON out.
+
+    python benchmarks/contenders/posegsa_worker.py scene OUT.npz
+    python benchmarks/contenders/posegsa_worker.py time --agents 1000 --devices 2
+    python benchmarks/contenders/posegsa_worker.py search
+
+`benchmarks/run.py` starts it. Processes are fresh because XLA reads its options once, because a
+compiled program stays in its process, and because peak memory is the process's.
+"""
+
+import argparse
+import json
+import os
+import resource
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import posegsa
+from contenders import c
+from contenders.scene import RULES, Scene
+from posegsa import config
+from posegsa.keys import keys
+from posegsa.optimisers import Box, minimise
+from posegsa.population import evaluate_population
+from posegsa.runtime import enable_compilation_cache, fast_path_flags
+from posegsa.search import Task, make_ready, run_search
+
+PAPER = Path(__file__).parent.parent.parent / "configs" / "paper.toml"
+CHECKED_AGENTS = 100
+"""Random parameter vectors that all contenders are checked on; more agents repeat them."""
+
+
+def use_devices(count: int) -> None:
+    """Run on `count` CPU devices and as many cores; to be called before JAX makes its first array.
+
+    The process is held on its cores, so that "one device" is one core's work throughout.
+    """
+    own = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
+    os.environ["XLA_FLAGS"] = fast_path_flags(own)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:count])
+
+
+def task_of(dtype: str, scenarios: int = 1) -> Task:
+    """The paper's experiment, made ready."""
+    settings = [f"run.dtype={dtype}", f"run.training_scenarios={scenarios}"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+        return make_ready(config.override(config.load(PAPER), settings))
+
+
+def parameter_vectors(task: Task, agents: int) -> jax.Array:
+    """Parameter vectors (agents, 22), uniform in their boxes; the same in every dtype."""
+    unit = jax.random.uniform(jax.random.key(1), (CHECKED_AGENTS, 22), jnp.float32)
+    lower, upper = task.space.lower, task.space.upper
+    drawn = lower[None] + (upper - lower)[None] * unit.astype(lower.dtype)
+    return jnp.resize(drawn, (agents, drawn.shape[1]))
+
+
+def scene_of(task: Task, vectors: jax.Array) -> Scene:
+    """A task's training scenarios and the controllers of parameter vectors as plain arrays.
+
+    Raises:
+        ValueError: the experiment is not one that the other contenders can run.
+    """
+    e = task.experiment
+    one_landmark = len(e.scenario.landmarks) == 1 and e.gain.signal == "measured"
+    if e.filter.substeps != 1 or e.filter.law != "gradient" or not one_landmark:
+        raise ValueError("the other contenders know one landmark, one step and the gradient law")
+    if task.space.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != ("exact", "hold"):
+        raise ValueError("the other contenders know the paper's rules and the exact centroid")
+    training = task.training
+    sample, truth, begun = training.tracks.sample, training.tracks.truth, training.initial
+    if truth is None:
+        raise ValueError("the true pose is needed for the cost")
+    (landmark,) = sample.landmarks
+
+    def plain(a: jax.Array) -> np.ndarray:
+        return np.asarray(a, np.float64)
+
+    def joined(components: Sequence[jax.Array]) -> np.ndarray:
+        return np.stack([plain(a) for a in components], axis=-1)
+
+    settings, signal = training.settings, training.signal
+    controller = jax.jit(jax.vmap(task.space.controller))(vectors)
+    return Scene(
+        time_step=plain(sample.time_step),
+        angular_velocity=joined(sample.angular_velocity),
+        velocity=joined(sample.velocity),
+        profile=np.stack([joined(row) for row in sample.profile], axis=-2),
+        vector_power=plain(sample.vector_power),
+        vector_curvature=plain(sample.vector_curvature),
+        attitude_scale=plain(sample.attitude_scale),
+        landmark_body=joined(landmark.body),
+        landmark_inertial=joined(landmark.inertial),
+        landmark_weight=plain(landmark.weight),
+        true_attitude=joined(truth.attitude),
+        true_origin=joined(truth.origin),
+        attitude=joined(begun.attitude),
+        position=joined(begun.place),
+        bias=joined(begun.bias_angular + begun.bias_linear),
+        cost_weight=plain(training.weights.transient) + plain(training.weights.steady),
+        cost_position=float(training.weights.position),
+        gamma=np.array([settings.gamma_angular, settings.gamma_linear], np.float64),
+        gain_limit=0.0 if settings.gain_limit is None else float(settings.gain_limit),
+        position_weight=float(signal.position_weight),
+        smoothing=float(signal.smoothing),
+        error_scale=float(signal.error_scale),
+        rate_scale=float(signal.rate_scale),
+        initial_gain=float(controller.initial_gain()),
+        inputs=plain(controller.input_terms),
+        outputs=plain(controller.output_terms),
+    )
+
+
+def timed(run: Callable[[], object], seconds: float, least: int = 3) -> list[float]:
+    """Times of repeated calls [s], for about so many seconds."""
+    times: list[float] = []
+    while len(times) < least or sum(times) < seconds:
+        begun = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begun)
+    return times
+
+
+def make_scene(options: argparse.Namespace) -> dict[str, Any]:
+    """Write the scene in float64; posegsa's costs of it in both precisions."""
+    found = {}
+    for dtype in ("float64", "float32"):
+        with jax.enable_x64(dtype == "float64"):
+            task = task_of(dtype)
+            vectors = parameter_vectors(task, CHECKED_AGENTS)
+            costs = np.asarray(evaluate_population(vectors, task.training, task.space))
+            found[dtype] = [float(cost) for cost in costs]
+            if dtype == "float64":
+                scene_of(task, vectors).save(options.out)
+    return {"costs": found}
+
+
+def time_population(options: argparse.Namespace) -> dict[str, Any]:
+    """Time one call for all agents on all scenarios, and C's on the same, by turns."""
+    with jax.enable_x64(options.dtype == "float64"):
+        task = task_of(options.dtype, options.scenarios)
+        vectors = parameter_vectors(task, options.agents)
+
+        def run() -> np.ndarray:
+            return np.asarray(evaluate_population(vectors, task.training, task.space))
+
+        costs = run()
+        found: dict[str, Any] = {"devices": len(jax.devices())}
+        times, limits = timed(run, 0, least=2), []
+        if options.library is not None:
+            scene = scene_of(task, vectors)
+            limit = c.prepare(scene, options.library, options.devices)
+            of_c = np.mean(limit(), axis=0)
+            found["c_difference"] = float(np.max(np.abs(of_c / costs - 1)))
+        for _ in range(5):
+            times += timed(run, options.seconds / 10)
+            if options.library is not None:
+                time.sleep(0.01)
+                limits += timed(limit, options.seconds / 10)
+                time.sleep(0.01)  # OpenMP's threads wait actively for a while
+    found |= {"best": min(times), "median": float(np.median(times)), "calls": len(times)}
+    if limits:
+        found |= {"c_best": min(limits), "c_median": float(np.median(limits))}
+    return found
+
+
+def time_search(options: argparse.Namespace) -> dict[str, Any]:
+    """Time first calls, the paper's whole search, and the optimiser on a cost almost free."""
+    begun = time.perf_counter()
+    task = task_of("float32")
+    vectors = parameter_vectors(task, CHECKED_AGENTS).block_until_ready()
+    ready = time.perf_counter()
+    evaluate_population(vectors, task.training, task.space).block_until_ready()
+    first = time.perf_counter() - ready
+    runs = [run_search(task) for _ in range(options.repeats)]
+    optimiser = task.optimiser
+    box, key = Box(task.space.lower, task.space.upper), keys(0).search
+
+    def sphere(k: jax.Array) -> jax.Array:
+        return jnp.sum(k * k, axis=-1)
+
+    def alone() -> None:
+        jax.block_until_ready(minimise(sphere, box, optimiser, key))
+
+    alone()
+    times = timed(alone, 1.0)
+    return {
+        "devices": len(jax.devices()),
+        "ready_seconds": ready - begun,
+        "first_seconds": first,
+        "compile_seconds": runs[0].compile_seconds,
+        "best": min(run.search_seconds for run in runs),
+        "median": float(np.median([run.search_seconds for run in runs])),
+        "best_cost": float(runs[0].search.best_cost),
+        "optimiser_best": min(times),
+        "optimiser_median": float(np.median(times)),
+        "iterations": optimiser.iterations,
+        "agents": optimiser.agents,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="One measurement of posegsa.")
+    actions = parser.add_subparsers(required=True)
+    scene = actions.add_parser("scene", help="write what all contenders compute")
+    scene.add_argument("out", type=Path)
+    scene.set_defaults(action=make_scene, devices=1)
+    population = actions.add_parser("time", help="one population")
+    population.add_argument("--agents", type=int, default=100)
+    population.add_argument("--scenarios", type=int, default=1)
+    population.add_argument("--dtype", choices=("float32", "float64"), default="float32")
+    population.add_argument("--devices", type=int, default=1)
+    population.add_argument("--seconds", type=float, default=2.0, help="to measure for")
+    population.add_argument("--library", type=Path, help="C's, to be timed by turns with posegsa")
+    population.set_defaults(action=time_population)
+    search = actions.add_parser("search", help="the paper's whole search")
+    search.add_argument("--devices", type=int, default=1)
+    search.add_argument("--repeats", type=int, default=3)
+    search.set_defaults(action=time_search)
+    options = parser.parse_args()
+    use_devices(options.devices)
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        enable_compilation_cache()
+    found = options.action(options)
+    # Kilobytes on Linux, bytes on macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    found["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    found["jax"] = jax.__version__
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

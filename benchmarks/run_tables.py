@@ -1,0 +1,182 @@
+"""What `run.py` found, as tables for people and as a figure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from posegsa.figure_style import BLUE, GREEN, PURPLE, VERMILION, WIDTH, style_ticks, styled
+
+SAMPLES = 1500
+"""Time steps of the paper's scenario."""
+C, POSEGSA = "C, hand-vectorised", "posegsa"
+NUMPY, NUMBA = "NumPy, vectorised over agents", "Numba, parallel"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One contender on one size."""
+
+    contender: str
+    threads: int
+    agents: int = 100
+    scenarios: int = 1
+    dtype: str = "float64"
+    best: float | None = None
+    """Least time of one population [s]; None where it was not timed."""
+    median: float | None = None
+    c_best: float | None = None
+    """C's least time of the same with as many threads, in the same run [s]."""
+    difference: float | None = None
+    """Largest relative difference of a checked cost from posegsa's; None where it is posegsa's."""
+    note: str = ""
+
+    @property
+    def steps(self) -> int:
+        """Agent-steps in one population."""
+        return self.agents * self.scenarios * SAMPLES
+
+    @property
+    def nanoseconds(self) -> float | None:
+        """Per agent and step [ns]."""
+        return None if self.best is None else 1e9 * self.best / self.steps
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times C's time."""
+        return None if self.best is None or not self.c_best else self.best / self.c_best
+
+
+def number(value: float) -> str:
+    """A number with three digits, or all before the point."""
+    return f"{value:,.0f}".replace(",", " ") if value >= 100 else f"{value:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """A time with its unit."""
+    for unit, size in (("h", 3600), ("min", 60), ("s", 1)):
+        if seconds >= size:
+            return f"{number(seconds / size)} {unit}"
+    return f"{number(1e3 * seconds)} ms"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows as a Markdown table."""
+    lines = [
+        "| contender | threads | agents | scenarios | precision | one population, best (median) "
+        "| ns per agent and step | times C | costs differ by | |",
+        "| --- | --: | --: | --: | --- | --: | --: | --: | --: | --- |",
+    ]
+    for row in rows:
+        time = ns = ratio = difference = "-"
+        if row.best is not None and row.nanoseconds is not None:
+            time, ns = duration(row.best), number(row.nanoseconds)
+            time += f" ({duration(row.median)})" if row.median is not None else ""
+        if row.ratio is not None:
+            ratio = number(row.ratio)
+        if row.difference is not None:
+            difference = f"{row.difference:.0e}"
+        cells = (row.contender, row.threads, row.agents, row.scenarios, row.dtype, time, ns, ratio)
+        lines.append("| " + " | ".join(map(str, (*cells, difference, row.note))) + " |")
+    return "\n".join(lines)
+
+
+def sentences(facts: dict[str, Any]) -> list[str]:
+    """What was found on compiling, searching and memory."""
+    lines = []
+    for devices, search in facts["search"].items():
+        share = search["optimiser_best"] / search["best"]
+        update = 1e3 * search["optimiser_best"] / search["iterations"]
+        cores = "one core" if devices == "1" else f"{devices} cores"
+        lines.append(
+            f"Whole paper run, {search['agents']} agents x {search['iterations']} iterations, "
+            f"{cores}: {search['best']:.2f} s (best; median {search['median']:.2f} s) once "
+            f"compiled. The optimiser's step alone: {update:.2f} ms an iteration, "
+            f"{100 * share:.0f} % of that."
+        )
+    cold, warm = facts["cold"], facts["warm"]
+    lines.append(
+        f"First call, compiling included: population {cold['first_seconds']:.1f} s, search "
+        f"{cold['compile_seconds']:.1f} s; in a second process, from the compilation cache, "
+        f"{warm['first_seconds']:.2f} s and {warm['compile_seconds']:.2f} s."
+    )
+    sizes = ", ".join(
+        f"{number(peak / 2**20)} MiB with {int(agents):,} agents".replace(",", " ")
+        for agents, peak in facts["memory"].items()
+    )
+    lines.append(f"Peak memory of the process, JAX and its compiler included: {sizes}.")
+    return lines
+
+
+def machine_line(machine: dict[str, str]) -> str:
+    """The machine in one sentence."""
+    return (
+        f"{machine['cpu']}, {machine['cores']} cores; {machine['compiler']}; jax {machine['jax']}, "
+        f"NumPy {machine['numpy']}, Python {machine['python']}; load before {machine['load']}; "
+        f"{machine['date']}."
+    )
+
+
+def readme_rows(rows: Sequence[Row]) -> list[Row]:
+    """The rows that the README shows.
+
+    C and posegsa in float32 on 100 agents with every number of threads; all else with the most
+    threads that it can use, posegsa in three sizes.
+    """
+    most = max(row.threads for row in rows)
+
+    def shown(row: Row) -> bool:
+        base = row.agents == 100 and row.scenarios == 1
+        if row.contender in (C, POSEGSA):
+            plain = row.dtype == "float32"
+            return (base and plain) or (row.threads == most and row.agents in (100, 1000, 10_000))
+        return base and row.threads == (most if row.contender == NUMBA else 1)
+
+    return [row for row in rows if shown(row)]
+
+
+@styled
+def scaling(rows: Sequence[Row]) -> Figure:
+    """Agents against the time of a population; C as a line, the limit."""
+    figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+    ax = figure.subplots()
+    style_ticks(ax)
+    most = max(row.threads for row in rows)
+    cores = "both cores" if most == 2 else f"{most} cores"
+    curves: list[tuple[str, str, int, dict[str, Any]]] = [
+        ("NumPy, one core", NUMPY, 1, {"color": PURPLE, "marker": "^"}),
+        (f"Numba, {cores}", NUMBA, most, {"color": GREEN, "marker": "v"}),
+        ("posegsa, one core", POSEGSA, 1, {"color": BLUE, "marker": "o", "linestyle": "--"}),
+        (f"posegsa, {cores}", POSEGSA, most, {"color": BLUE, "marker": "o"}),
+    ]
+    for label, contender, threads, style in curves:
+        points = sorted(
+            (row.agents, 1e3 * row.best)
+            for row in rows
+            if (row.contender, row.threads, row.scenarios) == (contender, threads, 1)
+            and row.best is not None
+            and (contender != POSEGSA or row.dtype == "float32")
+        )
+        if points:
+            ax.plot(*zip(*points, strict=True), label=label, markersize=5, **style)
+    for label, threads, style in (("one core", 1, "--"), (cores, most, "-")):
+        points = sorted(
+            {
+                row.agents: 1e3 * row.c_best
+                for row in rows
+                if (row.contender, row.threads, row.scenarios) == (POSEGSA, threads, 1)
+                and row.dtype == "float32"
+                and row.c_best is not None
+            }.items()
+        )
+        if points:
+            ax.plot(
+                *zip(*points, strict=True),
+                label=f"C, the limit, {label}",
+                color=VERMILION,
+                linestyle=style,
+            )
+    ax.set(xscale="log", yscale="log", xlabel="Agents [-]", ylabel="One population [ms]")
+    ax.legend()
+    return figure
