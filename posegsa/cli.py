@@ -11,7 +11,13 @@ from typing import Self
 
 from posegsa import interrupt
 from posegsa.cli_compare import add_compare
-from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
+from posegsa.errors import (
+    ArgumentError,
+    PosegsaError,
+    PosegsaWarning,
+    SaveError,
+    SearchInterrupted,
+)
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
 
 DEFAULT_OUT = "posegsa-run"
@@ -93,6 +99,17 @@ def _parser() -> argparse.ArgumentParser:
     tune.add_argument(
         "--overwrite", action="store_true", help="replace the run that the folder holds"
     )
+    together = tune.add_argument_group(
+        "several processes",
+        "The same command in each, on one machine or many; the first writes the files. Without "
+        "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
+    )
+    together.add_argument("--distributed", action="store_true", help="search together")
+    together.add_argument(
+        "--coordinator", metavar="HOST:PORT", help="where the first waits for the others"
+    )
+    together.add_argument("--processes", type=int, metavar="N", help="how many they are")
+    together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
     tune.add_argument("--quiet", action="store_true", help="show no progress")
     tune.set_defaults(command=_tune)
     evaluate = commands.add_parser(
@@ -190,6 +207,7 @@ def _tune(options: argparse.Namespace) -> int:
     from posegsa.resume import begun
     from posegsa.tuning import tune
 
+    first = _join(options)
     if options.config is not None:
         experiment = config.load(options.config)
     elif options.resume is not None:
@@ -207,7 +225,7 @@ def _tune(options: argparse.Namespace) -> int:
     out = options.out
     if out is None and options.resume is None:
         out = DEFAULT_OUT
-    with _Progress(experiment.search.iterations, quiet=options.quiet) as show:
+    with _Progress(experiment.search.iterations, quiet=options.quiet or not first) as show:
         result = tune(
             experiment,
             out=out,
@@ -215,10 +233,28 @@ def _tune(options: argparse.Namespace) -> int:
             resume=options.resume,
             progress=show,
         )
+    if not first:
+        return 0
     print(result.summary())
     written = "report.html, result.json, history.csv, trajectory.csv, figures/"
     print(f"\nWritten to {out or options.resume}: {written}")
     return 0
+
+
+def _join(options: argparse.Namespace) -> bool:
+    """Join the other processes, if there are any; whether this is the one that shows and writes."""
+    given = {name: getattr(options, name) for name in ("coordinator", "processes", "process")}
+    if not options.distributed:
+        for name, value in given.items():
+            if value is not None:
+                raise ArgumentError(f"--{name} = {value}; allowed: with --distributed")
+        return True
+    import jax
+
+    from posegsa.devices import join
+
+    join(**given)
+    return jax.process_index() == 0
 
 
 class _Progress:

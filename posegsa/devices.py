@@ -10,10 +10,48 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from posegsa.errors import ArgumentError, PosegsaError
+
 AXIS = "devices"
 """Name of the mesh's only axis."""
 WORTH = 32
 """Simulations that are worth a CPU device of their own: two full vectors."""
+
+
+def join(
+    coordinator: str | None = None, processes: int | None = None, process: int | None = None
+) -> None:
+    """Join several processes, on one machine or many, for searches together.
+
+    To be called in each before anything else uses JAX (but after `enable_fast_path`). Each then
+    calls `tune` with the same arguments and gets the same result; the first alone writes files.
+
+    Args:
+        coordinator: Address, HOST:PORT, at which the first process waits for the others.
+        processes: How many they are.
+        process: Which one this is, from 0. On a cluster that JAX knows (Slurm, Open MPI, Kubernetes
+            and others: `jax.distributed.initialize`), all three are found if none is given.
+
+    Raises:
+        ArgumentError: Some are given and others not, or one is not what is said here.
+        PosegsaError: The processes did not find each other, or JAX was in use already.
+    """
+    given = coordinator, processes, process
+    if any(a is None for a in given) and any(a is not None for a in given):
+        raise ArgumentError(
+            f"coordinator = {coordinator}, processes = {processes}, process = {process}; allowed: "
+            "all three, or none on a cluster that JAX knows"
+        )
+    if coordinator is not None and not coordinator.rpartition(":")[2].isdecimal():
+        raise ArgumentError(f"coordinator = {coordinator!r}; allowed: HOST:PORT")
+    if processes is not None and process is not None and not 0 <= process < processes:
+        raise ArgumentError(
+            f"process = {process}; allowed: 0 to {processes - 1}, as processes = {processes}"
+        )
+    try:
+        jax.distributed.initialize(coordinator, processes, process)
+    except (RuntimeError, ValueError) as error:
+        raise PosegsaError(f"the processes did not join: {error}") from error
 
 
 def mesh_for(simulations: int) -> Mesh | None:
@@ -36,7 +74,19 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
     """Arrays of this process, the same in all of them, as arrays on every device of the mesh."""
     if mesh is None:
         return tree
-    return jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    if jax.process_count() == 1:
+        return jax.device_put(tree, everywhere)
+
+    def one(leaf: jax.Array) -> jax.Array:
+        if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return jax.random.wrap_key_data(
+                one(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf)
+            )
+        here = np.asarray(leaf)
+        return jax.make_array_from_callback(here.shape, everywhere, lambda index: here[index])
+
+    return jax.tree.map(one, tree)
 
 
 def collect(tree: Any) -> Any:

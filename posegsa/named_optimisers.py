@@ -116,8 +116,14 @@ def _section(name: str, key: str) -> str | None:
 
 
 def _gsa(experiment: Experiment) -> GSA:
-    search = experiment.search
-    return GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
+    return _gsa_for(experiment, experiment.search.iterations)
+
+
+def _gsa_for(experiment: Experiment, iterations: int) -> GSA:
+    settings = experiment.gsa.model_dump()
+    if settings["decay_iterations"] == "all":
+        settings["decay_iterations"] = None
+    return GSA(experiment.search.agents, iterations, **settings)
 
 
 def _random_search(experiment: Experiment) -> RandomSearch:
@@ -156,9 +162,7 @@ def _gsa_adam(experiment: Experiment) -> Polish:
     search, share = experiment.search, experiment.adam.share
     iterations = max(1, round(search.iterations * (1 - share)))
     left = search.agents * (search.iterations - iterations)
-    return Polish(
-        GSA(search.agents, iterations, **experiment.gsa.model_dump()), _adam(experiment, left)
-    )
+    return Polish(_gsa_for(experiment, iterations), _adam(experiment, left))
 
 
 def _cma_es(experiment: Experiment) -> AnyOptimiser:

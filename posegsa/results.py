@@ -236,8 +236,10 @@ class TuneResult:
         """Write what the evaluation changes in a run's folder: tables, figures, report, result.
 
         Raises:
-            RunFolderError: It can't be written.
+            RunFolderError: There is no such folder, or it can't be written.
         """
+        if not as_path("folder", folder).is_dir():
+            raise RunFolderError(f"{folder}: cannot be written: No such folder")
         with claimed(folder, overwrite=True) as folder:
             self.write_evaluation(folder)
 

@@ -109,6 +109,9 @@ def agreed(stored: config.Experiment, asked: config.Experiment) -> config.Experi
     if iterations < first:
         reason = f"the run has {first}; allowed: as many or more"
         problems.append(Problem("search.iterations", reason, iterations))
+    if iterations > first and "adam" in stored.search.optimiser:
+        reason = f"the run has {first}; allowed: the same, as Adam's steps shrink towards the end"
+        problems.append(Problem("search.iterations", reason, iterations))
     if problems:
         raise report("the run to go on with is of another experiment", problems)
     decay = stored.gsa.decay_iterations

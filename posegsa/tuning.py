@@ -56,7 +56,8 @@ def tune(
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it does the latter by itself, and
-    Ctrl-C or SIGTERM stop it where it can go on.
+    Ctrl-C or SIGTERM stop it where it can go on. It runs on all devices of the process, or of all
+    processes that have joined (`posegsa.devices.join`), to the same bits.
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
@@ -82,9 +83,14 @@ def tune(
         SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
+    if resume is not None and jax.process_count() > 1:
+        raise ArgumentError(
+            f"resume = {resume!s} in {jax.process_count()} processes; allowed: in one, on all its "
+            "devices, which gives the same bits"
+        )
     if resume is None:
         one = _experiment(experiment, seed, iterations)
-        if out is None:
+        if out is None or jax.process_index() > 0:  # of processes that have joined, one writes
             with jax.enable_x64(one.run.dtype == "float64"):
                 task = make_ready(one)
                 return _result(task, run_search(task, progress))

@@ -14,7 +14,8 @@ from hypothesis import settings
 from posegsa.runtime import fast_path_flags
 
 # Before JAX makes its first array. The tests pass without it too; with it they run what users run.
-os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""))
+# Searches as small as most tests' use one of the devices.
+os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices=4)
 
 # Programs that several workers or processes need are compiled once a run: most of the tests' time.
 RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))

@@ -46,7 +46,7 @@ def changed(rng: np.random.Generator, value: Any) -> Any:
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
-        return int(value + rng.integers(-3, 4)) if kind < 4 else int(rng.integers(-10, 10**7))
+        return int(value) + int(rng.integers(-3, 4)) if kind < 4 else int(rng.integers(-10, 10**7))
     if isinstance(value, float):
         factor = float(rng.choice([0.0, -1.0, 0.5, 0.9, 1.1, 2.0, 1e3, 1e-3, 1e9, 1e-9]))
         return value * factor if kind < 4 else float(rng.normal())

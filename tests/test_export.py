@@ -424,7 +424,7 @@ def test_csv_is_the_control_surface():
 
 
 def test_a_resolution_below_two_is_refused():
-    with pytest.raises(PosegsaError, match="resolution: must be at least 2, got 1"):
+    with pytest.raises(PosegsaError, match="resolution = 1; allowed: a whole number from 2"):
         export_csv(tuned(K), resolution=1)
 
 

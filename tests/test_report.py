@@ -447,8 +447,8 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(TuneResult, "figures", lambda _: {})
-    with pytest.raises(RunFolderError, match="missing: cannot be written: No such file"):
+    with pytest.raises(RunFolderError, match="missing: cannot be written: No such folder"):
         result().save_evaluation(tmp_path / "missing")
     (tmp_path / "figures").write_text("a file in the place of a folder")
-    with pytest.raises(RunFolderError, match="cannot be written: File exists"):
+    with pytest.raises(RunFolderError, match="cannot be written: Not a directory"):
         result().save(tmp_path)

@@ -208,7 +208,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
         "optimiser_best": min(times),
         "optimiser_median": float(np.median(times)),
         "iterations": optimiser.iterations,
-        "agents": optimiser.agents,
+        "agents": task.experiment.search.agents,
     }
 
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from posegsa.config.fields import Count, NonNegative, Positive, Section
+from posegsa.config.fields import MOST, Count, NonNegative, Positive, Section
 
 OptimiserName = Literal[
     "gsa", "random_search", "pso", "de", "adam", "gsa+adam", "cma_es", "evosax", "pycma"
@@ -20,7 +20,7 @@ class SearchConfig(Section):
     differential evolution; gradient descent from many starts; the first and then the last of these;
     or, from other libraries (the extra `posegsa[compare]`), "cma_es" and "evosax" for CMA-ES and
     the strategy named in [evosax], "pycma" for the CMA-ES of its author."""
-    agents: Annotated[int, Field(strict=True, ge=2)] = 100
+    agents: Annotated[int, Field(strict=True, ge=2, le=MOST)] = 100
     """Number of agents N: parameter vectors that are evaluated at once."""
     iterations: Count = 250
     """Number of iterations T. Gradient descent makes as many as agents x iterations evaluations
@@ -88,7 +88,7 @@ class AdamConfig(Section):
 class EvosaxConfig(Section):
     """[evosax]: a strategy of the evosax library, in the unit box."""
 
-    strategy: str = "CMA_ES"
+    strategy: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_]+$")] = "CMA_ES"
     """Its name there."""
     sigma: Positive = 0.3
     """Standard deviation at the start, in widths of the box, of strategies that have one."""

@@ -12,6 +12,7 @@ from jax import Array, lax
 from jax.core import Tracer
 
 from posegsa.optimisers.base import Box
+from posegsa.optimisers.base import box as checked_box
 from posegsa.optimisers.checks import check_callable, check_count, check_number, made_of_jax, refuse
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import (
@@ -114,6 +115,8 @@ def minimise(
             cost per agent.
     """
     _check_arguments(objective, box, optimiser, key)
+    if not any(isinstance(bound, Tracer) for bound in box):
+        box = checked_box(*box)
     if callback is not None:
         check_callable("minimise: callback", callback)
     end = optimiser.iterations

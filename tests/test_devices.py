@@ -1,0 +1,123 @@
+"""A search on several devices and in several processes: the same bits as on one."""
+
+import os
+import socket
+import subprocess
+import sys
+import warnings
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_tuning import TINY, tiny
+
+from posegsa import devices, search
+from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.population import LANES, PIECE, tasks
+from posegsa.results import load
+from posegsa.search import make_ready, run_search
+
+OWN = ["search.agents=11", "run.training_scenarios=1"]
+"""No number of devices here divides 11 agents."""
+
+
+def bits(found) -> list[bytes]:
+    def numbers(leaf):
+        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return jax.random.key_data(leaf) if key else leaf
+
+    return [np.asarray(numbers(leaf)).tobytes() for leaf in jax.tree.leaves(found.search)]
+
+
+@pytest.fixture(scope="module")
+def task():
+    with warnings.catch_warnings(), jax.numpy_dtype_promotion("strict"):
+        warnings.simplefilter("ignore", PosegsaWarning)
+        return make_ready(tiny(*OWN))
+
+
+@pytest.fixture(scope="module")
+def alone(task):
+    return bits(run_search(task))
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_search_is_the_same_on_any_number_of_devices(task, alone, count, monkeypatch):
+    mesh = devices.mesh_of(jax.devices()[:count])
+    monkeypatch.setattr(search, "mesh_for", lambda simulations: mesh)
+    assert bits(run_search(task)) == alone
+
+
+def test_small_searches_stay_on_one_device_and_large_ones_use_all():
+    assert devices.mesh_for(devices.WORTH - 1) is None
+    assert devices.mesh_for(10**6).devices.size == len(jax.devices()) == 4
+    assert devices.mesh_for(2 * devices.WORTH).devices.size == 2
+
+
+@given(
+    scenarios=st.integers(1, 100),
+    agents=st.integers(1, 3000),
+    shards=st.integers(1, 9),
+    piecewise=st.booleans(),
+)
+def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
+    scenarios, agents, shards, piecewise
+):
+    cut = tasks(scenarios, agents, shards=shards, piecewise=piecewise)
+    assert cut.groups * cut.scenarios >= scenarios
+    assert cut.chunks * cut.agents >= agents
+    assert cut.groups * cut.chunks % shards == 0
+    if piecewise:
+        assert cut.agents <= PIECE + LANES
+        assert cut.scenarios == 1 or cut.scenarios * agents <= 2 * PIECE
+
+
+def test_two_processes_find_what_one_finds_and_one_of_them_writes(tmp_path, task):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    settings = [*TINY, *OWN]
+    command = [sys.executable, "-m", "posegsa", "tune", "--quiet"]
+    command += [word for setting in settings for word in ("--set", setting)]
+    command += ["--distributed", "--coordinator", address, "--processes", "2", "--process"]
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=1"}
+    running = [
+        subprocess.Popen(
+            [*command, str(i), "--out", str(tmp_path / f"run{i}")],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for i in range(2)
+    ]
+    try:
+        told = [process.communicate(timeout=180) for process in running]
+    finally:
+        for process in running:
+            process.kill()
+    assert [process.returncode for process in running] == [0, 0], told
+    result = load(tmp_path / "run0")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)
+        single = run_search(task).search
+    assert result.best_cost == float(single.best_cost)
+    np.testing.assert_array_equal(result.history.best, single.history.best)
+    assert not (tmp_path / "run1").exists()
+    assert "held out" in told[0][0]
+    assert "held out" not in told[1][0], "one process speaks for all"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("127.0.0.1:1", None, None), "all three"),
+        (("127.0.0.1", 2, 0), "HOST:PORT"),
+        (("127.0.0.1:1", 2, 2), "process = 2; allowed: 0 to 1"),
+    ],
+)
+def test_processes_that_cannot_join_are_told_why(given, message):
+    with pytest.raises(ArgumentError, match=message):
+        devices.join(*given)
