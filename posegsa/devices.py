@@ -7,6 +7,7 @@ only their costs travel. So a seed gives the same bits on any number of devices 
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -79,7 +80,7 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
         return jax.device_put(tree, everywhere)
 
     def one(leaf: jax.Array) -> jax.Array:
-        if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             return jax.random.wrap_key_data(
                 one(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf)
             )

@@ -31,7 +31,8 @@ from posegsa.config.fields import MOST
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import run
-from posegsa.optimisers import GSA, RandomSearch
+from posegsa.named_optimisers import gsa_of
+from posegsa.optimisers import RandomSearch
 from posegsa.parameters import parameter_space
 from posegsa.population import problem
 from posegsa.results import TuneResult
@@ -118,7 +119,7 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
 
     def smooth() -> tuple[GainSchedule, dict[str, Any]]:
         box = smooth_box(gains, dtype)
-        optimiser = GSA(search.agents, search.iterations, **experiment.gsa.model_dump())
+        optimiser = gsa_of(experiment, search.iterations)
         found = search_schedule(optimiser, smooth_gain, objective, box, training, use.baselines)
         schedule = smooth_gain(found)
         return schedule, {name: float(value) for name, value in vars(schedule).items()}

@@ -40,7 +40,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type, fitting
-from posegsa.elementwise import least
+from posegsa.elementwise import choose, least
 from posegsa.errors import MeasurementError
 from posegsa.measurements import Measurements, Sample, finite_array, numeric_array, prepare
 from posegsa.se3 import (
@@ -282,8 +282,8 @@ def advance(
             # K h L <= c < 2: a gradient step that does not overshoot. L = 0 without measurements,
             # where there is nothing to limit, nor a derivative of a division by 0.
             length = h * U.curvature
-            limit = settings.gain_limit / jnp.where(length > 0, length, 1.0)
-            used = jnp.where(length > 0, least(gain, limit), gain)
+            limit = settings.gain_limit / choose(length > 0, length, 1.0)
+            used = choose(length > 0, least(gain, limit), gain)
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:

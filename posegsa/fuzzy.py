@@ -23,7 +23,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.arguments import fitting
-from posegsa.elementwise import least, most
+from posegsa.elementwise import choose, least, most
 from posegsa.errors import FuzzyError
 
 Centroid = Literal["exact", "sampled"]
@@ -77,7 +77,7 @@ def membership(x: Array, term: Slopes) -> Array:
     1 at the peak and 0 beyond it without a special case; the derivative at the peak is 0.
     """
     beyond = x - term.peak
-    return most(1 - jnp.abs(beyond) * jnp.where(beyond > 0, term.fall, term.rise), 0.0)
+    return most(1 - jnp.abs(beyond) * choose(beyond > 0, term.fall, term.rise), 0.0)
 
 
 def slopes(a: Array, b: Array, c: Array) -> Slopes:
@@ -88,8 +88,8 @@ def slopes(a: Array, b: Array, c: Array) -> Slopes:
     # it.
     return Slopes(
         b,
-        jnp.where(rise > 0, 1 / jnp.where(rise > 0, rise, 1.0), huge),
-        jnp.where(fall > 0, 1 / jnp.where(fall > 0, fall, 1.0), huge),
+        choose(rise > 0, 1 / choose(rise > 0, rise, 1.0), huge),
+        choose(fall > 0, 1 / choose(fall > 0, fall, 1.0), huge),
     )
 
 
@@ -115,8 +115,8 @@ def _overlap(ai: Array, bi: Array, ci: Array, aj: Array, bj: Array, cj: Array) -
     del ai, cj
     u, v, width = bj - aj, ci - bi, ci - aj
     slope = u + v
-    ratio = width / jnp.where(slope > 0, slope, 1.0)
-    cap = jnp.where(width > 0, jnp.where(slope > 0, jnp.minimum(1.0, ratio), 1.0), 0.0)
+    ratio = width / choose(slope > 0, slope, 1.0)
+    cap = choose(width > 0, choose(slope > 0, jnp.minimum(1.0, ratio), 1.0), 0.0)
     return Overlap(
         cap,
         (width, 0.5 * slope),
@@ -268,7 +268,7 @@ class FuzzyController:
         """
         tallest = reduce(most, heights)
         fires = tallest > 0
-        safe = jnp.where(fires, tallest, 1.0)
+        safe = choose(fires, tallest, 1.0)
         # So low that areas might underflow, heights count relative to each other only.
         lift = most(0.1 * jnp.finfo(tallest.dtype).eps / safe, 1.0)
         heights = tuple(lift * h for h in heights)
@@ -282,10 +282,10 @@ class FuzzyController:
         spikes = [h * (2 - h) for h in heights]
         spike_area = sum(spikes)
         spike_moment = sum(s * x for s, x in zip(spikes, prepared.middles, strict=True))
-        area = jnp.where(regular, area, jnp.where(fires, spike_area, 1.0))
-        moment = jnp.where(regular, moment, spike_moment)
+        area = choose(regular, area, choose(fires, spike_area, 1.0))
+        moment = choose(regular, moment, spike_moment)
         idle = last if self.no_rule == "hold" else 1 + prepared.midrange
-        return jnp.where(fires, 1 + moment / area, idle)
+        return choose(fires, 1 + moment / area, idle)
 
     def initial_gain(self) -> Array:
         """The gain held before any rule has fired: the mid-range of the output [1/s]."""

@@ -15,7 +15,7 @@ from jax.typing import DTypeLike
 
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type
-from posegsa.elementwise import least, most
+from posegsa.elementwise import choose, least, most
 from posegsa.filter import FilterState, seen_from_estimate
 from posegsa.fuzzy import FuzzyController, PreparedController
 from posegsa.measurements import Sample
@@ -219,7 +219,7 @@ def scheduled_gain(
     """
     attitude, position = errors
     now = attitude + settings.position_weight * position
-    previous = jnp.where(memory.error < 0, now, memory.error)
+    previous = choose(memory.error < 0, now, memory.error)
     # Backward Euler over the time since the last sample; without smoothing, and at the first
     # sample, e is exactly `now`.
     old = settings.smoothing / (settings.smoothing + memory.time_step)

@@ -116,10 +116,11 @@ def _section(name: str, key: str) -> str | None:
 
 
 def _gsa(experiment: Experiment) -> GSA:
-    return _gsa_for(experiment, experiment.search.iterations)
+    return gsa_of(experiment, experiment.search.iterations)
 
 
-def _gsa_for(experiment: Experiment, iterations: int) -> GSA:
+def gsa_of(experiment: Experiment, iterations: int) -> GSA:
+    """The gravitational search that an experiment configures, for so many iterations."""
     settings = experiment.gsa.model_dump()
     if settings["decay_iterations"] == "all":
         settings["decay_iterations"] = None
@@ -162,7 +163,7 @@ def _gsa_adam(experiment: Experiment) -> Polish:
     search, share = experiment.search, experiment.adam.share
     iterations = max(1, round(search.iterations * (1 - share)))
     left = search.agents * (search.iterations - iterations)
-    return Polish(_gsa_for(experiment, iterations), _adam(experiment, left))
+    return Polish(gsa_of(experiment, iterations), _adam(experiment, left))
 
 
 def _cma_es(experiment: Experiment) -> AnyOptimiser:

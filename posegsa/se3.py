@@ -24,6 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from posegsa.elementwise import choose
+
 Vec3: TypeAlias = tuple[Array, Array, Array]
 """Three coordinates, each an array of the same batch shape."""
 Quaternion: TypeAlias = tuple[Array, Array, Array, Array]
@@ -74,7 +76,7 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 def safe_sqrt(square: Array) -> Array:
     """Square root whose derivative at 0 is 0 instead of infinite (the norm's subgradient)."""
     positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+    return choose(positive, jnp.sqrt(choose(positive, square, 1.0)), 0.0)
 
 
 def norm(a: Vec3) -> Array:
@@ -145,23 +147,23 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
     # A branch that is not taken gets an argument that is safe for it: its NaN or overflow would
     # otherwise reach the derivative.
     far = angle_squared > math.pi**2
-    safe = jnp.where(far, angle_squared, math.pi**2)
+    safe = choose(far, angle_squared, math.pi**2)
     angle = jnp.sqrt(safe)
     turns = jnp.round(angle * (0.5 / math.pi))
     rest = (angle - turns * TURN[0]) - turns * TURN[1]
     sign = 1 - 2 * jnp.abs(turns - 2 * jnp.round(0.5 * turns))  # -1 for an odd number of turns
-    quarter = 0.25 * jnp.where(far, rest * rest, angle_squared)
+    quarter = 0.25 * choose(far, rest * rest, angle_squared)
     # Terms until the first one left out is under rounding, at pi/2 and at SERIES_BELOW.
-    half_cos = jnp.where(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
-    half_sinc = series(quarter, 1, 6 if single else 10) * jnp.where(
+    half_cos = choose(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
+    half_sinc = series(quarter, 1, 6 if single else 10) * choose(
         far, 0.5 * sign * rest / angle, 0.5
     )
     one_minus_cos = 2 * half_sinc * half_sinc
     sinc = 2 * half_sinc * half_cos
     small = angle_squared < SERIES_BELOW
-    t2 = jnp.where(small, angle_squared, 0.0)
-    closed = (1 - sinc) / jnp.where(small, 1.0, angle_squared)
-    t_minus_sin = jnp.where(small, series(t2, 3, 5 if single else 9), closed)
+    t2 = choose(small, angle_squared, 0.0)
+    closed = (1 - sinc) / choose(small, 1.0, angle_squared)
+    t_minus_sin = choose(small, series(t2, 3, 5 if single else 9), closed)
     return half_cos, half_sinc, one_minus_cos, t_minus_sin
 
 

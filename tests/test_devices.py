@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from test_tuning import TINY, tiny
 
 from posegsa import devices, search
+from posegsa.cli import main
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.population import LANES, PIECE, tasks
-from posegsa.results import load
 from posegsa.search import make_ready, run_search
 
 OWN = ["search.agents=11", "run.training_scenarios=1"]
@@ -74,18 +74,32 @@ def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
         assert cut.scenarios == 1 or cut.scenarios * agents <= 2 * PIECE
 
 
-def test_two_processes_find_what_one_finds_and_one_of_them_writes(tmp_path, task):
+WORKER = """
+import os, sys, warnings
+from posegsa.runtime import fast_path_flags
+os.environ["XLA_FLAGS"] = fast_path_flags(devices=1)
+import jax, numpy as np
+from posegsa import config, devices
+from posegsa.search import make_ready, run_search
+index, address, *settings = sys.argv[1:]
+devices.join(address, 2, int(index))
+assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
+warnings.simplefilter("ignore")
+mesh = devices.mesh_for(1)
+assert mesh.devices.size == 2, "processes that have joined use all devices"
+found = run_search(make_ready(config.override(config.Experiment(), settings))).search
+print("found", np.asarray(found.history.best).tobytes().hex(), float(found.best_cost).hex())
+"""
+
+
+def test_two_processes_find_what_one_finds(task):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{probe.getsockname()[1]}"
-    settings = [*TINY, *OWN]
-    command = [sys.executable, "-m", "posegsa", "tune", "--quiet"]
-    command += [word for setting in settings for word in ("--set", setting)]
-    command += ["--distributed", "--coordinator", address, "--processes", "2", "--process"]
-    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=1"}
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     running = [
         subprocess.Popen(
-            [*command, str(i), "--out", str(tmp_path / f"run{i}")],
+            [sys.executable, "-c", WORKER, str(i), address, *TINY, *OWN],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -99,15 +113,28 @@ def test_two_processes_find_what_one_finds_and_one_of_them_writes(tmp_path, task
         for process in running:
             process.kill()
     assert [process.returncode for process in running] == [0, 0], told
-    result = load(tmp_path / "run0")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)
-        single = run_search(task).search
-    assert result.best_cost == float(single.best_cost)
-    np.testing.assert_array_equal(result.history.best, single.history.best)
-    assert not (tmp_path / "run1").exists()
-    assert "held out" in told[0][0]
-    assert "held out" not in told[1][0], "one process speaks for all"
+    single = run_search(task).search
+    history = np.asarray(single.history.best).tobytes().hex()
+    wanted = f"found {history} {float(single.best_cost).hex()}"
+    assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
+
+
+def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
+    joined = {}
+    monkeypatch.setattr("posegsa.devices.join", lambda **given: joined.update(given))
+    monkeypatch.setattr(jax, "process_index", lambda: 1)
+    command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
+    command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
+    command += [word for setting in TINY for word in ("--set", setting)]
+    assert main(command) == 0
+    assert joined == {"coordinator": "127.0.0.1:9", "processes": 2, "process": 1}
+    assert not (tmp_path / "run").exists()
+    assert capsys.readouterr().out == ""
+
+
+def test_addresses_without_distributed_are_refused(capsys):
+    assert main(["tune", "--processes", "2"]) == 2
+    assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
