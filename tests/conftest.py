@@ -50,21 +50,6 @@ def dtype(request: pytest.FixtureRequest) -> Iterator[type[np.floating]]:
         yield request.param
 
 
-TOGETHER = ("test_tuning", "test_cli", "test_evaluate", "test_trust", "test_resume", "test_readme")
-TOGETHER += ("test_bad_input", "test_devices")
-"""Files that tune the same small experiment: one worker runs them, and compiles it once."""
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Every other file stays with one worker as a whole, for its fixtures."""
-    for item in items:
-        name = item.path.stem
-        item.add_marker(pytest.mark.xdist_group("tuning" if name in TOGETHER else name))
-    # The longest group first, so that it does not begin when the others end.
-    items.sort(key=lambda item: item.path.stem not in TOGETHER)
-
-
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove the run's compiled programs, once all workers are done."""
     if not hasattr(config, "workerinput"):

@@ -119,10 +119,12 @@ def test_two_processes_find_what_one_finds(task):
     assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
 
 
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
     joined = {}
     monkeypatch.setattr("posegsa.devices.join", lambda **given: joined.update(given))
     monkeypatch.setattr(jax, "process_index", lambda: 1)
+    monkeypatch.setattr("posegsa.cli.enable_fast_path", lambda: True)
     command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
     command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
     command += [word for setting in TINY for word in ("--set", setting)]
@@ -132,7 +134,8 @@ def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeyp
     assert capsys.readouterr().out == ""
 
 
-def test_addresses_without_distributed_are_refused(capsys):
+def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
+    monkeypatch.setattr("posegsa.cli.enable_fast_path", lambda: True)
     assert main(["tune", "--processes", "2"]) == 2
     assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 
