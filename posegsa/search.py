@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from posegsa.optimisers import (
     start,
 )
 from posegsa.parameters import ParameterSpace, parameter_space
-from posegsa.population import Problem, evaluate_population, population_costs, problem
+from posegsa.population import Problem, population_costs, problem
 from posegsa.scenario import Scenario, scenario
 
 CHUNKS = 50
@@ -144,7 +144,7 @@ def _advance_batch(
     )
 
 
-def _on(mesh: Mesh | None, function: Callable[..., Search]) -> Callable[..., Search]:
+def _on(mesh: Mesh | None, function: Callable[..., Any]) -> Callable[..., Any]:
     """A function on every device of a mesh, with the same arguments and the same result."""
     if mesh is None:
         return function
@@ -229,12 +229,37 @@ def _mesh(task: Task) -> Mesh | None:
     return mesh_for(experiment.search.agents * experiment.run.training_scenarios)
 
 
+@partial(jax.jit, static_argnums=(0, 1))
+def _costs(
+    objective: config.ObjectiveConfig,
+    mesh: Mesh | None,
+    vectors: Array,
+    training: Problem,
+    space: ParameterSpace,
+) -> Array:
+    axis = None if mesh is None else AXIS
+
+    def on_each_device(vectors: Array, training: Problem, space: ParameterSpace) -> Array:
+        return population_costs(vectors, training, space, objective, axis)
+
+    return _on(mesh, on_each_device)(vectors, training, space)
+
+
+def on_all_devices(task: Task) -> Callable[[Array], Array]:
+    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
+    mesh, objective = _mesh(task), task.experiment.objective
+    training, space = spread((task.training, task.space), mesh)
+
+    def costs(vectors: Array) -> Array:
+        return collect(_costs(objective, mesh, spread(vectors, mesh), training, space))
+
+    return costs
+
+
 def _on_host(task: Task) -> Callable[[Search, int], Search]:
     """What runs a search on whose optimiser can't be compiled; the simulations are."""
     experiment, space = task.experiment, task.space
-
-    def costs(vectors: Array) -> Array:
-        return evaluate_population(vectors, task.training, space, objective=experiment.objective)
+    costs = on_all_devices(task)
 
     def go(search: Search, stop: int) -> Search:
         if stop == 0:  # compile

@@ -1,5 +1,6 @@
 """`minimise`: when it stops, many keys, objectives on the host, and what it refuses."""
 
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -90,7 +91,7 @@ def test_evaluations_stop_the_search(whole: Search) -> None:
 def test_time_stops_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(100))
     ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))  # for this module alone
-    monkeypatch.setattr("posegsa.optimisers.minimise.time", ticking)
+    monkeypatch.setattr(sys.modules["posegsa.optimisers.minimise"], "time", ticking)
     search = minimise(sphere, TARGET, SWARM, KEY, seconds=3.0, chunk=7)
     assert search.iteration == 21, "one second a chunk"
 

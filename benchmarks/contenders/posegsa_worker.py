@@ -34,7 +34,7 @@ from posegsa.keys import keys
 from posegsa.optimisers import Box, minimise
 from posegsa.population import evaluate_population
 from posegsa.runtime import enable_compilation_cache, fast_path_flags
-from posegsa.search import Task, make_ready, run_search
+from posegsa.search import Task, make_ready, on_all_devices, run_search
 
 PAPER = Path(__file__).parent.parent.parent / "configs" / "paper.toml"
 CHECKED_AGENTS = 100
@@ -52,9 +52,10 @@ def use_devices(count: int) -> None:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:count])
 
 
-def task_of(dtype: str, scenarios: int = 1) -> Task:
+def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Task:
     """The paper's experiment, made ready."""
     settings = [f"run.dtype={dtype}", f"run.training_scenarios={scenarios}"]
+    settings += [f"search.agents={agents}"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", posegsa.PosegsaWarning)
         return make_ready(config.override(config.load(PAPER), settings))
@@ -151,11 +152,13 @@ def make_scene(options: argparse.Namespace) -> dict[str, Any]:
 def time_population(options: argparse.Namespace) -> dict[str, Any]:
     """Time one call for all agents on all scenarios, and C's on the same, by turns."""
     with jax.enable_x64(options.dtype == "float64"):
-        task = task_of(options.dtype, options.scenarios)
+        task = task_of(options.dtype, options.scenarios, options.agents)
         vectors = parameter_vectors(task, options.agents)
 
+        evaluate = on_all_devices(task)
+
         def run() -> np.ndarray:
-            return np.asarray(evaluate_population(vectors, task.training, task.space))
+            return np.asarray(evaluate(vectors))
 
         costs = run()
         found: dict[str, Any] = {"devices": len(jax.devices())}
