@@ -18,8 +18,8 @@ from posegsa.scenario import Scenario
 
 MEAN = ObjectiveConfig(name="mean")
 
-PIECE = 256
-"""Agents simulated at once on a CPU: their state, some 60 numbers each, fits the core's cache."""
+PIECE = 128
+"""Agents simulated at once on a CPU: some 60 numbers each, they fit a core's first-level cache."""
 SMALL = 64
 """So few agents share a piece with other scenarios'."""
 LANES = 16
