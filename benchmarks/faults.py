@@ -133,9 +133,9 @@ def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     subprocess.run(start_or_resume(whole), check=True, capture_output=True)
     right = outcome(whole)
     # None of these starts JAX, so that a process forked from here can.
-    import matplotlib.pyplot  # noqa: F401
+    import matplotlib.pyplot  # noqa: F401 - loaded before the forks, not in each
 
-    import posegsa.evaluate  # noqa: F401
+    import posegsa.evaluate  # noqa: F401 - likewise
 
     while counts["kills"] < wanted:
         run = folder / f"run{counts['killed runs']}"

@@ -99,7 +99,7 @@ class Benchmark:
         self.seconds = 0.5 if self.quick else 1.5
         self.rows: list[Row] = []
         self.facts: dict[str, Any] = {"cold": {}, "warm": {}, "search": {}, "memory": {}}
-        self.library: Path | None = None
+        self.built: Path | None = None
         self.c_best: dict[int, float] = {}
 
     def stages(self) -> list[tuple[str, Callable[[], None]]]:
@@ -168,7 +168,7 @@ class Benchmark:
             if best is not None:
                 self.c_best[threads] = best
                 self.rows[-1] = replace(self.rows[-1], c_best=best)
-        self.library = library
+        self.built = library
         for threads in self.threads:
             free = c.prepare(replace(self.scene, gain_limit=0.0), library, threads)
             best, median = timed(free, self.seconds)
@@ -204,8 +204,8 @@ class Benchmark:
         """One size of posegsa, by turns with C."""
         words: list[object] = ["--agents", agents, "--scenarios", scenarios, "--dtype", dtype]
         words += ["--devices", devices, "--seconds", self.seconds]
-        if self.library is not None:
-            words += ["--library", self.library]
+        if self.built is not None:
+            words += ["--against", self.built]
         found = worker("time", *words, cache=self.cache)
         self.rows.append(
             Row(

@@ -199,7 +199,7 @@ def test_what_cannot_be_read_or_is_too_large_is_refused(tmp_path):
 def test_what_cannot_be_written_leaves_the_old_file(whole, saved):
     before = saved.read_bytes()
     with pytest.raises(CheckpointError, match="search: a int"):
-        save_search(saved, 5)  # type: ignore[arg-type]
+        save_search(saved, 5)
     with pytest.raises(CheckpointError, match="cannot be written"):
         save_search(saved / "below", whole[0])
     assert saved.read_bytes() == before

@@ -14,8 +14,6 @@ from posegsa.optimisers import GSA, DifferentialEvolution, Polish, evaluations_s
 def test_every_name_makes_an_optimiser_that_keeps_the_budget() -> None:
     assert set(TITLES) == set(get_args(OptimiserName))
     for name in TITLES:
-        if name in ("cma_es", "evosax", "pycma"):
-            pytest.importorskip("cma" if name == "pycma" else "evosax")
         experiment = tiny(f"search.optimiser={name}", "search.agents=50", "search.iterations=40")
         spent = evaluations_spent(make_optimiser(experiment))[-1]
         assert 2000 - 8 * 23 < spent <= 2000, name

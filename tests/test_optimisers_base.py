@@ -136,7 +136,7 @@ def test_from_unit_maps_every_row() -> None:
 def test_optimisers_keep_the_protocol(optimiser: Optimiser) -> None:
     assert hash(optimiser) == hash(type(optimiser)(**vars(optimiser)))
     with pytest.raises(FrozenInstanceError):
-        optimiser.agents = 3  # pyright: ignore[reportAttributeAccessIssue]
+        optimiser.agents = 3
     for x64, dtype in ((False, jnp.float32), (True, jnp.float64)):
         with jax.enable_x64(x64):
             state = optimiser.init(jax.random.key(0), 3, dtype)

@@ -23,8 +23,6 @@ KEY = jax.random.key(0)
 def test_cma_es_of_both_libraries_agree() -> None:
     # The same algorithm, population, sigma and budget: the cost after 40 iterations, over 4 seeds,
     # is within the spread. Both have to learn a rotated scale of 10^6 : 1, away from the middle.
-    pytest.importorskip("evosax")
-    pytest.importorskip("cma")
     keys = jax.random.split(KEY, 4)
     one = np.log10(
         np.asarray(minimise(FUNCTION, FUNCTION.box, Evosax("CMA_ES", 12, 40, 0.3), keys).best_cost)
@@ -37,7 +35,6 @@ def test_cma_es_of_both_libraries_agree() -> None:
 
 
 def test_a_population_of_evosax_begins_with_its_own_costs() -> None:
-    pytest.importorskip("evosax")
     swarm = Evosax("PSO", 6, 5)
     search = minimise(FUNCTION, FUNCTION.box, swarm, KEY)
     again = minimise(FUNCTION, FUNCTION.box, swarm, KEY, chunk=2)
@@ -49,7 +46,6 @@ def test_a_population_of_evosax_begins_with_its_own_costs() -> None:
 
 
 def test_positions_beyond_the_box_are_mirrored_into_it() -> None:
-    pytest.importorskip("evosax")
     optimiser = Evosax("CMA_ES", 12, 40, 0.3)
     state = optimiser.init(KEY, 4, jnp.float32)
     asked = jnp.tile(jnp.asarray([[-0.25, 1.5, 2.25, jnp.nan]], jnp.float32), (12, 1))
@@ -57,19 +53,17 @@ def test_positions_beyond_the_box_are_mirrored_into_it() -> None:
 
 
 def test_pycma_keeps_its_state_and_numpys_generator() -> None:
-    pytest.importorskip("cma")
     optimiser = PyCMA(6, 5)
     state = optimiser.init(KEY, 3, jnp.float32)
     before = np.random.get_state()[1].tolist()  # noqa: NPY002 - pycma's own would be this one
     told = [optimiser.tell(state, jnp.arange(6.0)) for _ in range(2)]
-    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
+    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002 - the same
     assert (optimiser.ask(told[0]) == optimiser.ask(told[1])).all()
     assert (optimiser.ask(told[0]) != optimiser.ask(state)).any()
     assert ((optimiser.ask(state) >= 0) & (optimiser.ask(state) <= 1)).all()
 
 
 def test_an_unknown_strategy_is_refused_by_name() -> None:
-    pytest.importorskip("evosax")
     with pytest.raises(ConfigError, match=r"evosax.*strategy = 'CMAES'; allowed: .*'CMA_ES'"):
         make_optimiser(tiny("search.optimiser=evosax", "evosax.strategy=CMAES"))
 

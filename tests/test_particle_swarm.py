@@ -1,4 +1,4 @@
-"""Particle swarm: against a plain loop of the source's equations, and against evosax's."""
+"""Particle swarm: against a plain loop of the source's equations."""
 
 import math
 

@@ -209,7 +209,7 @@ def test_resume_refuses_what_it_cannot_mean(tmp_path):
     with pytest.raises(ValueError, match="out = "):
         posegsa.tune(resume=tmp_path, out=tmp_path / "other")
     with pytest.raises(RunFolderError, match="resume = 5"):
-        posegsa.tune(resume=5)  # type: ignore[arg-type]
+        posegsa.tune(resume=5)
 
 
 def test_a_checkpoint_says_what_it_is_of(task, tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parent.parent))
 
-import fuzzylite as fl  # pyright: ignore[reportMissingImports]  # not in this environment
+import fuzzylite as fl  # pyright: ignore[reportMissingImports] - of its own environment
 import numpy as np
 
 from contenders.plain_loop import Controller, measure

@@ -6,7 +6,7 @@ Needs numba (`pip install ".[bench]"`).
 import math
 from collections.abc import Callable
 
-import numba  # pyright: ignore[reportMissingImports]  # an extra
+import numba  # pyright: ignore[reportMissingImports] - of an extra, not in the gate
 import numpy as np
 
 from contenders.scene import RULES, Scene

@@ -163,14 +163,14 @@ def time_population(options: argparse.Namespace) -> dict[str, Any]:
         costs = run()
         found: dict[str, Any] = {"devices": len(jax.devices())}
         times, limits = timed(run, 0, least=2), []
-        if options.library is not None:
+        if options.against is not None:
             scene = scene_of(task, vectors)
-            limit = c.prepare(scene, options.library, options.devices)
+            limit = c.prepare(scene, options.against, options.devices)
             of_c = np.mean(limit(), axis=0)
             found["c_difference"] = float(np.max(np.abs(of_c / costs - 1)))
         for _ in range(5):
             times += timed(run, options.seconds / 10)
-            if options.library is not None:
+            if options.against is not None:
                 time.sleep(0.01)
                 limits += timed(limit, options.seconds / 10)
                 time.sleep(0.01)  # OpenMP's threads wait actively for a while
@@ -227,7 +227,7 @@ def main() -> None:
     population.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     population.add_argument("--devices", type=int, default=1)
     population.add_argument("--seconds", type=float, default=2.0, help="to measure for")
-    population.add_argument("--library", type=Path, help="C's, to be timed by turns with posegsa")
+    population.add_argument("--against", type=Path, metavar="C", help="C, built, to time by turns")
     population.set_defaults(action=time_population)
     search = actions.add_parser("search", help="the paper's whole search")
     search.add_argument("--devices", type=int, default=1)
