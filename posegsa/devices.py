@@ -4,6 +4,7 @@ Every device runs the same search, all of it; only the simulations are divided (
 only their costs travel. So a seed gives the same bits on any number of devices and processes.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -69,6 +70,15 @@ def mesh_for(simulations: int) -> Mesh | None:
 def mesh_of(devices: list[Any]) -> Mesh | None:
     """A mesh of these devices; None for one, which needs none."""
     return Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
+
+
+def on_each(mesh: Mesh | None, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function on every device of a mesh, with the same arguments and the same result."""
+    if mesh is None:
+        return function
+    same = PartitionSpec()
+    # The check for equal results would not see that what is gathered is equal.
+    return jax.shard_map(function, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
 
 
 def spread(tree: Any, mesh: Mesh | None) -> Any:

@@ -60,8 +60,8 @@ class PreparedController(NamedTuple):
     """What the terms alone decide, computed once per controller and not once per evaluation."""
 
     inputs: tuple[Slopes, ...]
-    overlaps: tuple[tuple[Overlap | None, ...], ...]
-    """[i][j - i] for i <= j; the exact centroid's."""
+    overlaps: tuple[tuple[Overlap, ...], ...]
+    """[i][j - i] for i <= j <= i + reach; the exact centroid's."""
     middles: tuple[Array, ...]
     """(a_i + c_i)/2 of the output terms."""
     grid: tuple[Array, Array, Array] | None
@@ -124,15 +124,14 @@ def _overlap(ai: Array, bi: Array, ci: Array, aj: Array, bj: Array, cj: Array) -
     )
 
 
-def _integrals(overlap: Overlap, height: Array) -> tuple[Array, Array]:
-    """Area and first moment under both terms, clipped at the height."""
-    h = least(height, overlap.cap)
+def _integrals(overlap: Overlap, h: Array) -> tuple[Array, Array]:
+    """Area and first moment under both terms, clipped at a height h up to `overlap.cap`."""
     (f1, f2), (m1, m2, m3) = overlap.area, overlap.moment
     return h * (f1 - h * f2), h * (m1 - h * (m2 - h * m3))
 
 
 def exact_integrals(
-    heights: Heights, overlaps: tuple[tuple[Overlap | None, ...], ...]
+    heights: Heights, overlaps: tuple[tuple[Overlap, ...], ...]
 ) -> tuple[Array, Array]:
     """Area and first moment under the union of clipped, ordered terms, in closed form.
 
@@ -142,16 +141,14 @@ def exact_integrals(
     """
     area = jnp.zeros_like(heights[0])
     moment = jnp.zeros_like(heights[0])
-    for i, row in enumerate(overlaps):
+    for i, (alone, *pairs) in enumerate(overlaps):
+        # Alone, a term reaches up to 1 (or has no width, and no coefficients), so that its cap
+        # changes no value; at the top of a vertical edge it stops the derivative.
+        f, m = _integrals(alone, least(heights[i], 1.0))
+        area, moment = area + f, moment + m
         between = None
-        for j, overlap in enumerate(row, start=i):
-            if overlap is None:
-                continue
-            if i == j:
-                f, m = _integrals(overlap, heights[i])
-                area, moment = area + f, moment + m
-                continue
-            low = least(heights[i], heights[j])
+        for j, overlap in enumerate(pairs, start=i + 1):
+            low = least(least(heights[i], heights[j]), overlap.cap)
             f, m = _integrals(overlap, low)
             area, moment = area - f, moment - m
             if between is not None:
@@ -175,7 +172,7 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["input_terms", "output_terms"],
-    meta_fields=["rules", "output_range", "centroid", "points", "sampled_rule", "no_rule"],
+    meta_fields=["rules", "output_range", "centroid", "points", "sampled_rule", "no_rule", "reach"],
 )
 @dataclass(frozen=True)
 class FuzzyController:
@@ -186,17 +183,19 @@ class FuzzyController:
         output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
         rules: n rows (rate) of n output term indices (error), both from small to large.
         output_range: ends of the output universe [1/s]; the sampled centroid's grid and the
-        mid-range.
+            mid-range.
         centroid: "exact" (closed form; needs ordered terms) or "sampled".
         points: number of sample points of the sampled centroid, ends included.
         sampled_rule: "sum" (MATLAB's) or "trapezoid".
         no_rule: gain where no rule fires, "hold" the last one or "midrange" of the output
-        (MATLAB's).
+            (MATLAB's).
+        reach: how far apart in their order output terms may overlap, if that is known: 2 says that
+            term i and term i + 3 never do. The exact centroid then leaves such pairs out, which
+            changes nothing but its price.
 
     Raises:
-        FuzzyError: shapes, order or rules do not fit. Checked when made outside jit only; inside,
-        the
-            mapping from a search vector (`parameters`) sees to it.
+        FuzzyError: shapes, order, rules or reach do not fit. Checked when made outside jit only;
+            inside, the mapping from a search vector (`parameters`) sees to it.
     """
 
     input_terms: Array
@@ -207,6 +206,7 @@ class FuzzyController:
     points: int = 101
     sampled_rule: SampledRule = "sum"
     no_rule: NoRule = "hold"
+    reach: int | None = None
 
     def __post_init__(self) -> None:
         given = (self.input_terms, self.output_terms)
@@ -227,12 +227,13 @@ class FuzzyController:
         inputs = tuple(slopes(a[..., i], b[..., i], c[..., i]) for i in range(a.shape[-1]))
         out = self.output_terms
         triangles = [tuple(out[..., i, k] for k in range(3)) for i in range(out.shape[-2])]
-        overlaps: tuple[tuple[Overlap | None, ...], ...] = ()
+        overlaps: tuple[tuple[Overlap, ...], ...] = ()
         grid = None
         if self.centroid == "exact":
+            reach = len(triangles) if self.reach is None else self.reach
             overlaps = tuple(
-                tuple(_overlap(*triangles[i], *triangles[j]) for j in range(i, len(triangles)))
-                for i in range(len(triangles))
+                tuple(_overlap(*first, *second) for second in triangles[i : i + reach + 1])
+                for i, first in enumerate(triangles)
             )
         else:
             points = jnp.linspace(*self.output_range, self.points, dtype=out.dtype)
@@ -269,7 +270,8 @@ class FuzzyController:
         tallest = reduce(most, heights)
         fires = tallest > 0
         safe = choose(fires, tallest, 1.0)
-        # So low that areas might underflow, heights count relative to each other only.
+        # So low that areas might underflow, and derivatives round off, heights count relative to
+        # each other only.
         lift = most(0.1 * jnp.finfo(tallest.dtype).eps / safe, 1.0)
         heights = tuple(lift * h for h in heights)
         if prepared.grid is None:
@@ -349,6 +351,8 @@ def _check(controller: FuzzyController) -> None:
                     f'exact centroid (centroid="sampled" takes any order), got {terms.tolist()}'
                 )
     inputs, outputs = np.shape(controller.input_terms)[-2], np.shape(controller.output_terms)[-2]
+    if controller.centroid == "exact":
+        _check_reach(controller)
     rules = controller.rules
     if not isinstance(rules, tuple) or not all(isinstance(row, tuple) for row in rules):
         raise FuzzyError(f"rules: must be a tuple of tuples of output terms, got {rules!r}")
@@ -367,3 +371,18 @@ def _check(controller: FuzzyController) -> None:
         raise FuzzyError(f"output_range: must be a tuple of two finite numbers, got {ends!r}")
     if not ends[0] < ends[1]:
         raise FuzzyError(f"output_range: must ascend, got {controller.output_range}")
+
+
+def _check_reach(controller: FuzzyController) -> None:
+    """Raise FuzzyError for a reach that would leave out an overlap."""
+    reach = controller.reach
+    if reach is None:
+        return
+    if isinstance(reach, bool) or not isinstance(reach, int) or reach < 0:
+        raise FuzzyError(f"reach: must be a whole number from 0, or None, got {reach!r}")
+    terms = np.asarray(controller.output_terms)
+    apart = reach + 1
+    if (terms[..., :-apart, 2] > terms[..., apart:, 0]).any():
+        raise FuzzyError(
+            f"reach: must not be {reach}, as output terms {apart} apart overlap: {terms.tolist()}"
+        )

@@ -19,7 +19,14 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
-from posegsa.config import INPUT_RANGE, PARAMETERS, TERMS, Experiment, triangles
+from posegsa.config import (
+    INPUT_RANGE,
+    PARAMETERS,
+    TERMS,
+    Experiment,
+    ParametersConfig,
+    triangles,
+)
 from posegsa.errors import FuzzyError
 from posegsa.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 
@@ -40,6 +47,7 @@ fixed."""
         "points",
         "sampled_rule",
         "no_rule",
+        "reach",
     ],
 )
 @dataclass(frozen=True)
@@ -61,6 +69,8 @@ class ParameterSpace:
     points: int
     sampled_rule: SampledRule
     no_rule: NoRule
+    reach: int
+    """How far apart in their order output terms may overlap anywhere in the boxes."""
 
     def terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector k (22,), repaired as configured."""
@@ -94,6 +104,7 @@ class ParameterSpace:
             self.points,
             self.sampled_rule,
             self.no_rule,
+            self.reach,
         )
 
     def vector(self, controller: FuzzyController) -> Array:
@@ -130,7 +141,7 @@ class ParameterSpace:
                 raise FuzzyError(
                     f"{PARAMETERS[i]}: must lie in [{lower[i]:g}, {upper[i]:g}], got {value:g}"
                 )
-        return jnp.asarray(values, self.lower.dtype)
+        return jnp.asarray(np.clip(values, lower, upper), self.lower.dtype)
 
 
 def ordered(terms: Array) -> Array:
@@ -189,4 +200,19 @@ def parameter_space(experiment: Experiment) -> ParameterSpace:
         points=fuzzy.sampled_points,
         sampled_rule=fuzzy.sampled_rule,
         no_rule=fuzzy.no_rule,
+        reach=_reach(parameters),
     )
+
+
+def _reach(parameters: ParametersConfig) -> int:
+    """How far apart output terms in order may overlap: 2 in the paper's boxes.
+
+    Sorted, numbers stay between their sorted lower and their sorted upper bounds.
+    """
+    half = len(PARAMETERS) // 2
+    lower, upper = (
+        np.sort(np.sort(triangles(tuple(bounds[half:]), *parameters.gain_range), axis=1), axis=0)
+        for bounds in (parameters.lower, parameters.upper)
+    )
+    last_feet, first_feet = upper[:, 2], lower[:, 0]
+    return max(int(np.sum(first_feet < foot)) - 1 - i for i, foot in enumerate(last_feet))

@@ -21,6 +21,13 @@ from posegsa.errors import PosegsaWarning
 _WIDTH = "--xla_cpu_prefer_vector_width"
 # A compiled loop runs on one core: searches divide their simulations over devices, one to a core.
 _DEVICES = "--xla_force_host_platform_device_count"
+# XLA ends the process where one device waits 40 s for another's costs: one iteration of a large
+# population may well take that long, and a process that was stopped for a while always does.
+_PATIENCE = {
+    "--xla_cpu_collective_call_warn_stuck_timeout_seconds": 3600,
+    "--xla_cpu_collective_call_terminate_timeout_seconds": 7 * 24 * 3600,
+    "--xla_cpu_collective_timeout_seconds": 7 * 24 * 3600,  # between processes
+}
 _EXTRA = "--xla_backend_extra_options="
 # With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
 # many outputs instead of one kernel for each: 3 times faster on 100 agents.
@@ -44,7 +51,7 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     named = {option.split("=")[0] for option in options}
     options += [f"{name}={value}" for name, value in _OPTIONS.items() if name not in named]
     others = [word for word in words if word not in own]
-    for name, value in ((_WIDTH, 512), (_DEVICES, devices)):
+    for name, value in {_WIDTH: 512, _DEVICES: devices, **_PATIENCE}.items():
         if not any(word.split("=")[0] == name for word in others):
             others.append(f"{name}={value}")
     return " ".join([*others, _EXTRA + ",".join(options)])

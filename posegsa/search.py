@@ -2,19 +2,20 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from posegsa import config, memory
 from posegsa.arguments import check_type
 from posegsa.comparison import held_out_keys, training_keys
-from posegsa.devices import AXIS, collect, mesh_for, spread
+from posegsa.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.errors import ConfigError
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -121,7 +122,7 @@ def _advance(
 
         return advance(optimiser, forward_mode(costs), Box(space.lower, space.upper), search, stop)
 
-    return _on(mesh, on_each_device)(search, training, space, jnp.asarray(stop))
+    return on_each(mesh, on_each_device)(search, training, space, jnp.asarray(stop))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -142,15 +143,6 @@ def _advance_batch(
     return jax.lax.map(
         lambda one: _advance(optimiser, objective, mesh, *one, stop), (search, training, space)
     )
-
-
-def _on(mesh: Mesh | None, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function on every device of a mesh, with the same arguments and the same result."""
-    if mesh is None:
-        return function
-    same = PartitionSpec()
-    # The check for equal results would not see that what is gathered is equal.
-    return jax.shard_map(function, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
 
 
 def _run(
@@ -242,7 +234,7 @@ def _costs(
     def on_each_device(vectors: Array, training: Problem, space: ParameterSpace) -> Array:
         return population_costs(vectors, training, space, objective, axis)
 
-    return _on(mesh, on_each_device)(vectors, training, space)
+    return on_each(mesh, on_each_device)(vectors, training, space)
 
 
 def on_all_devices(task: Task) -> Callable[[Array], Array]:
@@ -288,8 +280,10 @@ def search_batch(
             f"search.optimiser = {name!r} can't be compiled, and so not run in a batch"
         )
     try:
+        reach = max(task.space.reach for task in tasks)  # more than one's own changes no bit of it
         training, space = jax.tree.map(
-            lambda *leaves: jnp.stack(leaves), *((t.training, t.space) for t in tasks)
+            lambda *leaves: jnp.stack(leaves),
+            *((task.training, replace(task.space, reach=reach)) for task in tasks),
         )
     except (ValueError, TypeError) as error:
         raise ConfigError(

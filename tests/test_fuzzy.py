@@ -570,6 +570,8 @@ REFUSED = {
     ),
     "points": ({"centroid": "sampled", "points": 1}, "points: must be at least 2, got 1"),
     "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
+    "negative reach": ({"reach": -1}, "reach: must be a whole number from 0, or None, got -1"),
+    "short reach": ({"reach": 0}, "reach: must not be 0, as output terms 1 apart overlap"),
 }
 
 

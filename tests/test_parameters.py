@@ -10,6 +10,7 @@ import pytest
 import reference
 from setups import PAPER, RULES, corner_vectors, search_vectors, space
 
+from posegsa.config import triangles
 from posegsa.errors import FuzzyError
 from posegsa.fuzzy import membership, slopes
 from posegsa.parameters import ParameterSpace, in_order, rule_indices
@@ -165,6 +166,64 @@ def test_validity_with_ordering_off_is_order_and_with_it_on_everything() -> None
     assert bool(off.valid(jnp.asarray(in_its_order)))
     assert not bool(off.valid(jnp.asarray(swapped)))
     assert bool(space().valid(jnp.asarray(swapped)))
+
+
+# How far output terms reach -----------------------------------------------------------------------
+
+
+def boxes(lower: np.ndarray, upper: np.ndarray) -> ParameterSpace:
+    """The paper's space with other boxes of the output terms, k12 to k22."""
+    low, high = (
+        np.concatenate([ours[:11], of_outputs]).tolist()
+        for ours, of_outputs in (
+            (reference.PAPER_LOWER, lower),
+            (reference.PAPER_UPPER, upper),
+        )
+    )
+    return space(f"parameters.lower={low}", f"parameters.upper={high}")
+
+
+@pytest.mark.usefixtures("x64")
+def test_terms_reach_two_on_in_the_papers_boxes_and_anywhere_in_wide_ones() -> None:
+    assert space().reach == 2
+    assert boxes(np.zeros(11), np.full(11, 100.0)).reach == 4
+    assert boxes(np.zeros(11), np.zeros(11)).reach == 0  # all terms but the last at 0
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("seed", range(10))
+def test_no_vector_in_its_boxes_reaches_further(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    width = rng.uniform(0, 30)
+    ends = np.stack([lower := rng.uniform(0, 100 - width, 11), lower + width * rng.random(11)])
+    # In order, as a configuration's bounds must be: terms like the space's own do that.
+    in_order = [
+        np.ravel(np.sort(np.sort(triangles(tuple(end), 0.0, 100.0), axis=1), axis=0))[2:13]
+        for end in ends
+    ]
+    made = boxes(*in_order)
+    drawn = rng.uniform(made.lower, made.upper, (500, 22))
+    drawn[:250] = np.where(rng.random((250, 22)) < 0.5, made.lower, made.upper)
+    _, outputs = all_terms(made, drawn)
+    i, j = np.triu_indices(5)
+    overlap = outputs[:, i, 2] > outputs[:, j, 0]
+    assert not overlap[:, j - i > made.reach].any()
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_leaving_out_terms_that_do_not_meet_changes_no_bit(dtype: str) -> None:
+    with jax.enable_x64(dtype == "float64"):
+        made = space(dtype=dtype)
+        drawn = jnp.asarray(np.concatenate([kind(200) for kind in KINDS]), dtype)
+        error, rate = jnp.asarray(np.random.default_rng(0).random((2, 400)), dtype)
+
+        def gains(reach: int | None) -> np.ndarray:
+            def gain(k: jax.Array, e: jax.Array, r: jax.Array) -> jax.Array:
+                return dataclasses.replace(made.controller(k), reach=reach)(e, r)
+
+            return np.asarray(jax.jit(jax.vmap(gain))(drawn, error, rate))
+
+        np.testing.assert_array_equal(gains(made.reach), gains(None))
 
 
 # Vectors and controllers --------------------------------------------------------------------------

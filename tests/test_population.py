@@ -10,6 +10,7 @@ import pytest
 import reference
 from setups import lasting, paper, posed, repaired_terms, search_vectors, space, without_limit
 
+from posegsa.devices import AXIS, collect, mesh_of, on_each, spread
 from posegsa.gain import ConstantGain, FuzzyGain
 from posegsa.optimisers import GSA, box, minimise
 from posegsa.population import (
@@ -73,6 +74,25 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one(
     # Scenarios and agents differ by far more than the tolerance.
     assert each.std(axis=0).min() > 1e-3 * each.mean()
     assert each.std(axis=1).min() > 1e-3 * each.mean()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vectors = jnp.asarray(search_vectors(37), "float32")
+    posed_problem = posed(paper(*lasting(1.5), dtype="float32"), scenarios=3)
+    made, mesh = space(dtype="float32"), mesh_of(jax.devices()[:count])
+    in_pieces = evaluate_population(vectors, posed_problem, made)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    axis = None if mesh is None else AXIS
+
+    def at_once(vectors, problem, space):
+        return population_costs(vectors, problem, space, axis=axis)
+
+    everything = spread((vectors, posed_problem, made), mesh)
+    together = collect(jax.jit(on_each(mesh, at_once))(*everything))
+    np.testing.assert_array_equal(together, in_pieces)
 
 
 def test_costs_by_scenario_are_scenarios_by_agents() -> None:

@@ -43,6 +43,12 @@ def test_options_that_the_user_has_set_win():
     assert "xla_cpu_small_while_loop_byte_threshold=" in flags
 
 
+def test_devices_may_wait_for_each_other_longer_than_xla_lets_them():
+    name = "--xla_cpu_collective_call_terminate_timeout_seconds"
+    assert f"{name}=604800" in runtime.fast_path_flags().split()
+    assert runtime.fast_path_flags(f"{name}=5").count(name) == 1
+
+
 def test_flags_are_set_once_however_often_they_are_asked_for():
     once = runtime.fast_path_flags()
     assert runtime.fast_path_flags(once) == once
