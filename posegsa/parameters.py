@@ -62,6 +62,7 @@ class ParameterSpace:
     sampled_rule: SampledRule
     no_rule: NoRule
 
+    @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
     def terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector k (22,), repaired as configured."""
         inputs, outputs = self.raw_terms(k)
