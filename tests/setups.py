@@ -20,14 +20,16 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
+from posegsa.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.errors import PosegsaWarning
 from posegsa.evaluate import scenario_keys
 from posegsa.filter import FilterState, initial_state
 from posegsa.fuzzy import FuzzyController
+from posegsa.gain import pose_errors
 from posegsa.measurements import Measurements
 from posegsa.parameters import ParameterSpace, parameter_space
 from posegsa.population import Problem, problem
-from posegsa.rollout import Track, track
+from posegsa.rollout import Estimates, Track, track
 from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
 
 PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
@@ -234,6 +236,13 @@ def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Track:
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
     return jax.jit(track)(as_arrays(measurements, dtype), rotation, position)
+
+
+@jax.jit
+def cost_of_estimates(estimates: Estimates, scenario: Track, weights: CostWeights) -> CostParts:
+    """The cost of a trajectory, from its errors."""
+    poses = initial_state(estimates.rotation, estimates.position)
+    return trajectory_cost(*pose_errors(poses, scenario.truth), weights)
 
 
 def start(dtype: str) -> FilterState:

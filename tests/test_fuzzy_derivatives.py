@@ -13,7 +13,6 @@ from setups import (
     OUTPUTS,
     RULES,
     corner_vectors,
-    evaluated,
     fuzzy,
     gains_of,
     repaired_terms,
@@ -23,6 +22,8 @@ from setups import (
 from posegsa.fuzzy import FuzzyController
 
 DTYPES = ("float32", "float64")
+
+called = jax.jit(FuzzyController.__call__)
 
 
 @pytest.mark.usefixtures("x64")
@@ -34,7 +35,7 @@ def test_the_gain_is_continuous(seed: int) -> None:
 
     def largest_jump(steps: int) -> float:
         line = start + np.linspace(0, 1, steps + 1)[:, None] * (end - start)
-        return float(np.abs(np.diff(evaluated(controller, *line.T))).max())
+        return float(np.abs(np.diff(called(controller, *line.T))).max())
 
     # A jump would be as large however short the steps are. A steep place is not a jump: terms may
     # overlap by 0.01 only, and the gain then changes by tens within a fraction of that.
