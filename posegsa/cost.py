@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from posegsa.config import CostConfig, ObjectiveConfig
@@ -34,11 +35,11 @@ class CostParts(NamedTuple):
 
 def cost_weights(cost: CostConfig, samples: int, dtype: jnp.dtype) -> CostWeights:
     """Weights of the configured cost for N = `samples` samples; windows include both ends."""
-    k = jnp.arange(samples)
+    k = np.arange(samples)
 
     def window(weight: float, ends: tuple[int, int]) -> Array:
         inside = (k >= ends[0]) & (k <= ends[1])
-        return jnp.where(inside, weight, 0.0).astype(dtype)
+        return jnp.asarray(np.where(inside, weight, 0.0).astype(dtype))
 
     return CostWeights(
         transient=window(cost.transient_weight, cost.transient_window),

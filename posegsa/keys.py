@@ -1,5 +1,6 @@
 """Random keys, named by use."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -26,10 +27,15 @@ class Keys(NamedTuple):
 
 def keys(seed: int) -> Keys:
     """The keys of a seed. A use added at the end changes none of those before it."""
-    root = random.key(seed)
+    return _for_uses(random.key(seed))
+
+
+@jax.jit
+def _for_uses(root: Array) -> Keys:
     return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
 
 
+@partial(jax.jit, static_argnums=1)
 def scenario_keys(key: Array, count: int) -> Array:
     """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
     return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))

@@ -72,6 +72,7 @@ class ParameterSpace:
     reach: int
     """How far apart in their order output terms may overlap anywhere in the boxes."""
 
+    @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
     def terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector k (22,), repaired as configured."""
         inputs, outputs = self.raw_terms(k)

@@ -130,7 +130,7 @@ def scenario(experiment: config.Experiment) -> Scenario:
     dtype = jnp.dtype(experiment.run.dtype)
 
     def array(values: object, *shape: int) -> Array:
-        return jnp.asarray(np.asarray(values, np.float64).reshape(shape), dtype)
+        return jnp.asarray(np.asarray(values, dtype).reshape(shape))
 
     def profile(axes: tuple[tuple[config.Sine, ...], ...]) -> Profile:
         length = max(1, *(len(axis) for axis in axes))

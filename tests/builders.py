@@ -18,6 +18,16 @@ AT_REST: dict[str, Any] = {"angular_velocity": ((), (), ()), "velocity": ((), ()
 """A scenario without motion."""
 
 
+def epsilon(dtype: type[np.floating]) -> float:
+    return float(np.finfo(dtype).eps)
+
+
+def directions(count: int, seed: int = 0) -> np.ndarray:
+    """Unit vectors (count, 3)."""
+    v = np.random.default_rng(seed).normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
 def random_poses(rng: np.random.Generator, count: int, spread: float = 3.0) -> np.ndarray:
     """Poses (count, 4, 4): any attitude, positions of `spread` m per axis."""
     T = np.tile(np.eye(4), (count, 1, 1))

@@ -1,5 +1,6 @@
 """What every test runs under: strict JAX, the fast path's options, few and repeatable examples."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -17,23 +18,26 @@ from posegsa.runtime import fast_path_flags
 # Searches as small as most tests' use one of the devices.
 os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices=4)
 
-# Programs that several workers or processes need are compiled once a run: most of the tests' time.
-RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
+# Programs that several workers or processes need are compiled once a run, the smallest too: most of
+# the tests' time. Workers inherit the run's name, and so its folder.
+RUN = os.environ.setdefault("POSEGSA_TEST_RUN", str(os.getpid()))
 CACHE = Path(tempfile.gettempdir()) / f"posegsa-tests-{RUN}"
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+# No silent change of dtype, no silent broadcast of ranks. For fixtures as for tests: what is
+# compiled under other rules is compiled anew.
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# JAX makes millions of objects that stay: looking for garbage among all of them, as often as Python
+# does by default, takes a twentieth of the tests' time.
+gc.set_threshold(700, 10, 100)
 
 # The first example of a shape compiles, so that no example has a deadline.
 settings.register_profile("posegsa", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("posegsa")
-
-
-@pytest.fixture(autouse=True)
-def strict() -> Iterator[None]:
-    """No silent change of dtype, no silent broadcast of ranks."""
-    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
-        yield
 
 
 @pytest.fixture
@@ -48,6 +52,17 @@ def dtype(request: pytest.FixtureRequest) -> Iterator[type[np.floating]]:
     """Run a test in both precisions."""
     with jax.enable_x64(request.param == np.float64):
         yield request.param
+
+
+@pytest.fixture
+def compile_fast() -> Iterator[None]:
+    """Compile without most optimisations: what is run once need not be quick.
+
+    Only for programs that no other test has: they are found again whatever they were compiled with.
+    """
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -4,6 +4,8 @@ The reference (`reference`) knows nothing of the package; what translates betwee
 """
 
 import dataclasses
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,14 +20,16 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
+from posegsa.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.errors import PosegsaWarning
 from posegsa.evaluate import scenario_keys
 from posegsa.filter import FilterState, initial_state
 from posegsa.fuzzy import FuzzyController
+from posegsa.gain import pose_errors
 from posegsa.measurements import Measurements
 from posegsa.parameters import ParameterSpace, parameter_space
 from posegsa.population import Problem, problem
-from posegsa.rollout import Track, track
+from posegsa.rollout import Estimates, Track, track
 from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
 
 PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
@@ -87,6 +91,28 @@ def fuzzy(
     """A controller, with the paper's rules unless others are given."""
     terms = (jnp.asarray(np.asarray(t, np.float64), dtype) for t in (inputs, outputs))
     return FuzzyController(*terms, **{"rules": RULES, "output_range": (0.0, 100.0)} | options)
+
+
+INPUTS, OUTPUTS = (terms[0] for terms in repaired_terms(search_vectors(1, seed=5)))
+"""Terms with nothing special about them."""
+GAPPED = [[0, 0, 0.1], [0.2, 0.2, 0.3], [0.25, 0.4, 0.6], [0.5, 0.6, 0.8], [0.7, 1, 1]]
+"""Input terms that leave (0.1, 0.2) to no rule."""
+
+
+def evaluated(controller: FuzzyController, error: object, rate: object, *last: float) -> np.ndarray:
+    """Gains at the controller's dtype of errors and rates given as any numbers."""
+    dtype = controller.output_terms.dtype
+    return np.asarray(controller(*(jnp.asarray(x, dtype) for x in (error, rate, *last))))
+
+
+@cache
+def compiled_gain() -> Callable[..., Array]:
+    """Gains (B,) of terms (B, 5, 3), errors and rates (B,)."""
+    return jax.jit(jax.vmap(lambda i, o, e, r: FuzzyController(i, o, RULES, (0.0, 100.0))(e, r)))
+
+
+def gains_of(*arrays: np.ndarray) -> np.ndarray:
+    return np.asarray(compiled_gain()(*(jnp.asarray(a) for a in arrays)))
 
 
 # Scenarios ----------------------------------------------------------------------------------------
@@ -210,6 +236,13 @@ def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Track:
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
     return jax.jit(track)(as_arrays(measurements, dtype), rotation, position)
+
+
+@jax.jit
+def cost_of_estimates(estimates: Estimates, scenario: Track, weights: CostWeights) -> CostParts:
+    """The cost of a trajectory, from its errors."""
+    poses = initial_state(estimates.rotation, estimates.position)
+    return trajectory_cost(*pose_errors(poses, scenario.truth), weights)
 
 
 def start(dtype: str) -> FilterState:

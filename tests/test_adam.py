@@ -1,7 +1,5 @@
 """Gradient descent: Adam against the article's algorithm, gradients of the filter, and polish."""
 
-from collections.abc import Iterator
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -138,14 +136,6 @@ SMALL = [
     "cost.transient_window=[0, 20]",
     "cost.steady_window=[50, 99]",
 ]
-
-
-@pytest.fixture
-def compile_fast() -> Iterator[None]:
-    """Compile without most optimisations: what is run once need not be quick."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

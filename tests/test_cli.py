@@ -1,4 +1,7 @@
-"""The command line as a person types it: fresh processes, exit status, and what they read."""
+"""The command line as a person types it: exit status and what they read.
+
+Where a process of its own is the point, in one: a whole run, a signal, the installed command.
+"""
 
 import json
 import os
@@ -7,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -61,16 +65,19 @@ def test_it_shows_progress_and_notes_in_plain_words(finished):
     assert "Warning" not in done.stderr
 
 
-def test_a_second_run_does_not_replace_the_first(finished):
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
     folder, _ = finished
     before = (folder / "posegsa-run" / "result.json").read_bytes()
-    refused = posegsa("tune", *SETTINGS, cwd=folder)
-    assert refused.returncode == 2
-    assert "holds a run already" in refused.stderr
-    assert "--overwrite" in refused.stderr
+    monkeypatch.chdir(folder)
+    assert main(["tune", *SETTINGS]) == 2
+    said = capsys.readouterr().err
+    assert "holds a run already" in said
+    assert "--overwrite" in said
     assert (folder / "posegsa-run" / "result.json").read_bytes() == before
 
 
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -81,16 +88,18 @@ def test_a_second_run_does_not_replace_the_first(finished):
         (["tune", "--seed", "-1"], ["run.seed", "-1"]),
     ],
 )
-def test_bad_input_is_one_readable_message(tmp_path, arguments, words):
-    done = posegsa(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
+def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
     for word in words:
-        assert word in done.stderr
-    assert "Traceback" not in done.stderr
+        assert word in said
+    assert said.startswith("posegsa: ")
     assert not any(tmp_path.iterdir()), "a refused command leaves nothing behind"
 
 
-def test_sigterm_saves_and_says_how_to_go_on(tmp_path):
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
@@ -111,16 +120,17 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path):
     assert f"interrupted after iteration {done} of 100000" in said
     assert "go on with: posegsa tune --resume run" in said
     assert "Traceback" not in said
-    refused = posegsa("tune", "--resume", "run", "--seed", "5", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "run.seed = 5" in refused.stderr
+    monkeypatch.chdir(tmp_path)
+    assert main(["tune", "--resume", "run", "--seed", "5"]) == 2
+    assert "run.seed = 5" in capsys.readouterr().err
 
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    """The oracle's descent, cut short."""
+    """The oracle's descent, cut short; its programs are those of `test_evaluate`."""
     monkeypatch.setattr("posegsa.baselines.ORACLE_STEPS", 3)
-    monkeypatch.setattr("posegsa.baselines.KNOTS", 4)
+    monkeypatch.setattr("posegsa.baselines.KNOTS", 6)
+    monkeypatch.setattr(import_module("posegsa.evaluate"), "ORACLE_SCENARIOS", 2)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

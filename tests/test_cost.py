@@ -5,12 +5,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from setups import PAPER, lasting, paper, search_vectors, sensed, space, start, tracked
+from setups import (
+    PAPER,
+    cost_of_estimates,
+    lasting,
+    paper,
+    search_vectors,
+    sensed,
+    space,
+    start,
+    tracked,
+)
 
 from posegsa.config import CostConfig, ObjectiveConfig
-from posegsa.cost import cost_weights, over_scenarios, sample_error, trajectory_cost
-from posegsa.filter import filter_settings, initial_state
-from posegsa.gain import FuzzyGain, pose_errors, signal_settings
+from posegsa.cost import (
+    cost_weights,
+    over_scenarios,
+    sample_error,
+    trajectory_cost,
+)
+from posegsa.filter import filter_settings
+from posegsa.gain import FuzzyGain, signal_settings
 from posegsa.rollout import simulate, simulate_cost
 
 HAND = CostConfig(
@@ -69,8 +84,7 @@ def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: floa
         weights = cost_weights(experiment.cost, 200, jnp.dtype(dtype))
         running = jax.jit(simulate_cost)(schedule, scenario, initial, weights, settings, signal)
         estimates = simulate(schedule, scenario, initial, settings, signal)
-        poses = initial_state(estimates.rotation, estimates.position)
-        whole = trajectory_cost(*pose_errors(poses, scenario.truth), weights)
+        whole = cost_of_estimates(estimates, scenario, weights)
     assert running.total.dtype == whole.total.dtype == dtype
     np.testing.assert_allclose(running, whole, rtol=tolerance)
     assert float(running.transient) > 0 < float(running.steady)

@@ -33,7 +33,7 @@ def bits(found) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def task():
-    with warnings.catch_warnings(), jax.numpy_dtype_promotion("strict"):
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)
         return make_ready(tiny(*OWN))
 

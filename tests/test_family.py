@@ -18,6 +18,9 @@ SHORT = Experiment(
     cost=config.CostConfig(transient_window=(0, 5), steady_window=(10, 19)),
 )
 
+one_drawn, draw_many = jax.jit(draw), jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
+realised = jax.jit(realise)
+
 
 @pytest.fixture(scope="module")
 def base():
@@ -27,7 +30,7 @@ def base():
 def drawn(base, count: int = 200, **settings):
     """Many scenarios of a family, leaves (count, ...)."""
     chosen = family(FamilyConfig(**settings), "float32")
-    return jax.vmap(lambda key: draw(base, chosen, key))(scenario_keys(jax.random.key(0), count))
+    return draw_many(base, chosen, scenario_keys(jax.random.key(0), count))
 
 
 def initial_angles(scenarios) -> np.ndarray:
@@ -37,11 +40,11 @@ def initial_angles(scenarios) -> np.ndarray:
 
 
 def test_by_default_only_the_noise_differs(base):
-    one = draw(base, family(FamilyConfig(), "float32"), jax.random.key(4))
+    one = one_drawn(base, family(FamilyConfig(), "float32"), jax.random.key(4))
     for before, after in zip(jax.tree.leaves(base), jax.tree.leaves(one), strict=True):
         np.testing.assert_array_equal(before, after)
     first, second = (
-        realise(base, family(FamilyConfig(), "float32"), jax.random.key(i))[2] for i in (0, 1)
+        realised(base, family(FamilyConfig(), "float32"), jax.random.key(i))[2] for i in (0, 1)
     )
     assert not np.array_equal(first.velocity, second.velocity)
 
@@ -105,10 +108,10 @@ def test_a_key_means_the_same_scenario_in_both_precisions(base):
     settings = FamilyConfig(
         attitude_error=(0.0, 180.0), position_error=(0.0, 5.0), random_phase=True
     )
-    single = draw(base, family(settings, "float32"), jax.random.key(7))
+    single = one_drawn(base, family(settings, "float32"), jax.random.key(7))
     with jax.enable_x64(True):
         exact = quietly(config.override(SHORT, ["run.dtype=float64"]))
-        double = draw(exact, family(settings, "float64"), jax.random.key(7))
+        double = one_drawn(exact, family(settings, "float64"), jax.random.key(7))
         np.testing.assert_allclose(single.rotation_estimate, double.rotation_estimate, atol=1e-6)
         np.testing.assert_allclose(single.position_estimate, double.position_estimate, atol=1e-5)
 
@@ -116,9 +119,9 @@ def test_a_key_means_the_same_scenario_in_both_precisions(base):
 def test_vmap_equals_a_loop(base):
     chosen = family(FamilyConfig(attitude_error=(0.0, 180.0), landmark_spread=1.0), "float32")
     many = scenario_keys(jax.random.key(2), 3)
-    together = jax.vmap(lambda key: draw(base, chosen, key))(many)
+    together = draw_many(base, chosen, many)
     for i in range(3):
-        alone = draw(base, chosen, many[i])
+        alone = one_drawn(base, chosen, many[i])
         for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
             np.testing.assert_allclose(a, b[i], atol=1e-6)
 

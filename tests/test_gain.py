@@ -31,10 +31,13 @@ from posegsa.se3 import quaternion, split
 
 N = 60
 
+jitted_state, jitted_prepare = jax.jit(initial_state), jax.jit(prepare)
+jitted_errors = jax.jit(measured_errors)
+
 
 def states(poses: np.ndarray) -> FilterState:
     """Filter states of estimated poses (N, 4, 4)."""
-    return initial_state(jnp.asarray(poses[:, :3, :3]), jnp.asarray(poses[:, :3, 3]))
+    return jitted_state(jnp.asarray(poses[:, :3, :3]), jnp.asarray(poses[:, :3, 3]))
 
 
 def true_poses(poses: np.ndarray) -> TruePose:
@@ -96,7 +99,9 @@ def test_measured_signal_against_the_reference(
     rng = np.random.default_rng(vectors)
     poses = random_poses(rng, N)
     sensed = random_measurements(rng, N, vectors, landmarks, missing=0.3)
-    attitude, position = measured_errors(states(poses), prepare(as_arrays(sensed, jnp.float64)))
+    attitude, position = jitted_errors(
+        states(poses), jitted_prepare(as_arrays(sensed, jnp.float64))
+    )
     expected = [
         reference.error_signal(T, reference_sample(sensed, k), T, "measured", position_weight)
         for k, T in enumerate(poses)
@@ -137,12 +142,12 @@ def test_attitude_parts_are_equal_for_orthonormal_vectors_without_noise() -> Non
         vector_weights=0.7,
         dtype=np.float64,
     )
-    measured, _ = measured_errors(states(estimates), prepare(sensed))
+    measured, _ = jitted_errors(states(estimates), jitted_prepare(sensed))
     true, _ = pose_errors(states(estimates), true_poses(truths))
     np.testing.assert_allclose(measured, true, rtol=1e-12)
     # Not so for two of them: the third direction is not seen.
     two = sensed._replace(vector_weights=sensed.vector_weights.at[:, 2].set(0.0))
-    assert np.abs(measured_errors(states(estimates), prepare(two))[0] - true).max() > 0.05
+    assert np.abs(jitted_errors(states(estimates), jitted_prepare(two))[0] - true).max() > 0.05
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -157,7 +162,7 @@ def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> 
             vector_references=np.broadcast_to(known, (500, 3, 3)),
         )
         state = jax.tree.map(lambda a: a.astype(dtype), states(poses))
-        attitude = np.asarray(measured_errors(state, prepare(as_arrays(sensed, dtype)))[0])
+        attitude = np.asarray(jitted_errors(state, jitted_prepare(as_arrays(sensed, dtype)))[0])
     assert (attitude >= 0).all()
     assert (attitude < 20 * np.finfo(dtype).eps).all()
 

@@ -12,6 +12,7 @@ from builders import as_arrays
 from jax import Array
 from setups import (
     PAPER,
+    cost_of_estimates,
     lasting,
     paper,
     reference_samples,
@@ -27,9 +28,9 @@ from setups import (
 )
 
 from posegsa.config import Experiment
-from posegsa.cost import cost_weights, trajectory_cost
+from posegsa.cost import cost_weights
 from posegsa.filter import filter_settings, initial_state
-from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, pose_errors, signal_settings
+from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
 from posegsa.measurements import Measurements
 from posegsa.rollout import Estimates, run_filter, simulate, simulate_cost
 from posegsa.scenario import Truth
@@ -190,14 +191,14 @@ def test_the_chain_against_the_reference(
     # The cost of the trajectory; that the running form is the same is shown once, above and in
     # test_cost, because it is one more compilation for each case.
     c = experiment.cost
-    errors = pose_errors(initial_state(estimates.rotation, estimates.position), scenario.truth)
-    cost = trajectory_cost(*errors, cost_weights(c, 200, jnp.dtype("float64")))
+    weights = cost_weights(c, 200, jnp.dtype("float64"))
     theirs = reference.cost(
         expected.attitude_error,
         expected.position_error,
         transient=c.transient_window,
         steady=c.steady_window,
     )
+    cost = cost_of_estimates(estimates, scenario, weights)
     np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
 
 

@@ -158,14 +158,14 @@ def test_the_summary_shows_training_beside_held_out(run):
         assert words in text
 
 
-def test_float64_is_one_setting_away():
+@pytest.mark.usefixtures("compile_fast")
+def test_float64_is_one_setting_away(run):
     result = posegsa.tune(tiny("run.dtype=float64"))
     assert result.controller.output_terms.dtype == np.float64
     assert result.history.best.dtype == np.float64
     assert jax.numpy.ones(1).dtype == np.float32, "the process keeps its precision"
-    single = posegsa.tune(tiny())
     # The same noise and the same first agents, so the same search up to rounding.
-    assert result.history.best[0] == pytest.approx(single.history.best[0], rel=1e-4)
+    assert result.history.best[0] == pytest.approx(run[0].history.best[0], rel=1e-4)
 
 
 def test_random_search_runs_by_name():
@@ -174,6 +174,7 @@ def test_random_search_runs_by_name():
     assert type(make_optimiser(result.experiment)).__name__ == "RandomSearch"
 
 
+@pytest.mark.usefixtures("compile_fast")
 def test_literal_settings_run_and_divergence_is_told():
     settings = ["filter.law=printed", "filter.gain_limit=off", "gain.signal=pose"]
     result = posegsa.tune(

@@ -1,0 +1,102 @@
+"""A result with everything in it, and its report as a reader finds it."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+from test_plots import history, trajectory
+from test_plots_evaluation import evaluation, trust
+
+from posegsa import config
+from posegsa.report import report_html
+from posegsa.results import TuneResult
+
+# In order and without gaps, so that the repairs leave them as they are.
+PARAMETERS = np.array(
+    [
+        *(0.1, 0.05, 0.1, 0.2, 0.15, 0.2, 0.3, 0.2, 0.4, 0.8, 0.6),
+        *(10.0, 5.0, 15.0, 30.0, 20.0, 35.0, 50.0, 40.0, 60.0, 70.0, 65.0),
+    ]
+)
+PICTURE = b"\x89PNG\r\n\x1a\n not more than that"
+VOID = {"meta", "img", "br"}
+
+
+def result(*settings: str, **values) -> TuneResult:
+    return TuneResult(
+        **{
+            "experiment": config.override(config.Experiment(), settings),
+            "best_cost": 41.25,
+            "parameters": PARAMETERS,
+            "training_costs": np.array([41.0, 41.5]),
+            "constant_gain": 53.5,
+            "constant_training_costs": np.array([44.0, 46.0]),
+            "evaluation": evaluation(),
+            "trust": trust(),
+            "evaluations": 960,
+            "non_finite": 0,
+            "compile_seconds": 5.0,
+            "search_seconds": 0.25,
+            "history": history(),
+            "trajectory": trajectory(),
+            "environment": {"jax": "0.10", "device": "1 x cpu"},
+            "version": "1.2.3",
+            **values,
+        }
+    )
+
+
+class Page(HTMLParser):
+    """What a reader finds in a page; refuses elements that are not closed in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[tuple[str, dict]] = []
+        self.elements: list[tuple[str, dict]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs)))
+        if tag == "table":
+            self.rows: list[list[str]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        inside = [tag for tag, _ in self.open]
+        if "style" in inside:
+            return
+        self.texts.append(data)
+        if "caption" in inside:
+            self.tables[data] = self.rows
+        elif "td" in inside or "th" in inside:
+            self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+    def table(self, caption: str) -> list[list[str]]:
+        (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
+        return found
+
+
+def page(given: TuneResult | None = None, pictures=None) -> Page:
+    return Page(report_html(given or result(), pictures or {"costs": PICTURE}))
+
+
+def values(cell: str) -> list[float]:
+    """The numbers in a cell."""
+    cell = cell.replace("\u2212", "-").replace("\u221e", "inf")
+    return [float(found) for found in re.findall(r"[-+]?(?:inf|\d[\d.]*(?:e[-+]\d+)?)", cell)]

@@ -1,0 +1,77 @@
+"""Tuned schedules for the tests of exports, without a search."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from setups import paper, search_vectors
+
+import posegsa
+from posegsa.comparison import CONSTANT, TUNED, Contender, Evaluation
+from posegsa.fuzzy import FuzzyController
+from posegsa.metrics import Bands, Metrics
+from posegsa.results import TuneResult
+from posegsa.trust import Trust
+
+COUNT = 10_000
+
+
+def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) -> TuneResult:
+    """A result with this vector k; what a search would say of itself is made up."""
+    experiment = paper(*settings, dtype=dtype)
+    with jax.enable_x64(dtype == "float64"):
+        space = posegsa.parameter_space(experiment)
+        vector = space.vector(space.controller(space.checked(k)))
+        repaired = np.asarray(vector, np.float64)
+    costs = {TUNED: np.array([41.0, 43.5, 45.25]), CONSTANT: np.array([44.0, 46.0, 52.5])}
+    nothing = Bands(*[np.zeros((len(Bands._fields), 1))] * len(Bands._fields))
+    values: dict[str, Any] = {
+        "experiment": experiment,
+        "best_cost": 40.5,
+        "parameters": repaired,
+        "training_costs": np.array([40.0, 41.0]),
+        "constant_gain": 27.5,
+        "constant_training_costs": np.array([44.0, 45.0]),
+        "evaluation": Evaluation(
+            3,
+            None,
+            np.zeros(1),
+            {
+                n: Contender(Metrics(*[c] * len(Metrics._fields)), nothing, {})
+                for n, c in costs.items()
+            },
+        ),
+        "trust": Trust(40.5, 40.5, 40.5, False, 0.0, np.zeros((5, 5))),
+        "evaluations": 24,
+        "non_finite": 0,
+        "compile_seconds": 1.0,
+        "search_seconds": 1.0,
+        "history": None,
+        "trajectory": None,
+        "environment": {},
+        "version": "0.0.1",
+    }
+    return TuneResult(**values | fields)
+
+
+K, *DRAWN = search_vectors(1, seed=5)[0], *search_vectors(4)
+"""A vector with nothing special about it, and others; DRAWN[0], [1] and [3] leave gaps if let."""
+GAPS = ("fuzzy.coverage=false",)
+MIDRANGE = (*GAPS, "fuzzy.no_rule=midrange")
+SAMPLED = ("fuzzy.centroid=sampled",)
+
+
+def inputs() -> np.ndarray:
+    """Errors, rates and last gains (3, COUNT): over all of [0, 1] and beyond, and often small."""
+    rng = np.random.default_rng(0)
+    error, rate = rng.uniform(-0.1, 1.1, (2, COUNT))
+    error[::2], rate[::2] = error[::2] ** 2, np.abs(rate[::2]) ** 3
+    return np.stack([error, rate, rng.uniform(1, 101, COUNT)])
+
+
+def evaluated(controller: FuzzyController, given: np.ndarray) -> np.ndarray:
+    """Gains of (error, rate, last gain) (3, n) or (error, rate) (2, n), at one shape for all n."""
+    padded = np.resize(given.T, (COUNT, len(given))).T
+    gains = controller(*(jnp.asarray(x, controller.output_terms.dtype) for x in padded))
+    return np.asarray(gains)[: given.shape[1]]
