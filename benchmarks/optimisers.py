@@ -1,6 +1,7 @@
 """Optimisers at equal budgets on the recommended experiment and on test functions; their speed.
 
     python benchmarks/optimisers.py filter --optimisers gsa,pso --repeats 10
+    python benchmarks/optimisers.py variants --repeats 10
     python benchmarks/optimisers.py functions --functions sphere,ackley
     python benchmarks/optimisers.py scenarios --repeats 3
     python benchmarks/optimisers.py speed
@@ -41,6 +42,12 @@ from posegsa.search import make_ready, run_search
 
 BEST = "de:strategy=best/1/bin"
 FILTER = ("gsa", "random", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
+VARIANTS = (
+    *("gsa", "gsa:alpha=5.0", "gsa:g0=10.0", "gsa:g0=1.0"),
+    *("gsa:final_percent=20.0", "gsa:final_percent=100.0", "gsa:force_power=2.0"),
+)
+"""GSA with slower decay, weaker forces, more agents that attract until the end, and the paper's
+D^2."""
 ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random", "pso", "de", BEST, "cma_es", "adam")
 DIMENSIONS = 30
 FUNCTIONS = (
@@ -51,7 +58,10 @@ FUNCTIONS = (
     ClassicalFunction("rastrigin", DIMENSIONS, shift=0.5, rotation=1),
     ClassicalFunction("rosenbrock", DIMENSIONS),
 )
-SPENT = (("gsa", 8), (BEST, 8), (BEST, 32))
+SPENT = (
+    *(("gsa", 8), ("pso", 8), (BEST, 8)),
+    *(("gsa", 32), ("pso", 32), (BEST, 32), ("cma_es:agents=20", 32)),
+)
 """Optimisers and numbers of training scenarios that the same simulations are spent on."""
 VALIDATION_SCENARIOS = 64
 AGENTS, ITERATIONS = 50, 1000
@@ -65,6 +75,15 @@ JSON, FIGURE, FUNCTION_FIGURE = (
 
 def on_filter(options: argparse.Namespace) -> None:
     """Compare on the recommended experiment."""
+    _on_filter(options, FILTER, options.folder / "recommended")
+
+
+def variants(options: argparse.Namespace) -> None:
+    """GSA's own settings on the recommended experiment."""
+    _on_filter(options, VARIANTS, options.folder / "variants")
+
+
+def _on_filter(options: argparse.Namespace, usual: Sequence[str], out: Path) -> None:
     experiment = config.load(ROOT / "configs" / "recommended.toml")
     evaluations, repeats = 25000, options.repeats
     if options.quick:
@@ -72,10 +91,10 @@ def on_filter(options: argparse.Namespace) -> None:
         experiment, evaluations, repeats = config.override(experiment, settings), 800, 2
     found = compare(
         experiment,
-        optimisers=options.optimisers or FILTER,
+        optimisers=options.optimisers or usual,
         repeats=repeats,
         evaluations=evaluations,
-        out=options.folder / "recommended",
+        out=out,
     )
     print(found.table())
 
@@ -251,6 +270,9 @@ def write(options: argparse.Namespace) -> None:
     functions = [found.only([n for n in ON_FUNCTIONS if n in found.repeats]) for found in functions]
     functions = [found for found in functions if all(found.repeats.values())]  # those complete
     write_block("comparison", held.markdown(), PAGE)
+    if (options.folder / "variants").exists():
+        of_gsa = load_comparison(options.folder / "variants").only(VARIANTS)
+        write_block("variants", of_gsa.markdown(), PAGE)
     write_block("functions", function_table(functions), PAGE)
     if (options.folder / "scenarios.json").exists():
         write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
@@ -271,6 +293,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Optimisers at equal budgets, and their speed.")
     parts = {
         "filter": on_filter,
+        "variants": variants,
         "functions": on_functions,
         "scenarios": scenarios,
         "speed": speed,
