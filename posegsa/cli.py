@@ -208,14 +208,12 @@ def _tune(options: argparse.Namespace) -> int:
     from posegsa.tuning import tune
 
     first = _join(options)
-    if options.config is not None:
-        experiment = config.load(options.config)
-    elif options.resume is not None:
+    if options.config is None and options.resume is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
             experiment = begun(Path(options.resume)).experiment
     else:
-        experiment = config.Experiment()
+        experiment = config.as_experiment(options.config)
     settings = list(options.set)
     if options.seed is not None:
         settings.append(f"run.seed={options.seed}")

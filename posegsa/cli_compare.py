@@ -97,8 +97,7 @@ def _compare(options: argparse.Namespace) -> int:
     from posegsa.errors import ConfigError
     from posegsa.optimisers.functions import ClassicalFunction
 
-    experiment = config.Experiment() if options.config is None else config.load(options.config)
-    experiment = config.override(experiment, options.set)
+    experiment = config.override(config.as_experiment(options.config), options.set)
     function = None
     if options.function is not None:
         try:
