@@ -298,9 +298,9 @@ def _search(
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:
-        if progress.iteration:
+        if progress.iteration:  # not when it is compiled
             stamps.append((progress.iteration, progress.seconds))
-        tell(progress)
+            tell(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = evaluations_spent(optimiser)
