@@ -1,17 +1,19 @@
 """What can't be used is refused by its name, wherever it comes in."""
 
+import dataclasses
 import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from generated import call, configuration
+from generated import call, configuration, not_numbers, structure
 from test_tuning import TINY, tiny
 
 import posegsa
 from posegsa import config, memory
 from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
+from posegsa.search import make_ready
 
 SECTIONS = tuple(config.Experiment.model_fields)
 
@@ -35,7 +37,7 @@ def result():
 
 
 def test_generated_configurations_are_accepted_or_refused_by_name():
-    """Accepted ones run, by the hundred: `benchmarks/faults.py`."""
+    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few of them below."""
     rng, base = np.random.default_rng(0), tiny()
     accepted, unnamed = 0, []
     for _ in range(2000):
@@ -53,6 +55,24 @@ def test_generated_configurations_are_accepted_or_refused_by_name():
         assert all(0 < share < 2**60 for share in memory.needs(experiment).values())
     assert 200 < accepted < 1000
     assert unnamed == []
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_some_that_are_accepted_are_tuned_without_nan():
+    """Those that run the same program as the other tests: compiling takes the time."""
+    rng, base, tuned = np.random.default_rng(2), tiny(), 0
+    program = structure(make_ready(base))
+    while tuned < 20:
+        try:
+            experiment = config.from_dict(configuration(rng, base))
+        except PosegsaError:
+            continue
+        if experiment.run.dtype == base.run.dtype and structure(make_ready(experiment)) == program:
+            found = posegsa.tune(experiment)
+            assert not_numbers(found) == []
+            tuned += experiment != base
+    broken = found.history._replace(best=np.full_like(found.history.best, np.nan))
+    assert not_numbers(dataclasses.replace(found, history=broken)) == ["history.best"]
 
 
 def test_generated_calls_are_answered_or_refused(result):
@@ -206,8 +226,6 @@ def test_measurements_made_by_hand_are_checked_too(result):
 
 
 def test_memory_is_estimated_by_what_takes_it():
-    from posegsa.search import make_ready
-
     with pytest.warns(posegsa.PosegsaWarning):
         task = make_ready(tiny())
     held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.everywhere.tracks))
