@@ -1,13 +1,12 @@
 """What can't be used is refused by its name, wherever it comes in."""
 
-import dataclasses
 import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from generated import call, configuration, not_numbers, structure
+from generated import call, configuration
 from test_tuning import TINY, tiny
 
 import posegsa
@@ -37,7 +36,7 @@ def result():
 
 
 def test_generated_configurations_are_accepted_or_refused_by_name():
-    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few of them below."""
+    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few in `test_tuning.py`."""
     rng, base = np.random.default_rng(0), tiny()
     accepted, unnamed = 0, []
     for _ in range(2000):
@@ -55,24 +54,6 @@ def test_generated_configurations_are_accepted_or_refused_by_name():
         assert all(0 < share < 2**60 for share in memory.needs(experiment).values())
     assert 200 < accepted < 1000
     assert unnamed == []
-
-
-@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_some_that_are_accepted_are_tuned_without_nan():
-    """Those that run the same program as the other tests: compiling takes the time."""
-    rng, base, tuned = np.random.default_rng(2), tiny(), 0
-    program = structure(make_ready(base))
-    while tuned < 20:
-        try:
-            experiment = config.from_dict(configuration(rng, base))
-        except PosegsaError:
-            continue
-        if experiment.run.dtype == base.run.dtype and structure(make_ready(experiment)) == program:
-            found = posegsa.tune(experiment)
-            assert not_numbers(found) == []
-            tuned += experiment != base
-    broken = found.history._replace(best=np.full_like(found.history.best, np.nan))
-    assert not_numbers(dataclasses.replace(found, history=broken)) == ["history.best"]
 
 
 def test_generated_calls_are_answered_or_refused(result):
