@@ -1,12 +1,13 @@
 """Faults of whoever calls: hostile configurations and arguments, refused in words or answered."""
 
 import sys
+import tempfile
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 from readme import ROOT
 
+import posegsa
 from posegsa import config
 
 sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
@@ -18,28 +19,35 @@ STRUCTURES = (
     ("filter.law=printed", "gain.signal=pose", "fuzzy.no_rule=midrange"),
     ("fuzzy.centroid=sampled", "fuzzy.ordering=false", "fuzzy.coverage=false"),
     ("run.dtype=float64", "objective.name=cvar", "gsa.bounds=reflect"),
+    ("search.optimiser=pso", "objective.name=mean_std"),
+    ("search.optimiser=de", "search.agents=4"),
 )
 """What is compiled; the numbers in it are drawn by the hundred."""
-MOST_STRUCTURES = 14
-"""Programs compiled in one piece of the campaign, for seconds each."""
+TUNED_STRUCTURES = 12
+"""Those that are tuned whole in one piece of the campaign: the first ones, in which most
+configurations fall. What a whole tune compiles takes some ten seconds, and a search alone three."""
+WRITTEN = 10
+"""One of so many whole tunes is written to a folder and read back, for seconds too."""
 
 
 def inputs(wanted: int, rng: np.random.Generator) -> Counter:
-    """Configurations: refused in words, or run to a result without NaN."""
+    """Configurations: refused in words, or run to a result without NaN, all of them."""
     import generated
     import jax
 
     from posegsa.errors import PosegsaError
     from posegsa.search import make_ready, run_search
 
-    counts: Counter = Counter()
+    names = ("configurations tuned whole", "of these written and read back")
+    names += ("configurations searched only", "results with NaN", "other exceptions")
+    counts: Counter = Counter(dict.fromkeys(names, 0))
     tiny = [
         *("scenario.duration=0.3", "cost.steady_window=[10, 29]", "cost.transient_window=[0, 5]"),
         *("search.agents=3", "search.iterations=2", "run.training_scenarios=2"),
+        "run.held_out_scenarios=3",
     ]
     bases = [config.override(config.Experiment(), [*tiny, *s]) for s in STRUCTURES]
-    shape = jax.tree.structure
-    known = {}
+    whole: dict[tuple, bool] = {}
     while counts["configurations"] < wanted:
         base = bases[rng.integers(len(bases))]
         counts["configurations"] += 1
@@ -48,34 +56,46 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
         except PosegsaError:
             counts["configurations refused by name"] += 1
             continue
-        # A new structure compiles for seconds: the first ones are run, and all of what has the
-        # structure of one that has been.
         try:
             with jax.enable_x64(experiment.run.dtype == "float64"):
                 task = make_ready(experiment)
-                arrays = (task.training, task.space)
-                shapes = tuple((a.shape, a.dtype) for a in jax.tree.leaves(arrays))
-                key = (shape(arrays), shapes, task.optimiser, experiment.objective)
-                if key not in known and len(known) >= MOST_STRUCTURES:
-                    counts["configurations accepted, not compiled"] += 1
-                    continue
-                known[key] = True
-                search = run_search(task).search
+                kind = generated.structure(task)
+                found = None
+                if not whole.setdefault(kind, len(whole) < TUNED_STRUCTURES):
+                    found = run_search(task).search
+            if found is None:
+                nan, best = tuned_whole(experiment, counts)
+            else:
+                counts["configurations searched only"] += 1
+                best = float(found.best_cost)
+                numbers = (best, found.best_position, found.history.best)
+                nan = any(np.isnan(a).any() for a in numbers)
         except PosegsaError:
             counts["configurations refused by name"] += 1
             continue
         counts["configurations run"] += 1
-        best = np.asarray(search.best_position)
-        nan = np.isnan(float(search.best_cost)) or not np.isfinite(best).all()
-        counts["results with NaN"] += bool(nan or np.isnan(search.history.best).any())
-        counts["configurations run, no agent with a finite cost"] += bool(
-            np.isinf(float(search.best_cost))
-        )
-    counts["other exceptions"] += 0  # they would have ended the campaign
-    return counts
+        counts["results with NaN"] += nan
+        counts["configurations run, no agent with a finite cost"] += int(np.isinf(best))
+    return counts  # other exceptions would have ended the campaign
 
 
-def calls(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
+def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, float]:
+    """Tune, sometimes with a folder; whether something is NaN, and the best cost."""
+    import generated
+
+    count = "configurations tuned whole"
+    if counts[count] % WRITTEN == 0:
+        with tempfile.TemporaryDirectory() as folder:
+            posegsa.tune(experiment, out=folder)
+            result = posegsa.load(folder)
+        counts["of these written and read back"] += 1
+    else:
+        result = posegsa.tune(experiment)
+    counts[count] += 1
+    return bool(generated.not_numbers(result)), result.best_cost
+
+
+def calls(wanted: int, rng: np.random.Generator) -> Counter:
     """Calls of public functions: refused in words, or answered."""
     import generated
     from test_bad_input import some_result

@@ -155,7 +155,7 @@ def main() -> None:
             counted.update(disks(folder / "disks"))
         if options.inputs:
             counted.update(inputs(options.inputs, rng))
-            counted.update(calls(options.inputs, rng, folder))
+            counted.update(calls(options.inputs, rng))
         if options.overhead:
             measured = overhead(options.overhead, folder / "overhead")
     print(table({**counted, **measured}))

@@ -7,10 +7,17 @@ import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Self
 
 from posegsa import interrupt
+from posegsa.cli_arguments import (
+    add_config,
+    add_folder,
+    add_quiet,
+    add_settings,
+    whole_number,
+)
 from posegsa.cli_compare import add_compare
+from posegsa.cli_progress import TuneBar
 from posegsa.errors import (
     ArgumentError,
     PosegsaError,
@@ -69,17 +76,11 @@ def _parser() -> argparse.ArgumentParser:
         description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
         "report.html, result.json, history.csv, trajectory.csv and figures/ to a folder.",
     )
-    tune.add_argument(
-        "config",
-        nargs="?",
-        metavar="CONFIG",
-        help="TOML file of the experiment; without it, the recommended experiment, or that of the "
-        "run to resume",
-    )
-    tune.add_argument(
-        "--out",
-        metavar="DIR",
-        help=f"folder to write to, checkpoints too (default: {DEFAULT_OUT})",
+    add_config(tune, otherwise=", or that of the run to resume")
+    add_folder(
+        tune,
+        f"folder to write to, checkpoints too (default: {DEFAULT_OUT})",
+        replaced="the run that the folder holds",
     )
     tune.add_argument(
         "--resume",
@@ -89,16 +90,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     tune.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
     tune.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
-    tune.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="replaces a value of the experiment, e.g. filter.substeps=4; may be given again",
-    )
-    tune.add_argument(
-        "--overwrite", action="store_true", help="replace the run that the folder holds"
-    )
+    add_settings(tune, "filter.substeps=4")
+    add_quiet(tune)
     together = tune.add_argument_group(
         "several processes",
         "The same command in each, on one machine or many; the first writes the files. Without "
@@ -110,7 +103,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     together.add_argument("--processes", type=int, metavar="N", help="how many they are")
     together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
-    tune.add_argument("--quiet", action="store_true", help="show no progress")
     tune.set_defaults(command=_tune)
     evaluate = commands.add_parser(
         "evaluate",
@@ -122,14 +114,14 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("run", metavar="RUN", help="folder of a finished run")
     evaluate.add_argument(
         "--scenarios",
-        type=_count,
+        type=whole_number(2),
         default=1000,
         metavar="S",
         help="number of held-out scenarios (default: %(default)s)",
     )
     evaluate.add_argument(
         "--seed",
-        type=_seed,
+        type=whole_number(0, 2**31 - 1),
         metavar="N",
         help="another held-out set than the run's own; any whole number from 0",
     )
@@ -146,18 +138,6 @@ def _parser() -> argparse.ArgumentParser:
     export.set_defaults(command=_export)
     add_compare(commands)
     return parser
-
-
-def _count(text: str) -> int:
-    if not (text.isdecimal() and int(text) >= 2):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 2")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not (text.isdecimal() and int(text) < 2**31):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 0 to 2147483647")
-    return int(text)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -208,14 +188,12 @@ def _tune(options: argparse.Namespace) -> int:
     from posegsa.tuning import tune
 
     first = _join(options)
-    if options.config is not None:
-        experiment = config.load(options.config)
-    elif options.resume is not None:
+    if options.config is None and options.resume is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
             experiment = begun(Path(options.resume)).experiment
     else:
-        experiment = config.Experiment()
+        experiment = config.as_experiment(options.config)
     settings = list(options.set)
     if options.seed is not None:
         settings.append(f"run.seed={options.seed}")
@@ -225,7 +203,7 @@ def _tune(options: argparse.Namespace) -> int:
     out = options.out
     if out is None and options.resume is None:
         out = DEFAULT_OUT
-    with _Progress(experiment.search.iterations, quiet=options.quiet or not first) as show:
+    with TuneBar(experiment.search.iterations, quiet=options.quiet or not first) as show:
         result = tune(
             experiment,
             out=out,
@@ -255,47 +233,6 @@ def _join(options: argparse.Namespace) -> bool:
 
     join(**given)
     return jax.process_index() == 0
-
-
-class _Progress:
-    """A progress bar: iteration, best cost, rate, time left."""
-
-    def __init__(self, iterations: int, *, quiet: bool) -> None:
-        from tqdm import tqdm
-
-        self.bar = tqdm(
-            total=iterations,
-            desc="compiling",
-            unit="it",
-            disable=quiet,
-            dynamic_ncols=True,
-            bar_format="{desc} {bar} {n_fmt}/{total_fmt} "
-            "[{elapsed}<{remaining}, {rate_fmt}{postfix}]",
-        )
-        self.bar.refresh()
-        self.searching = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __call__(self, progress) -> None:
-        if not self.searching:
-            # Rate and time left are those of the search: the clock starts after compiling.
-            self.searching = True
-            self.bar.reset(total=progress.iterations)
-            self.bar.initial = self.bar.n = progress.iteration
-            self.bar.set_description_str("tuning")
-            return
-        self.bar.set_postfix_str(f"best cost {progress.best_cost:.4g}", refresh=False)
-        self.bar.update(progress.iteration - self.bar.n)
-        if progress.iteration == progress.iterations:
-            self.bar.set_description_str("judging on unseen scenarios")
-
-    def __exit__(self, kind, error, traceback) -> None:
-        """End the bar's line, however the search ended."""
-        self.bar.leave = self.searching or error is None
-        self.bar.set_description_str("done" if error is None else "stopped")
-        self.bar.close()
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:

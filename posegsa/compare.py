@@ -1,8 +1,7 @@
 """`posegsa compare`: optimisers at equal budgets on the same scenarios, or on a test function."""
 
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -12,9 +11,11 @@ import numpy as np
 from jax import Array
 
 from posegsa import config
-from posegsa.compared import DIGITS, Comparison, Gradients, Repeat, from_json
+from posegsa.arguments import check_callable, check_whole
+from posegsa.compared import DIGITS, NO_MATTER, Comparison, Gradients, Repeat, from_json
 from posegsa.errors import ConfigError, RunFolderError
 from posegsa.figure_style import png
+from posegsa.files import write_atomically
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -22,7 +23,6 @@ from posegsa.named_optimisers import make_optimiser, specify
 from posegsa.optimisers import (
     AnyOptimiser,
     Polish,
-    Search,
     advance,
     advance_on_host,
     evaluations_spent,
@@ -31,8 +31,9 @@ from posegsa.optimisers import (
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.plots_compare import plot_comparison
 from posegsa.population import costs_by_scenario
+from posegsa.run_folder import as_path, claimed, read, replace_files, writing
 from posegsa.runtime import environment
-from posegsa.search import CHUNKS, Progress, first_search, make_ready, run_search
+from posegsa.search import Found, Progress, first_search, make_ready, run_in_chunks, run_search
 
 OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
 """What is compared unless something else is asked for."""
@@ -40,6 +41,8 @@ POINTS = 250
 """Iterations of a search whose best cost is kept, and some more of the first."""
 DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
 """The files of a comparison."""
+MAX_BYTES = 2**27
+"""Size up to which a comparison is read: 128 MiB."""
 
 
 class Status(NamedTuple):
@@ -62,8 +65,8 @@ class Subject(Protocol):
 
     def search(
         self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> tuple[Search, float, float]:
-        """The finished search, and the seconds to compile it and to run it."""
+    ) -> Found:
+        """The finished search, and how long it took."""
         ...
 
     def held_out(self, position: Array) -> float | None:
@@ -82,7 +85,7 @@ class _Filter:
 
     def search(
         self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> tuple[Search, float, float]:
+    ) -> Found:
         task = self.task._replace(optimiser=optimiser)
         return run_search(task, progress, search=first_search(task, key))
 
@@ -105,23 +108,15 @@ class _Function:
 
     def search(
         self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> tuple[Search, float, float]:
+    ) -> Found:
         on_host = getattr(optimiser, "on_host", False)
         go = (
             partial(advance_on_host, optimiser, self.costs, self.box, numpy_objective=False)
             if on_host
             else partial(_advance, optimiser, self.function, self.box)
         )
-        begun = time.perf_counter()
-        search = jax.block_until_ready(go(start(optimiser, self.box, key), 0))
-        compiled, end = time.perf_counter(), optimiser.iterations
-        chunk = -(-end // CHUNKS)
-        for done in range(0, end, chunk):
-            stop = min(done + chunk, end)
-            search = go(search, stop)
-            best, seconds = float(search.best_cost), time.perf_counter() - compiled
-            progress(Progress(stop, end, best, seconds))
-        return search, compiled - begun, time.perf_counter() - compiled
+        begin = start(optimiser, self.box, key)
+        return run_in_chunks(go, begin, optimiser.iterations, progress)
 
     def held_out(self, position: Array) -> None:
         del position
@@ -166,19 +161,23 @@ def compare(
         The comparison; of a folder also those optimisers that it held before, after the others.
 
     Raises:
-        ConfigError: The experiment, an optimiser's name or setting, or a number is not valid.
-        RunFolderError: `out` holds another comparison, or can't be used.
+        ConfigError: The experiment, or an optimiser's name or setting, is not valid.
+        ArgumentError: A number is out of its range, or an argument is of the wrong type.
+        RunFolderError: `out` holds another comparison, can't be used, or another process is writing
+            there.
     """
-    one = _loaded(experiment)
+    check_callable("progress", progress)
+    one = config.as_experiment(experiment)
     names = list(dict.fromkeys(optimisers))
     if not names:
         raise ConfigError("optimisers: none were given; allowed: at least one")
-    for label, value in (("repeats", repeats), ("evaluations", evaluations)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ConfigError(f"{label} = {value!r}; allowed: a whole number from 1")
+    check_whole("repeats", repeats, 1, 10**6)
+    check_whole("evaluations", evaluations, 1, 10**12)
     specified = {name: specify(one, name, evaluations) for name in names}
     made = {name: make_optimiser(experiment) for name, experiment in specified.items()}
-    with jax.enable_x64(one.run.dtype == "float64"):
+    # A run in that folder has files of other names: nothing of it is overwritten.
+    place = nullcontext() if out is None else claimed(out, overwrite=True)
+    with place as folder, jax.enable_x64(one.run.dtype == "float64"):
         subject: Subject = _Filter(one) if function is None else _Function(function)
         ran = Comparison(
             subject.title,
@@ -188,17 +187,17 @@ def compare(
             {name: used for name, each in made.items() if (used := _gradients(each))},
             environment(),
         )
-        if out is not None:
-            _take_over(Path(out), ran, overwrite=overwrite)
+        if folder is not None:
+            _take_over(folder, ran, overwrite=overwrite)
         for name, optimiser in made.items():
             for repeat in range(len(ran.repeats[name]), repeats):
                 key = jax.random.fold_in(keys(one.run.seed).search, repeat)
                 tell = _teller(progress, name, repeat, repeats)
                 ran.repeats[name].append(_search(subject, optimiser, key, tell))
-                if out is not None:
-                    _write(Path(out) / DATA, ran.to_json())
-    if out is not None:
-        save(ran, out, levels)
+                if folder is not None:
+                    _keep(folder, ran)
+        if folder is not None:
+            _save(folder, ran, levels)
     return ran
 
 
@@ -208,37 +207,36 @@ def load_comparison(folder: str | Path) -> Comparison:
     Raises:
         RunFolderError: It holds none, or one that can't be read.
     """
-    path = Path(folder) / DATA
+    folder = as_path("folder", folder)
     try:
-        return from_json(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RunFolderError(f"{folder}: holds no comparison ({DATA} is missing)") from None
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunFolderError(f"{path}: cannot be read as a comparison: {error}") from None
+        return from_json(read(folder, DATA, MAX_BYTES))
+    except RunFolderError:
+        raise
+    except OSError as error:
+        raise RunFolderError(f"{folder}: holds no comparison ({DATA}: {error.strerror})") from None
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise RunFolderError(f"{folder / DATA}: cannot be read as a comparison: {error}") from None
 
 
-def save(comparison: Comparison, folder: str | Path, levels: Sequence[float] | None = None) -> None:
-    """Write a comparison's JSON, table and figure to a folder.
-
-    Raises:
-        RunFolderError: It can't be written to.
-    """
-    folder = Path(folder)
-    _write(folder / DATA, comparison.to_json())
-    _write(folder / TABLE, comparison.table(levels) + "\n")
-    with _writing(folder):
-        (folder / FIGURE).write_bytes(png(plot_comparison(comparison)))
+def _keep(folder: Path, comparison: Comparison) -> None:
+    """Write what has been searched so far to its folder."""
+    with writing(folder):
+        write_atomically(folder / DATA, comparison.to_json())
 
 
-def _loaded(experiment: config.Experiment | str | Path | None) -> config.Experiment:
-    if experiment is None:
-        return config.Experiment()
-    return experiment if isinstance(experiment, config.Experiment) else config.load(experiment)
+def _save(folder: Path, comparison: Comparison, levels: Sequence[float] | None) -> None:
+    """Write a comparison's JSON, table and figure to its folder."""
+    files = {
+        DATA: comparison.to_json().encode(),
+        TABLE: f"{comparison.table(levels)}\n".encode(),
+        FIGURE: png(plot_comparison(comparison)),
+    }
+    replace_files(folder, files, remove=())
 
 
 def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
-    """What searches depend on: all but what `compare` sets itself."""
-    data = experiment.model_dump(mode="json")
+    """What searches depend on: all but what `compare` sets itself or does not use."""
+    data = experiment.model_dump(mode="json", exclude={NO_MATTER})
     for key in ("optimiser", "iterations"):
         del data["search"][key]
     if function is None:
@@ -260,12 +258,9 @@ def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
     """Put what a folder holds of this comparison into it; the others of it come after.
 
     Raises:
-        RunFolderError: The folder holds another comparison, or can't be used.
+        RunFolderError: The folder holds another comparison, or one that can't be read.
     """
-    with _writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     if not (folder / DATA).exists():
-        _write(folder / DATA, ran.to_json())  # before the minutes, not after
         return
     try:
         held = load_comparison(folder)
@@ -303,9 +298,9 @@ def _search(
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:
-        if progress.iteration:
+        if progress.iteration:  # not when it is compiled
             stamps.append((progress.iteration, progress.seconds))
-        tell(progress)
+            tell(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = evaluations_spent(optimiser)
@@ -331,22 +326,3 @@ def _kept(iterations: int) -> np.ndarray:
     even = np.linspace(1, iterations, POINTS)
     early = np.geomspace(1, iterations, POINTS // 4)
     return np.unique(np.concatenate([even, early]).round().astype(int)) - 1
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    """Turn what goes wrong while writing to a folder into an error that names it."""
-    try:
-        yield
-    except FileExistsError:
-        raise RunFolderError(f"{folder}: is not a folder") from None
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_suffix(f"{path.suffix}.part")
-    with _writing(path.parent):
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)

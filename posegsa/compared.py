@@ -12,6 +12,8 @@ from posegsa.significance import holm, signed_rank
 
 SCHEMA = 1
 """Version of the file's layout."""
+NO_MATTER = "checkpoint"
+"""The section of an experiment that a comparison does not use; files of before have it."""
 DIGITS = 7
 """Significant digits of the costs over a search that are kept."""
 
@@ -279,7 +281,7 @@ def from_json(text: str) -> Comparison:
     return Comparison(
         str(data["subject"]),
         int(data["budget"]),
-        dict(data["settings"]),
+        {name: value for name, value in data["settings"].items() if name != NO_MATTER},
         {name: [_repeat(r) for r in each] for name, each in data["optimisers"].items()},
         {name: Gradients(**used) for name, used in data["gradients"].items()},
         dict(data["environment"]),

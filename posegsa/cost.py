@@ -17,6 +17,8 @@ class CostWeights(NamedTuple):
     """(N,) 0.3 inside the transient window, else 0 (0.3 as configured)."""
     steady: Array
     """(N,) 1 inside the steady-state window, else 0 (1 as configured)."""
+    window: Array
+    """(N,) whether a sample lies inside the steady-state window, also where that has no weight."""
     position: Array
     """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
 
@@ -37,13 +39,14 @@ def cost_weights(cost: CostConfig, samples: int, dtype: jnp.dtype) -> CostWeight
     """Weights of the configured cost for N = `samples` samples; windows include both ends."""
     k = np.arange(samples)
 
-    def window(weight: float, ends: tuple[int, int]) -> Array:
-        inside = (k >= ends[0]) & (k <= ends[1])
-        return jnp.asarray(np.where(inside, weight, 0.0).astype(dtype))
+    def inside(ends: tuple[int, int]) -> np.ndarray:
+        return (k >= ends[0]) & (k <= ends[1])
 
+    transient, steady = inside(cost.transient_window), inside(cost.steady_window)
     return CostWeights(
-        transient=window(cost.transient_weight, cost.transient_window),
-        steady=window(cost.steady_weight, cost.steady_window),
+        transient=jnp.asarray(np.where(transient, cost.transient_weight, 0.0).astype(dtype)),
+        steady=jnp.asarray(np.where(steady, cost.steady_weight, 0.0).astype(dtype)),
+        window=jnp.asarray(steady),
         position=jnp.asarray(cost.position_weight, dtype),
     )
 

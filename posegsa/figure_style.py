@@ -14,10 +14,15 @@ import matplotlib.style
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+
+from posegsa.config import TERMS
 
 DPI = 200
 """Resolution for print [dots per inch]."""
+START = 1.0
+"""Length of the start of a run that figures show enlarged [s]."""
 WIDTH = 6.5
 """Width of a figure [in]: one column of a page, or both of a two-column one."""
 LOG_RATIO = 30.0
@@ -79,6 +84,30 @@ def legend_above(figure: Figure, ax: Axes) -> None:
     handles, labels = ax.get_legend_handles_labels()
     entries = dict(zip(labels, handles, strict=True))
     figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=len(entries))
+
+
+def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> None:
+    """The scale of a panel's colours, beside it."""
+    bar = figure.colorbar(drawn, ax=ax, pad=0.02)
+    bar.set_label(label)
+    style_ticks(bar.ax)
+
+
+def term_names(count: int) -> Sequence[str]:
+    """Names of so many terms of a fuzzy variable: VS to VL, or numbers where they are not five."""
+    return TERMS if count == len(TERMS) else [str(i + 1) for i in range(count)]
+
+
+def time_parts(time: np.ndarray) -> list[np.ndarray]:
+    """Which samples (N,) panels show: the first START, enlarged, and all; of a short run all."""
+    start, whole = time <= time[0] + START, np.full(len(time), True)
+    enlarge = time[-1] - time[0] >= 2 * START and np.count_nonzero(start) > 2
+    return [start, whole] if enlarge else [whole]
+
+
+def far_apart(costs: np.ndarray) -> bool:
+    """Whether finite costs (n,) differ by more than LOG_RATIO, and so need a logarithmic axis."""
+    return costs.size > 0 and 0 < costs.min() * LOG_RATIO < costs.max()
 
 
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:

@@ -123,7 +123,7 @@ def metrics_of(tracks: Tracks, problem: Problem) -> tuple[Metrics, Bands]:
     )
     total = transient + steady
     finite = np.isfinite(total)
-    window = np.asarray(problem.weights.steady) > 0
+    window = np.asarray(problem.weights.window)
     bias_error = tracks.bias.astype(np.float64) - np.asarray(problem.bias, np.float64)
     last = time > time[-1] - 1
     lost = (np.mean(angle[:, last], axis=1) > DIVERGED_ATTITUDE) | (

@@ -12,30 +12,28 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.arguments import check_type
-from posegsa.config import TERMS
 from posegsa.figure_style import (
     BLACK,
     BLUE,
     GREEN,
-    LOG_RATIO,
     PURPLE,
     SKY,
     TICK_SIZE,
     VERMILION,
     Style,
+    colour_bar,
+    far_apart,
     finish_time,
     finite,
     legend_above,
     panels,
-    style_ticks,
     styled,
+    term_names,
+    time_parts,
 )
 from posegsa.fuzzy import FuzzyController
 from posegsa.optimisers import History
 from posegsa.trajectory import Trajectory
-
-ZOOM = 1.0
-"""Length of the start that `plot_gain` shows enlarged [s]."""
 
 _RESOLUTION = 401  # points along each side of the control surface
 _NO_RULE = "no rule fires"
@@ -97,9 +95,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     ax.set_yscale("function", functions=(_root, _square))
     ax.set(xlim=(0, 1), ylim=(0, 1))
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
-    bar = figure.colorbar(mesh, ax=ax, pad=0.02)
-    bar.set_label("Gain $K$ [1/s]")
-    style_ticks(bar.ax)
+    colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
     if gain.count():
         _plot_contours(ax, axis, gain)
     low, high = controller.output_range
@@ -135,8 +131,7 @@ def plot_convergence(history: History) -> Figure:
     for name, values, style in curves:
         ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **style)
     costs = np.concatenate([finite(values) for _, values, _ in curves])
-    costs = costs[np.isfinite(costs)]
-    if costs.size and 0 < costs.min() * LOG_RATIO < costs.max():
+    if far_apart(costs[np.isfinite(costs)]):
         ax.set_yscale("log")
     ax.set_ylabel("Cost [-]")
     for panel in below:
@@ -206,10 +201,9 @@ def plot_gain(trajectory: Trajectory) -> Figure:
     The second panel enlarges the first second; a run shorter than two has the first panel only.
     """
     time = trajectory.time
-    start = time <= time[0] + ZOOM
-    enlarge = time[-1] - time[0] >= 2 * ZOOM
-    figure, axes = panels(2 if enlarge else 1, 4.6 if enlarge else 3.4, share=False)
-    for ax, part, width in zip(axes, (slice(None), start), (0.5, 1.4), strict=False):
+    parts = time_parts(time)[::-1]
+    figure, axes = panels(len(parts), 4.6 if len(parts) > 1 else 3.4, share=False)
+    for ax, part, width in zip(axes, parts, (0.5, 1.4), strict=False):
         for name, gain, style in (
             ("asked for", trajectory.gain, {"color": SKY, "linewidth": 2 * width}),
             ("used, after the limit", trajectory.gain_used, {"color": BLACK, "linewidth": width}),
@@ -225,7 +219,7 @@ def plot_gain(trajectory: Trajectory) -> Figure:
 def _plot_terms(ax: Axes, terms: np.ndarray, universe: tuple[float, float]) -> None:
     """Triangles (n, 3) over their universe, each named above its peak."""
     low, high = universe
-    names = TERMS if len(terms) == len(TERMS) else [str(i + 1) for i in range(len(terms))]
+    names = term_names(len(terms))
     order = np.argsort(terms[:, 1], kind="stable")
     places = np.empty(len(terms))
     places[order] = _apart(terms[order, 1], 0.055 * (high - low))

@@ -12,31 +12,31 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.comparison import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Evaluation
-from posegsa.config import TERMS
 from posegsa.figure_style import (
     BLACK,
     BLUE,
     GREEN,
-    LOG_RATIO,
     PURPLE,
     TICK_SIZE,
     VERMILION,
     WIDTH,
     Style,
+    colour_bar,
+    far_apart,
     finish_time,
     finite,
     legend_above,
     panels,
     style_ticks,
     styled,
+    term_names,
+    time_parts,
 )
 from posegsa.metrics import Bands, Metrics
 from posegsa.trust import Trust
 
 NAMES = ("costs", "bands", "angles")
 """Names of the figures of an evaluation; it may lack some."""
-START = 1.0
-"""Length of the start that `plot_bands` shows enlarged [s]."""
 ANGLE_SPREAD = 1.0
 """Least range of initial angles over which cost is worth drawing [deg]."""
 
@@ -118,16 +118,14 @@ def plot_bands(evaluation: Evaluation) -> Figure:
     95 % of them, of the runs with a finite cost. The left column enlarges the start.
     """
     time = evaluation.time
-    start = time <= time[0] + START
-    enlarge = time[-1] - time[0] >= 2 * START and np.count_nonzero(start) > 2
-    parts = (start, np.full(len(time), True)) if enlarge else (np.full(len(time), True),)
+    parts = time_parts(time)
     figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
     axes = figure.subplots(
         len(Bands._fields),
         len(parts),
         sharey="row",
         squeeze=False,
-        width_ratios=(2, 3) if enlarge else None,
+        width_ratios=(2, 3) if len(parts) > 1 else None,
     )
     labels = ("Attitude error [deg]", "Position error [m]", "Gain used $K$ [1/s]")
     for row, (label, field) in enumerate(zip(labels, Bands._fields, strict=True)):
@@ -210,14 +208,12 @@ def plot_rules(trust: Trust) -> Figure:
         text = f"{weight:.2g}" if weight > 0 else "never"
         colour = "white" if dark else "black" if weight > 0 else "0.5"
         ax.text(error, rate, text, ha="center", va="center", color=colour, size=TICK_SIZE)
-    names = TERMS if len(weights) == len(TERMS) else [str(i + 1) for i in range(len(weights))]
+    names = term_names(len(weights))
     ax.set_xticks(range(len(weights)), names)
     ax.set_yticks(range(len(weights)), names)
     ax.tick_params(length=0)
     ax.set(xlabel="Term of the scaled error [-]", ylabel="Term of the scaled rate [-]")
-    bar = figure.colorbar(image, ax=ax, pad=0.02)
-    bar.set_label("Mean firing strength [-]")
-    style_ticks(bar.ax)
+    colour_bar(figure, image, ax, "Mean firing strength [-]")
     return figure
 
 
@@ -275,7 +271,7 @@ def _plot_interval(ax: Axes, row: int, mean: float, low: float, high: float) -> 
 
 def _scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
     """A logarithmic axis for costs that differ by more than LOG_RATIO."""
-    if costs.size and 0 < costs.min() * LOG_RATIO < costs.max():
+    if far_apart(costs):
         ax.set(**{f"{axis}scale": "log"})
 
 

@@ -145,14 +145,22 @@ def _advance_batch(
     )
 
 
-def _run(
+def run_in_chunks(
     go: Callable[[Search, int], Search],
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
     keep: Keep | None = None,
 ) -> Found:
-    """Compile a search, run it in chunks from where it stands, and time both."""
+    """Compile a search, run it in chunks from where it stands, and time both.
+
+    Args:
+        go: Takes a search on to an iteration; where it is there already, only compiles.
+        search: Where to begin; or R searches, leaves (R, ...).
+        iterations: Where to end.
+        progress: As `tune`'s.
+        keep: As `run_search`'s.
+    """
     keep = keep if keep is not None else lambda *_: None
     tell = progress if progress is not None else lambda _: None
     keep(collect(search), 0.0, 0.0)
@@ -205,7 +213,7 @@ def run_search(
     """
     search = first_search(task) if search is None else search
     if getattr(task.optimiser, "on_host", False):
-        return _run(_on_host(task), search, task.optimiser.iterations, progress, keep)
+        return run_in_chunks(_on_host(task), search, task.optimiser.iterations, progress, keep)
     objective = task.experiment.objective
     mesh = _mesh(task)
     started, training, space = spread((search, task.training, task.space), mesh)
@@ -213,7 +221,7 @@ def run_search(
     def go(search: Search, stop: int) -> Search:
         return _advance(task.optimiser, objective, mesh, search, training, space, stop)
 
-    return _run(go, started, task.optimiser.iterations, progress, keep)
+    return run_in_chunks(go, started, task.optimiser.iterations, progress, keep)
 
 
 def _mesh(task: Task) -> Mesh | None:
@@ -301,7 +309,7 @@ def search_batch(
     def go(search: Search, stop: int) -> Search:
         return _advance_batch(optimiser, objective, mesh, search, training, space, stop)
 
-    found = _run(go, search, optimiser.iterations, progress)
+    found = run_in_chunks(go, search, optimiser.iterations, progress)
     share = len(tasks)
     return [
         Found(

@@ -208,19 +208,10 @@ def _experiment(
     seed: int | None = None,
     iterations: int | None = None,
 ) -> config.Experiment:
-    """The experiment that a user means."""
-    if experiment is None:
-        experiment = config.Experiment()
-    elif isinstance(experiment, str | os.PathLike):
-        experiment = config.load(experiment)
-    elif not isinstance(experiment, config.Experiment):
-        raise ArgumentError(
-            f"experiment: a {type(experiment).__name__}; allowed: an Experiment "
-            "(posegsa.config.from_dict makes one of plain data) or the path of a TOML file"
-        )
+    """The experiment that a user means, with a seed and a number of iterations if given."""
     given = {"run.seed": seed, "search.iterations": iterations}
     settings = [f"{key}={_written(value)}" for key, value in given.items() if value is not None]
-    return config.override(experiment, settings)
+    return config.override(config.as_experiment(experiment), settings)
 
 
 def _written(value: object) -> str:

@@ -1,7 +1,7 @@
 """Configurations and API calls as a careless or hostile user might make them, by the thousand.
 
-The tests judge some thousands of them at the validators; `benchmarks/faults.py` runs what is
-accepted, too.
+The tests judge some thousands of them at the validators and tune a few; the campaign of
+`benchmarks/faults.py` runs all that are accepted, most of them as whole tunes.
 """
 
 import copy
@@ -15,6 +15,8 @@ import numpy as np
 
 import posegsa
 from posegsa import config
+from posegsa.comparison import TUNED
+from posegsa.search import Task
 
 HOSTILE: tuple[Any, ...] = (
     *(float("nan"), float("inf"), -float("inf"), -1, 0, 1, -0.0, 0.5, 1e308, -1e308, 5e-324),
@@ -27,6 +29,7 @@ HOSTILE: tuple[Any, ...] = (
 WORDS = ("gradient", "printed", "measured", "pose", "exact", "sampled", "sum", "trapezoid", "hold")
 WORDS += ("midrange", "mean", "median", "worst", "cvar", "mean_std", "gsa", "random_search", "all")
 WORDS += ("dimension", "agent", "redraw", "clip", "reflect", "float32", "float64", "VS", "VL")
+WORDS += ("pso", "de", "rand/1/bin", "best/1/bin")
 
 
 def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
@@ -74,6 +77,46 @@ def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str
         else:
             node[path[-1]] = changed(rng, node[path[-1]])
     return data
+
+
+def structure(task: Task) -> tuple[Any, ...]:
+    """What a search is compiled for: tasks in which it is equal run the same program."""
+    leaves, tree = jax.tree.flatten((task.training, task.space))
+    return (
+        tree,
+        tuple((a.shape, a.dtype) for a in leaves),
+        task.optimiser,
+        task.experiment.objective,
+    )
+
+
+def not_numbers(result: posegsa.TuneResult) -> list[str]:
+    """What of a result is NaN and should not be.
+
+    NaN may stand where there is nothing to tell: for the mean cost of an iteration in which a cost
+    was not finite, and for what is measured of a run whose own cost is not finite.
+    """
+    history, trust, contenders = result.history, result.trust, result.evaluation.contenders
+    seen: dict[str, Any] = {
+        "best_cost": result.best_cost,
+        "parameters": result.parameters,
+        "training_costs": result.training_costs,
+        "constant_gain": result.constant_gain,
+        "constant_training_costs": result.constant_training_costs,
+        "history.best": history.best,
+        "history.mean": history.mean[history.non_finite == 0],
+        "trust": [trust.cost_float32, trust.cost_float64, trust.cost_perturbed, trust.uncovered],
+    }
+    for name, found in contenders.items():
+        good = np.isfinite(found.metrics.cost)
+        for field, values in found.metrics._asdict().items():
+            seen[f"{name}: {field}"] = values if field == "cost" else values[good]
+        if good.any():
+            seen |= {f"{name}: band of {key}": a for key, a in found.bands._asdict().items()}
+    if np.isfinite(contenders[TUNED].metrics.cost[0]):
+        seen |= {f"trajectory.{key}": a for key, a in vars(result.trajectory).items()}
+        seen["trust.rule_weights"] = trust.rule_weights
+    return [name for name, values in seen.items() if np.isnan(values).any()]
 
 
 class Call(NamedTuple):

@@ -12,6 +12,7 @@ from test_tuning import TINY, tiny
 import posegsa
 from posegsa import config, memory
 from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
+from posegsa.search import make_ready
 
 SECTIONS = tuple(config.Experiment.model_fields)
 
@@ -35,7 +36,7 @@ def result():
 
 
 def test_generated_configurations_are_accepted_or_refused_by_name():
-    """Accepted ones run, by the hundred: `benchmarks/faults.py`."""
+    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few in `test_tuning.py`."""
     rng, base = np.random.default_rng(0), tiny()
     accepted, unnamed = 0, []
     for _ in range(2000):
@@ -206,8 +207,6 @@ def test_measurements_made_by_hand_are_checked_too(result):
 
 
 def test_memory_is_estimated_by_what_takes_it():
-    from posegsa.search import make_ready
-
     with pytest.warns(posegsa.PosegsaWarning):
         task = make_ready(tiny())
     held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.everywhere.tracks))

@@ -1,6 +1,7 @@
 """`posegsa compare`: on the filter and on functions, its folder, its table and its figure."""
 
 import json
+import shutil
 import sys
 
 import jax
@@ -11,9 +12,10 @@ from test_tuning import tiny
 
 import posegsa
 from posegsa.cli import main
+from posegsa.cli_progress import CompareBar
 from posegsa.compare import Status, _search, load_comparison
 from posegsa.compared import Comparison, Gradients, Repeat, from_json
-from posegsa.errors import ConfigError, RunFolderError
+from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -21,6 +23,7 @@ from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.plots_compare import plot_comparison
 from posegsa.population import costs_by_scenario
+from posegsa.run_folder import claimed
 from posegsa.search import make_ready
 
 SPHERE = ClassicalFunction("sphere", 2)
@@ -166,11 +169,63 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
         load_comparison(tmp_path)
+    (tmp_path / "comparison.json").write_text("[" * 100000)
+    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+        load_comparison(tmp_path)
     with pytest.raises(RunFolderError, match="holds no comparison"):
         load_comparison(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(RunFolderError, match="is not a folder"):
         posegsa.compare(tiny(), **(same | {"out": tmp_path / "file", "evaluations": 32}))
+    with claimed(folder, overwrite=True), pytest.raises(RunFolderError, match="another run is"):
+        posegsa.compare(tiny(), **(same | {"evaluations": 32}))
+
+
+def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp_path) -> None:
+    _, folder, _ = on_sphere
+    shutil.copytree(folder, tmp_path / "copy")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(path, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("posegsa.run_folder.write_synced", full)
+    with pytest.raises(RunFolderError, match="cannot be written: No space left"):
+        posegsa.compare(
+            tiny(),
+            optimisers=["gsa"],
+            repeats=1,
+            evaluations=32,
+            function=SPHERE,
+            out=tmp_path / "copy",
+        )
+    assert {p.name: p.read_bytes() for p in (tmp_path / "copy").iterdir()} == before
+
+
+def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
+    """How often checkpoints are made; comparisons of before have it among their settings."""
+    monkeypatch.setattr(
+        sys.modules["posegsa.compare"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
+    )
+    monkeypatch.setattr(sys.modules["posegsa.compare"], "_Filter", Unsearched)
+    same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
+    posegsa.compare(tiny(), repeats=1, **same)
+    data = json.loads((tmp_path / "comparison.json").read_text())
+    data["settings"]["checkpoint"] = {"iterations": 100, "seconds": 10.0, "keep": 2}
+    (tmp_path / "comparison.json").write_text(json.dumps(data))
+    more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
+    assert len(more.repeats["gsa"]) == 2
+    with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
+        posegsa.compare(tiny("filter.gamma=7.0"), repeats=2, **same)
+
+
+class Unsearched:
+    """A filter that takes no time to make ready."""
+
+    title = "a filter"
+
+    def __init__(self, experiment) -> None:
+        del experiment
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -198,7 +253,21 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
     assert "to 9000" in said.out
     assert "random 2/2" in said.err
+    assert "done" in said.err
+    assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
+
+
+@pytest.mark.parametrize(("begun", "said"), [(True, "stopped"), (False, "")])
+def test_the_bar_says_that_it_stopped_unless_nothing_had_begun(begun, said, capsys) -> None:
+    show = CompareBar(["gsa", "de"], 2, quiet=False)
+    if begun:
+        show(Status("de", 1, 2, 0.5, 3.0))
+        assert show.bar.n == 3.5
+    with pytest.raises(KeyboardInterrupt), show:
+        raise KeyboardInterrupt
+    last = capsys.readouterr().err.replace("\n", "").split("\r")[-1]
+    assert last.strip()[:7] == said
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -219,5 +288,7 @@ def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) 
 
 @pytest.mark.parametrize("arguments", [{"repeats": 0}, {"evaluations": 2.5}, {"repeats": True}])
 def test_bad_numbers_are_refused_by_name(arguments: dict) -> None:
-    with pytest.raises(ConfigError, match=f"{next(iter(arguments))} = .*; allowed: a whole number"):
+    with pytest.raises(
+        ArgumentError, match=f"{next(iter(arguments))} = .*; allowed: a whole number"
+    ):
         posegsa.compare(tiny(), **arguments)

@@ -54,6 +54,8 @@ LAYERS = [
     "tuning",
     "evaluate",
     "__init__",
+    "cli_arguments",
+    "cli_progress",
     "cli_compare",
     "cli",
     "__main__",

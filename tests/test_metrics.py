@@ -8,6 +8,7 @@ from builders import quietly
 
 from posegsa import config, metrics
 from posegsa.config import Experiment
+from posegsa.cost import cost_weights
 from posegsa.gain import ConstantGain
 from posegsa.keys import scenario_keys
 from posegsa.metrics import Tracks, metrics_of, run, take
@@ -64,6 +65,18 @@ def test_rms_and_angles_are_in_degrees_and_metres(posed):
     np.testing.assert_allclose(found.rms_position, 0.25, rtol=1e-6)
     np.testing.assert_allclose(found.initial_angle, 30, rtol=1e-6)
     np.testing.assert_allclose(bands.attitude, 30, rtol=1e-6)
+
+
+@pytest.mark.parametrize("weight", [0.0, 5e-324])
+def test_the_rms_is_that_of_the_window_also_where_it_has_no_weight(posed, tracks, weight):
+    """5e-324 is 0 in float32."""
+    cost = EXPERIMENT.cost.model_copy(update={"steady_weight": weight})
+    weights = cost_weights(cost, 200, jnp.dtype("float32"))
+    found, _ = metrics_of(tracks, posed._replace(weights=weights))
+    assert found.steady.tolist() == [0.0] * 5
+    weighted, _ = metrics_of(tracks, posed)
+    np.testing.assert_array_equal(found.rms_attitude, weighted.rms_attitude)
+    np.testing.assert_array_equal(found.rms_position, weighted.rms_position)
 
 
 def test_divergence_is_lost_errors_or_no_finite_cost(posed):

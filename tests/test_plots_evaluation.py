@@ -12,6 +12,7 @@ from test_plots import legend, lines
 
 from posegsa import plots_evaluation as plots
 from posegsa.comparison import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Contender, Evaluation
+from posegsa.figure_style import START
 from posegsa.metrics import Bands, Metrics
 from posegsa.trust import Trust
 
@@ -152,7 +153,7 @@ def test_bands_are_the_quantiles_of_three_contenders():
     assert legend(figure) == [TUNED, CONSTANT, ORACLE]
     labels = [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
     assert labels == ["Attitude error [deg]", "Position error [m]", "Gain used $K$ [1/s]"]
-    start = TIME <= plots.START
+    start = TIME <= START
     for i, ax in enumerate(figure.axes):
         row, part = i // 2, start if i % 2 == 0 else slice(None)
         assert ax.get_yscale() == ("linear" if row == 2 else "log")

@@ -1,5 +1,6 @@
 """The main job through the API: result, folder, and what must hold of both."""
 
+import dataclasses
 import json
 import math
 import os
@@ -10,6 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from generated import configuration, not_numbers, structure
 
 import posegsa
 from posegsa import config
@@ -18,7 +20,7 @@ from posegsa.errors import ConfigError, MeasurementError, RunFolderError, Search
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
 from posegsa.scenario import scenario
-from posegsa.search import Progress, make_optimiser
+from posegsa.search import Progress, make_optimiser, make_ready
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -305,6 +307,22 @@ def test_a_box_of_zero_width_fixes_its_parameter():
     result = posegsa.tune(tiny("parameters.lower.0=0.1", "parameters.upper.0=0.1"))
     assert result.parameters[0] == np.float32(0.1)
     assert len(set(result.parameters)) > 15
+
+
+def test_generated_configurations_are_tuned_without_nan(run):
+    """Those that run the same program as the tests above: compiling takes the time."""
+    rng, base, tuned = np.random.default_rng(2), tiny(), 0
+    program = structure(make_ready(base))
+    while tuned < 20:
+        try:
+            experiment = config.from_dict(configuration(rng, base))
+        except ConfigError:
+            continue
+        if experiment.run.dtype == base.run.dtype and structure(make_ready(experiment)) == program:
+            assert not_numbers(posegsa.tune(experiment)) == []
+            tuned += experiment != base
+    broken = run[0].history._replace(best=np.full(4, np.nan))
+    assert not_numbers(dataclasses.replace(run[0], history=broken)) == ["history.best"]
 
 
 def test_a_bad_seed_names_its_key():

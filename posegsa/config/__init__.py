@@ -13,7 +13,7 @@ from posegsa.config.experiment import (
     RunConfig,
 )
 from posegsa.config.family import FamilyConfig
-from posegsa.config.files import from_dict, load, override, to_toml
+from posegsa.config.files import as_experiment, from_dict, load, override, to_toml
 from posegsa.config.optimisers import (
     AdamConfig,
     DeConfig,
@@ -62,6 +62,7 @@ __all__ = [
     "SearchConfig",
     "Sine",
     "Vector",
+    "as_experiment",
     "from_dict",
     "load",
     "override",

@@ -36,6 +36,25 @@ def load(path: str | Path) -> Experiment:
     return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
 
 
+def as_experiment(value: Experiment | str | Path | None) -> Experiment:
+    """The experiment that a user means: one, that of a TOML file, or the recommended one for None.
+
+    Raises:
+        ArgumentError: It is something else.
+        ConfigError: The file cannot be read, is not TOML or is not a valid experiment.
+    """
+    if value is None:
+        return Experiment()
+    if isinstance(value, str | os.PathLike):
+        return load(value)
+    allowed = (
+        "an Experiment (posegsa.config.from_dict makes one of plain data) or the path of a TOML "
+        "file"
+    )
+    check_type("experiment", value, Experiment, allowed=allowed)
+    return value
+
+
 def from_dict(data: Mapping[str, Any]) -> Experiment:
     """Makes an experiment of plain data, sections by name, as `load` reads them from TOML.
 
