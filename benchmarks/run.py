@@ -12,15 +12,13 @@ pip install ".[bench]". A contender whose tools are missing is skipped, and the 
 """
 
 import argparse
-import datetime
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import venv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
@@ -30,6 +28,7 @@ import numpy as np
 from contenders import c, numpy_vectorised
 from contenders.plain_loop import CHECKED
 from contenders.scene import Scene, load
+from machine import machine
 from readme import write_block
 from run_tables import (
     NUMBA,
@@ -207,18 +206,13 @@ class Benchmark:
         if self.built is not None:
             words += ["--against", self.built]
         found = worker("time", *words, cache=self.cache)
-        self.rows.append(
-            Row(
-                POSEGSA,
-                devices,
-                agents,
-                scenarios,
-                dtype,
-                found["best"],
-                found["median"],
-                found.get("c_best"),
-            )
-        )
+        row = Row(POSEGSA, devices, agents, scenarios, dtype)
+        # C's costs of the same agents and scenarios; in float32 always.
+        if not found.get("c_difference", 0.0) <= TOLERANCES["float32"]:
+            self.rows.append(replace(row, note=wrong("float32")))
+            return
+        times = {name: found.get(name) for name in ("best", "median", "c_best")}
+        self.rows.append(replace(row, **times))
         if (agents, scenarios) == (100, 1):
             self._improve_c(devices, found.get("c_best"))
         if dtype == "float32" and scenarios == 1 and devices == self.threads[-1]:
@@ -306,12 +300,7 @@ class Benchmark:
         difference = float(np.max(np.abs(np.array(found["costs"]) / known - 1)))
         row = Row(name, 1, difference=difference, c_best=self.c_best.get(1))
         if not difference <= TOLERANCES["sampled"]:
-            self.rows.append(
-                replace(
-                    row,
-                    note=f"WRONG: costs differ by more than {TOLERANCES['sampled']:g}; not timed",
-                )
-            )
+            self.rows.append(replace(row, note=wrong("sampled")))
             return
         note = f"extrapolated from {found['steps']} steps; sampled centroid, 101 points"
         self.rows.append(replace(row, best=found["seconds_per_step"] * row.steps, note=note))
@@ -322,36 +311,6 @@ def _run(words: list[object], seconds: float) -> str:
         [str(word) for word in words], capture_output=True, text=True, timeout=seconds, check=True
     )
     return said.stdout
-
-
-def machine(jax_version: str, cores: int, load: str) -> dict[str, str]:
-    """What the figures depend on."""
-    return {
-        "load": load,
-        "cpu": " ".join(_cpu()),
-        "cores": str(cores),
-        "compiler": c.compiler_version(),
-        "jax": jax_version,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-        "date": datetime.date.today().isoformat(),
-    }
-
-
-def _cpu() -> Iterator[str]:
-    """Name of the CPU, its family and model where the name says little, and its widest vectors."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]
-    except OSError:
-        yield platform.processor() or platform.machine()
-        return
-    entries = (line.split(":", 1) for line in text.splitlines() if ":" in line)
-    known = {key.strip(): value.strip() for key, value in entries}
-    yield known.get("model name", platform.machine())
-    if "cpu family" in known:
-        yield f"(family {known['cpu family']}, model {known.get('model', '?')})"
-    flags = known.get("flags", "").split()
-    yield next((name for name in ("avx512f", "avx2") if name in flags), "")
 
 
 def page(rows: list[Row], facts: dict[str, Any], about: dict[str, str], command: str) -> str:

@@ -22,8 +22,8 @@ def add_compare(commands) -> None:
         help="compare optimisers at equal budgets",
         description="Runs several optimisers many times on the same training scenarios, or on a "
         "test function, each with the same number of evaluations. Prints a table with paired "
-        "tests; with --out it writes comparison.json, .txt and .png after each search, and goes on "
-        "where it was left.",
+        "tests; with --out it keeps each search in comparison.json, goes on where it was left, and "
+        "ends with comparison.txt and .png.",
     )
     add_config(compare)
     compare.add_argument(

@@ -1,5 +1,6 @@
 """`posegsa compare`: optimisers at equal budgets on the same scenarios, or on a test function."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from functools import partial
@@ -10,10 +11,10 @@ import jax
 import numpy as np
 from jax import Array
 
-from posegsa import config
-from posegsa.arguments import check_callable, check_whole
+from posegsa import config, memory
+from posegsa.arguments import check_callable, check_type, check_whole
 from posegsa.compared import DIGITS, NO_MATTER, Comparison, Gradients, Repeat, from_json
-from posegsa.errors import ConfigError, RunFolderError
+from posegsa.errors import ArgumentError, ConfigError, RunFolderError
 from posegsa.figure_style import png
 from posegsa.files import write_atomically
 from posegsa.gain import FuzzyGain
@@ -28,6 +29,7 @@ from posegsa.optimisers import (
     evaluations_spent,
     start,
 )
+from posegsa.optimisers.checks import check_number
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.plots_compare import plot_comparison
 from posegsa.population import costs_by_scenario
@@ -150,9 +152,9 @@ def compare(
         evaluations: Evaluations of a search, rounded down to whole iterations. A cost with its
             gradient counts as adam.gradient_price.
         function: A test function to minimise instead of the experiment's cost.
-        out: Folder to keep the comparison in, as JSON, table and figure. It is written after each
-            search, and searches that it holds already, of the same problem, budget and settings,
-            are not run again.
+        out: Folder to keep the comparison in. Its JSON is written after each search, table and
+            figure at the end; searches that it holds already, of the same problem, budget and
+            settings, are not run again.
         overwrite: Replace a comparison of something else in that folder.
         levels: Costs to reach, in the table that is written to `out`; by default medians.
         progress: Told several times a search where it stands.
@@ -161,20 +163,29 @@ def compare(
         The comparison; of a folder also those optimisers that it held before, after the others.
 
     Raises:
-        ConfigError: The experiment, or an optimiser's name or setting, is not valid.
+        ConfigError: The experiment, or an optimiser's name or setting, is not valid, or a search
+            would need more memory than there is.
         ArgumentError: A number is out of its range, or an argument is of the wrong type.
         RunFolderError: `out` holds another comparison, can't be used, or another process is writing
             there.
     """
     check_callable("progress", progress)
     one = config.as_experiment(experiment)
-    names = list(dict.fromkeys(optimisers))
-    if not names:
-        raise ConfigError("optimisers: none were given; allowed: at least one")
+    names = _names(optimisers)
+    if function is not None:
+        check_type("function", function, ClassicalFunction)
+    if levels is not None:
+        check_type("levels", levels, Iterable, allowed="several numbers")
+        levels = list(levels)
+        for level in levels:
+            check_number("levels", level, least=-math.inf)
     check_whole("repeats", repeats, 1, 10**6)
     check_whole("evaluations", evaluations, 1, 10**12)
     specified = {name: specify(one, name, evaluations) for name in names}
     made = {name: make_optimiser(experiment) for name, experiment in specified.items()}
+    if function is None:
+        for experiment in specified.values():
+            memory.check([experiment])
     # A run in that folder has files of other names: nothing of it is overwritten.
     place = nullcontext() if out is None else claimed(out, overwrite=True)
     with place as folder, jax.enable_x64(one.run.dtype == "float64"):
@@ -264,20 +275,41 @@ def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
         return
     try:
         held = load_comparison(folder)
+        if (held.budget, held.settings) != (ran.budget, ran.settings):
+            raise RunFolderError(
+                f"{folder}: holds a comparison with another problem, budget or settings "
+                f"({held.subject}, {held.budget} evaluations); choose another folder, or replace "
+                "it (--overwrite; overwrite=True)"
+            )
     except RunFolderError:
-        if overwrite:
-            return
-        raise
-    if (held.budget, held.settings) != (ran.budget, ran.settings):
-        if overwrite:
-            return
-        raise RunFolderError(
-            f"{folder}: holds a comparison with another problem, budget or settings "
-            f"({held.subject}, {held.budget} evaluations); choose another folder, or replace it "
-            "(--overwrite; overwrite=True)"
-        )
-    ran.repeats.update(held.repeats | {n: [] for n in ran.repeats if n not in held.repeats})
+        if not overwrite:
+            raise
+        # Else the old table and figure would stand beside the new searches until the end.
+        replace_files(folder, {DATA: ran.to_json().encode()}, remove=(TABLE, FIGURE))
+        return
+    ran.repeats.update(held.repeats)
     ran.gradients.update(held.gradients)
+
+
+def _names(optimisers: Iterable[str]) -> list[str]:
+    """Names of optimisers, each once.
+
+    Raises:
+        ArgumentError: They are something else.
+        ConfigError: There are none.
+    """
+    allowed = "several names"
+    if isinstance(optimisers, str):
+        raise ArgumentError(
+            f"optimisers = {optimisers!r}; allowed: {allowed}, as in [{optimisers!r}]"
+        )
+    check_type("optimisers", optimisers, Iterable, allowed=allowed)
+    names = list(optimisers)
+    for name in names:
+        check_type("optimisers", name, str, allowed=allowed)
+    if not names:
+        raise ConfigError("optimisers: none were given; allowed: at least one")
+    return list(dict.fromkeys(names))
 
 
 def _teller(

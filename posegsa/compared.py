@@ -135,15 +135,16 @@ class Comparison:
         Both are infinite where fewer than half of the repeats got there.
         """
         evaluations, seconds = [], []
+        rounding = 10.0 ** (1 - DIGITS) * abs(level)
         for repeat in self.repeats[name]:
-            there = np.flatnonzero(np.asarray(repeat.best) <= level)
+            there = np.flatnonzero(np.asarray(repeat.best) <= level + rounding)
             evaluations.append(repeat.evaluations[there[0]] if there.size else math.inf)
             seconds.append(repeat.times[there[0]] if there.size else math.inf)
         share = float(np.mean(np.isfinite(evaluations)))
-        # The upper of two middle ones: a mean of a number and infinity says nothing.
+        # The lower of two middle ones: a mean of a number and infinity says nothing.
         return (
-            float(np.quantile(evaluations, 0.5, method="higher")),
-            float(np.quantile(seconds, 0.5, method="higher")),
+            float(np.quantile(evaluations, 0.5, method="lower")),
+            float(np.quantile(seconds, 0.5, method="lower")),
             share,
         )
 
@@ -282,7 +283,8 @@ def from_json(text: str) -> Comparison:
         str(data["subject"]),
         int(data["budget"]),
         {name: value for name, value in data["settings"].items() if name != NO_MATTER},
-        {name: [_repeat(r) for r in each] for name, each in data["optimisers"].items()},
+        # An interrupted comparison also names those that it had not come to.
+        {name: [_repeat(r) for r in each] for name, each in data["optimisers"].items() if each},
         {name: Gradients(**used) for name, used in data["gradients"].items()},
         dict(data["environment"]),
     )

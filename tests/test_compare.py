@@ -11,11 +11,12 @@ from scipy import stats
 from test_tuning import tiny
 
 import posegsa
+from posegsa import memory
 from posegsa.cli import main
 from posegsa.cli_progress import CompareBar
 from posegsa.compare import Status, _search, load_comparison
 from posegsa.compared import Comparison, Gradients, Repeat, from_json
-from posegsa.errors import ArgumentError, RunFolderError
+from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys
 from posegsa.metrics import take
@@ -68,6 +69,10 @@ def test_levels_evaluations_and_seconds() -> None:
     # Costs fall to 4, 2 and once the final cost: 10, 20, 30, 30 and twice never.
     assert (evaluations, seconds, share) == (30, 1.5, pytest.approx(4 / 6))
     assert comparison.reached("a", 0.5) == (np.inf, np.inf, 0)
+    # Half of them is enough, and costs are kept rounded: each gets to its own median.
+    assert comparison.reached("a", 3.0)[0::2] == (30, 0.5)
+    assert comparison.reached("a", 3.0 - 1e-8)[2] == 0.5
+    assert comparison.reached("a", 3.0 - 1e-4)[2] < 0.5
     table = comparison.table([4.0])
     for words in ("a minus this", "held out", "to 4", "30 (1.5 s)", "something: 6 repeats of 40"):
         assert words in table
@@ -181,6 +186,43 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
         posegsa.compare(tiny(), **(same | {"evaluations": 32}))
 
 
+def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:
+    same = {"repeats": 2, "evaluations": 32, "function": SPHERE, "out": tmp_path}
+
+    def interrupted(status: Status) -> None:
+        if status.repeat == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        posegsa.compare(tiny(), optimisers=["gsa", "pso"], progress=interrupted, **same)
+    assert {n: len(r) for n, r in load_comparison(tmp_path).repeats.items()} == {"gsa": 1}
+    assert "1 repeats" in load_comparison(tmp_path).table()
+    more = posegsa.compare(tiny(), optimisers=["random"], **same)
+    assert {n: len(r) for n, r in more.repeats.items()} == {"random": 2, "gsa": 1}
+
+
+def test_what_replaces_a_comparison_takes_its_table_and_figure_away(on_sphere, tmp_path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(on_sphere[1], folder)
+
+    def look(status: Status) -> None:
+        assert not (folder / "comparison.txt").exists()
+        assert not (folder / "comparison.png").exists()
+
+    posegsa.compare(
+        tiny(),
+        optimisers=["gsa"],
+        repeats=1,
+        evaluations=31,
+        function=SPHERE,
+        out=folder,
+        overwrite=True,
+        progress=look,
+    )
+    assert list(load_comparison(folder).repeats) == ["gsa"]
+    assert (folder / "comparison.txt").exists()
+
+
 def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp_path) -> None:
     _, folder, _ = on_sphere
     shutil.copytree(folder, tmp_path / "copy")
@@ -292,3 +334,28 @@ def test_bad_numbers_are_refused_by_name(arguments: dict) -> None:
         ArgumentError, match=f"{next(iter(arguments))} = .*; allowed: a whole number"
     ):
         posegsa.compare(tiny(), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"optimisers": "gsa"}, r"optimisers = 'gsa'; allowed: several names, as in \['gsa'\]"),
+        ({"optimisers": 5}, "optimisers: a int; allowed: several names"),
+        ({"optimisers": [1]}, "optimisers: a int; allowed: several names"),
+        ({"function": len}, "function: a builtin_function_or_method; allowed: a ClassicalFunction"),
+        ({"levels": 3.0}, "levels: a float; allowed: several numbers"),
+        ({"levels": ["x"]}, "levels = 'x'"),
+        ({"levels": [np.nan]}, "levels = nan"),
+    ],
+)
+def test_arguments_of_another_type_are_refused_by_name(arguments: dict, said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        posegsa.compare(tiny(), **arguments)
+
+
+def test_what_would_not_fit_into_memory_is_refused_before_it_is_made(monkeypatch) -> None:
+    monkeypatch.setattr("posegsa.memory.available", lambda: memory.COMPILER + 2**26)
+    with pytest.raises(MemoryLimitError):
+        posegsa.compare(tiny(), optimisers=["gsa:agents=1000000"], evaluations=10**9)
+    with pytest.raises(ArgumentError, match=r"dimensions = 100000.*2 to 5000|5000"):
+        ClassicalFunction("sphere", 100_000, rotation=1)

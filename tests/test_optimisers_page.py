@@ -1,10 +1,13 @@
 """The page on optimisers stays true: its examples run, and what it names exists."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pytest
+from optimisers import FILTER, FUNCTIONS, ON_FUNCTIONS, SPENT, VARIANTS
 
 from posegsa.cli import _parser
 from posegsa.config import OptimiserName
@@ -35,7 +38,17 @@ def test_commands_and_files_that_it_names() -> None:
         assert (ROOT / path).exists(), path
 
 
-def test_the_results_are_there() -> None:
-    for block in ("comparison", "functions", "speed"):
-        (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", TEXT, re.DOTALL)
-        assert "gsa" in text
+@pytest.mark.parametrize(
+    ("block", "named"),
+    [
+        ("comparison", FILTER),
+        ("variants", VARIANTS),
+        ("scenarios", [f"{name} | {count}" for name, count in SPENT]),
+        ("functions", [*ON_FUNCTIONS, *(f.name for f in FUNCTIONS)]),
+        ("speed", FILTER[:-1]),
+    ],
+)
+def test_the_results_are_there(block: str, named: Sequence[str]) -> None:
+    (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", TEXT, re.DOTALL)
+    for name in named:
+        assert re.search(rf"\| {re.escape(name)}[ ,]", text), name

@@ -90,6 +90,8 @@ _CLASSICAL = {
 }
 FUNCTIONS = tuple(_CLASSICAL)
 """Names of the functions."""
+MOST_DIMENSIONS = 5000
+"""Dimensions of a test function at most: a rotation holds their square, 200 MB."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class ClassicalFunction:
 
     Attributes:
         name: One of `FUNCTIONS`.
-        dimensions: d, at least 2.
+        dimensions: d, 2 to MOST_DIMENSIONS.
         shift: How far the minimum is moved in every coordinate, in half widths of the box.
         rotation: Seed of a random rotation about the minimum; None for none.
 
@@ -114,7 +116,8 @@ class ClassicalFunction:
     def __post_init__(self) -> None:
         """Check the attributes."""
         check_choice("function: name", self.name, FUNCTIONS)
-        check_count("function: dimensions", self.dimensions, least=2)
+        check_number("function: dimensions", self.dimensions, least=2, most=MOST_DIMENSIONS)
+        check_count("function: dimensions", self.dimensions)
         check_number("function: shift", self.shift, least=-1, most=1)
         if self.rotation is not None:
             check_count("function: rotation", self.rotation, least=0)
