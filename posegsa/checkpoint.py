@@ -5,8 +5,9 @@
     line 3: JSON: format, about, and of each array its name, dtype and shape
     the arrays' bytes, one after the other, little-endian
 
-A search is any `Search`, of any optimiser. Its arrays are told apart by their place in it, such as
-`.state.position`; random keys are stored as the numbers that they are made of.
+A search is any `Search` that is made of numbers: of all optimisers but pycma, whose state is an
+object of Python's. Its arrays are told apart by their place in it, such as `.state.position`;
+random keys are stored as the numbers that they are made of.
 """
 
 import hashlib
@@ -50,8 +51,10 @@ class Checkpoint(NamedTuple):
             like: A search of the same structure, such as `start` gives; its values don't matter.
 
         Raises:
-            CheckpointError: An array is missing or of another shape or dtype; names it.
+            CheckpointError: An array is missing or of another shape or dtype, or `like` holds
+                something that is no array; names it.
         """
+        _refuse_objects("like", like)
         leaves, structure = jax.tree_util.tree_flatten_with_path(like)
         wanted = {jax.tree_util.keystr(place): leaf for place, leaf in leaves}
         for name in [*wanted, *self.arrays]:
@@ -64,11 +67,17 @@ class Checkpoint(NamedTuple):
     def _leaf(self, name: str, like: jax.Array) -> jax.Array:
         dtype, values = self.arrays[name]
         like = jnp.asarray(like)
-        shape = _data(like).shape
+        needed = _data(like)
         if dtype != str(like.dtype):
             raise CheckpointError(f"{self.path}: {name} is {dtype}; needed: {like.dtype}")
-        if values.shape != shape:
-            raise CheckpointError(f"{self.path}: {name} has shape {values.shape}; needed: {shape}")
+        if values.dtype != needed.dtype:
+            raise CheckpointError(
+                f"{self.path}: {name} is stored as {values.dtype}; needed: {needed.dtype}"
+            )
+        if values.shape != needed.shape:
+            raise CheckpointError(
+                f"{self.path}: {name} has shape {values.shape}; needed: {needed.shape}"
+            )
         if _is_key(like):
             return jax.random.wrap_key_data(jnp.asarray(values), impl=jax.random.key_impl(like))
         return jnp.asarray(values)
@@ -83,14 +92,26 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
         about: What else to remember, as JSON can hold it.
 
     Raises:
-        CheckpointError: What was given is not a search, or the file can't be written.
+        CheckpointError: What was given is not a search, or holds something that is not made of
+            numbers, as pycma's does; or the file can't be written.
     """
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
+    content = _packed(search, about or {})
     try:
-        write_atomically(Path(path), _packed(search, about or {}))
+        write_atomically(Path(path), content)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def objects_in(search: Search) -> dict[str, str]:
+    """What keeps a search from being saved: by their place, the types of what are no numbers."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
+    return {
+        jax.tree_util.keystr(place): type(leaf).__name__
+        for place, leaf in leaves
+        if not _is_numbers(leaf)
+    }
 
 
 def load_search(path: str | Path, like: Search) -> Search:
@@ -144,6 +165,8 @@ def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
         )
     arrays, offset = {}, end + 1
     for name, dtype, stored, shape in header["arrays"]:
+        if not stored.isidentifier():  # NumPy would parse it
+            raise ValueError(f"{name} is stored as {stored!r}, which is no dtype's name")
         numbers = np.dtype(stored).newbyteorder("<")
         if numbers.hasobject or any(length < 0 for length in shape):
             raise ValueError(f"{name} does not hold numbers")
@@ -158,6 +181,7 @@ def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
 
 def _packed(search: Search, about: dict[str, Any]) -> bytes:
     """A checkpoint's bytes."""
+    _refuse_objects("search", search)
     leaves, _ = jax.tree_util.tree_flatten_with_path(search)
     named = [(jax.tree_util.keystr(place), jnp.asarray(leaf)) for place, leaf in leaves]
     stored = [_data(leaf) for _, leaf in named]
@@ -173,6 +197,21 @@ def _packed(search: Search, about: dict[str, Any]) -> bytes:
     }
     content = json.dumps(header).encode() + b"\n" + b"".join(a.tobytes() for a in stored)
     return _MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+
+
+def _refuse_objects(name: str, search: Search) -> None:
+    """Raise where a search holds what no checkpoint can."""
+    for place, kind in objects_in(search).items():
+        raise CheckpointError(
+            f"{name}{place} is a {kind}; needed: an array, so that it can be saved and read"
+        )
+
+
+def _is_numbers(leaf: object) -> bool:
+    if isinstance(leaf, bool | int | float | complex):
+        return True
+    dtype, kinds = getattr(leaf, "dtype", None), (np.number, np.bool_, jax.dtypes.prng_key)
+    return dtype is not None and any(jnp.issubdtype(dtype, kind) for kind in kinds)
 
 
 def _is_key(leaf: jax.Array) -> bool:

@@ -145,8 +145,9 @@ def _evaluate(options: argparse.Namespace) -> int:
     from posegsa.results import load
     from posegsa.run_folder import claimed
 
-    result = load(options.run)
+    load(options.run)  # where there is no run, nothing is made
     with claimed(options.run, overwrite=True) as folder:  # before the minutes, not after
+        result = load(folder)  # again: another process may have replaced it in between
         result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
         result.write_evaluation(folder)
     print(result.evaluation.table())

@@ -14,6 +14,9 @@ from posegsa.errors import RunFolderError
 PART = ".part"
 """Ending of the temporary names; what has it is no file of a run."""
 
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of `os.open` that refuses to follow a link; 0 where the system has none (Windows)."""
+
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file so that it is either whole or as it was, even if the power fails.
@@ -34,11 +37,20 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def write_synced(path: Path, data: bytes) -> None:
-    """Write a file, and wait until the disk has it."""
-    with path.open("wb") as file:
+    """Write a file, and wait until the disk has it.
+
+    Raises:
+        OSError: It can't be written, or its name is a link, which could lead anywhere.
+    """
+    with open(path, "wb", opener=_open_no_link) as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    """Open a file for writing; on systems that can tell, no link."""
+    return os.open(path, flags | NO_LINK, 0o666)
 
 
 def sync_folder(folder: Path) -> None:

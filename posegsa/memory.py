@@ -93,14 +93,30 @@ def available() -> int | None:
         if "bytes_limit" in stats:
             return int(stats["bytes_limit"]) - int(stats.get("bytes_in_use", 0))
     found = []
-    with contextlib.suppress(OSError, ValueError, StopIteration):
-        lines = _MEMORY.read_text("ascii").splitlines()
-        line = next(line for line in lines if line.startswith("MemAvailable:"))
-        found.append(1024 * int(line.split()[1]))
+    with contextlib.suppress(OSError, ValueError):
+        found.append(1024 * _entry(_MEMORY, "MemAvailable:"))
     with contextlib.suppress(OSError, ValueError):  # "max" is no number: no limit
         limit = int((_GROUP / "memory.max").read_text("ascii"))
-        found.append(limit - int((_GROUP / "memory.current").read_text("ascii")))
+        used = int((_GROUP / "memory.current").read_text("ascii"))
+        with contextlib.suppress(OSError, ValueError):
+            # Files that nobody has read for a while: the system drops them where memory is short.
+            used -= _entry(_GROUP / "memory.stat", "inactive_file")
+        found.append(limit - used)
     return min(found, default=None)
+
+
+def _entry(path: Path, name: str) -> int:
+    """A number from a file of the system's with a name and a number in each line.
+
+    Raises:
+        OSError: It can't be read.
+        ValueError: It has no such number.
+    """
+    for line in path.read_text("ascii").splitlines():
+        words = line.split()
+        if len(words) > 1 and words[0] == name:
+            return int(words[1])
+    raise ValueError(f"{path}: has no {name}")
 
 
 def _gib(size: int) -> str:

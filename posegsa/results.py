@@ -42,6 +42,9 @@ EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 MAX_BYTES = 2**27
 """Size up to which a file of a run is read: 128 MiB."""
+MAX_ROW = 2**10
+"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
+numbers of at most 25 characters."""
 
 
 @dataclass(frozen=True)
@@ -325,9 +328,10 @@ def load(folder: str | Path) -> TuneResult:
         def costs(d: dict[str, Any]) -> np.ndarray:
             return np.array([float(c) for c in d["training"]])
 
-        checked = data["trust"]
+        checked, experiment = data["trust"], config.from_dict(data["config"])
+        longest = max(MAX_BYTES, MAX_ROW * experiment.scenario.samples)
         return TuneResult(
-            experiment=config.from_dict(data["config"]),
+            experiment=experiment,
             best_cost=float(data["best_cost"]),
             parameters=np.array([float(data["parameters"][k]) for k in config.PARAMETERS]),
             training_costs=costs(data["tuned"]),
@@ -347,7 +351,7 @@ def load(folder: str | Path) -> TuneResult:
             compile_seconds=float(data["compile_seconds"]),
             search_seconds=float(data["search_seconds"]),
             history=read_history(read(folder, HISTORY, MAX_BYTES)),
-            trajectory=read_trajectory(read(folder, TRAJECTORY, MAX_BYTES)),
+            trajectory=read_trajectory(read(folder, TRAJECTORY, longest)),
             environment={str(k): str(v) for k, v in data["environment"].items()},
             version=str(data["version"]),
         )

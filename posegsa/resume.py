@@ -26,7 +26,7 @@ from posegsa.optimisers import Search
 from posegsa.run_folder import CHECKPOINTS, SUFFIX, writing
 from posegsa.runtime import environment
 
-COMPARED = ("jax", "numpy", "platform", "device")
+COMPARED = ("posegsa", "jax", "numpy", "platform", "device")
 """What of the machine may change the last bits of a result."""
 
 
@@ -58,7 +58,10 @@ def begun(folder: Path) -> Begun:
         for message in damaged:
             warnings.warn(f"{message}; going on from {path.name}", PosegsaWarning, stacklevel=2)
         return _begun(found)
-    raise CheckpointError("\n".join([*damaged, f"{folder}: holds no checkpoint to go on from"]))
+    none = f"{folder}: holds no checkpoint to go on from"
+    if not damaged:
+        none += "; a run with search.optimiser = 'pycma' makes none and can't be resumed"
+    raise CheckpointError("\n".join([*damaged, none]))
 
 
 def _begun(checkpoint: Checkpoint) -> Begun:
@@ -66,9 +69,10 @@ def _begun(checkpoint: Checkpoint) -> Begun:
     try:
         seconds = float(about["search_seconds"]), float(about["compile_seconds"])
         before, now = about["environment"], environment()
-        differs = [f"{k} {before[k]}, here {now[k]}" for k in COMPARED if before[k] != now[k]]
+        made = {name: before.get(name, "unknown") for name in COMPARED}
+        differs = [f"{k} {made[k]}, here {now[k]}" for k in COMPARED if made[k] != now[k]]
         experiment = about["experiment"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"{checkpoint.path}: is no tuning run's: {error!r}") from None
     if differs:
         warnings.warn(
@@ -142,7 +146,8 @@ class Saver:
     """Writes a run's checkpoints, as a context around its search.
 
     Called with the search whenever Python has it in hand, it writes when one is due, and stops the
-    search when a signal has asked for that. Whatever ends the search early, what it had is saved.
+    search when a signal has asked for that, also when the search has just come to its end: what is
+    left to do then is for who resumes it. Whatever ends the search early, what it had is saved.
     A checkpoint that can't be written is told, and tried again when the next is due: the search
     itself goes on, unless it has not begun.
     """
@@ -189,17 +194,15 @@ class Saver:
         self._last = search, search_seconds, compile_seconds
         self._iteration = int(search.iteration)
         intervals, iterations = self._experiment.checkpoint, self._experiment.search.iterations
-        asked = self._asked.signal_number
         if (
             self._saved is None
-            or asked is not None
+            or self._asked.signal_number is not None
             or self._iteration - self._saved >= intervals.iterations
             or self._clock() - self._saved_at >= intervals.seconds
             or self._iteration >= iterations
         ):
             self._save()
-        if asked is not None and self._iteration < iterations:
-            raise SearchInterrupted(f"interrupted {self._where()}", asked)
+        self._stop_if_asked()
 
     def __exit__(
         self,
@@ -207,12 +210,23 @@ class Saver:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Save what there is; an error of JAX's says how to go on."""
+        """Save what there is; an error of JAX's says how to go on.
+
+        Raises:
+            SearchInterrupted: A signal has asked to stop since the search was last looked at.
+            SearchError: JAX could not go on.
+        """
         if error is not None and self._last is not None:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
                 self._save()
         if isinstance(error, jax.errors.JaxRuntimeError):
             raise SearchError(f"the search failed {self._where()}: {error}") from error
+        if error is None:
+            self._stop_if_asked()
+
+    def _stop_if_asked(self) -> None:
+        if self._asked.signal_number is not None:
+            raise SearchInterrupted(f"interrupted {self._where()}", self._asked.signal_number)
 
     def _save(self) -> None:
         assert self._last is not None
@@ -246,7 +260,11 @@ class Saver:
             return
         self._saved, self._saved_at, self._complained = self._iteration, self._clock(), False
         with contextlib.suppress(OSError):
-            for old in _paths(self._folder)[self._experiment.checkpoint.keep :]:
+            numbered = [p for p in _paths(self._folder) if p.stem.isdecimal()]
+            # Later ones were passed over as damaged: they would count as newer than this one.
+            later = [p for p in numbered if int(p.stem) > self._iteration]
+            kept = len(later) + self._experiment.checkpoint.keep
+            for old in [*later, *numbered[kept:]]:
                 old.unlink()
 
     def _where(self) -> str:

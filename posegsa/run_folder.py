@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from posegsa.errors import RunFolderError
-from posegsa.files import read_bounded, sync_folder, write_synced
+from posegsa.files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
 SUFFIX = ".checkpoint"
@@ -72,7 +72,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Keep other processes and threads from writing to a folder.
 
     The system gives the lock back when the process ends, however it ends. Where it has no such
-    locks (Windows), there is none.
+    locks (Windows, some file systems of networks), there is none.
 
     Raises:
         RunFolderError: Another run is writing there.
@@ -83,16 +83,19 @@ def locked(folder: Path) -> Iterator[None]:
         yield
         return
     with writing(folder):
-        descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | NO_LINK
+        descriptor = os.open(folder / _LOCK, flags, 0o644)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             holder = os.read(descriptor, 200).decode("utf-8", "replace").strip() or "unknown"
             raise RunFolderError(
                 f"{folder}: another run is writing there ({holder}); wait for it, stop it, or "
                 "choose another folder"
             ) from None
+        except OSError:  # a file system without locks (ENOLCK, EOPNOTSUPP, ENOSYS)
+            pass
         with contextlib.suppress(OSError):  # a full disk: the lock holds without its text
             os.ftruncate(descriptor, 0)
             os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
@@ -198,6 +201,7 @@ def _exists(folder: Path, name: str) -> bool:
 
 def _refuse_links(folder: Path) -> None:
     """A folder from elsewhere could have what posegsa writes below it go anywhere."""
-    for name in (FIGURES, CHECKPOINTS, _STAGED, _SAVED):
+    for name in (FIGURES, CHECKPOINTS, _STAGED, _SAVED, _LOCK):
         if (folder / name).is_symlink():
-            raise RunFolderError(f"{folder / name}: is a link; allowed: a folder of its own")
+            kind = "file" if name == _LOCK else "folder"
+            raise RunFolderError(f"{folder / name}: is a link; allowed: a {kind} of its own")

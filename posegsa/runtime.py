@@ -10,6 +10,7 @@ import importlib
 import os
 import platform
 import warnings
+from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -110,6 +111,7 @@ def environment() -> dict[str, str]:
     """What a result says of the machine that made it."""
     device = jax.devices()[0]
     return {
+        "posegsa": version("posegsa"),
         "jax": jax.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),

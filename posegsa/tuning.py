@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable
 from numbers import Integral
 from pathlib import Path
@@ -13,6 +14,7 @@ from posegsa import config, memory, results, trust
 from posegsa import resume as checkpoints
 from posegsa.arguments import check_callable, check_type
 from posegsa.batch import TuneBatch
+from posegsa.checkpoint import objects_in
 from posegsa.comparison import (
     CONSTANT,
     TUNED,
@@ -21,7 +23,13 @@ from posegsa.comparison import (
     evaluation,
     run_scenario,
 )
-from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
+from posegsa.errors import (
+    ArgumentError,
+    ConfigError,
+    PosegsaWarning,
+    RunFolderError,
+    SaveError,
+)
 from posegsa.gain import FuzzyGain
 from posegsa.interrupt import deferred
 from posegsa.keys import keys, scenario_keys
@@ -64,7 +72,8 @@ def tune(
             the run to resume.
         seed: Replaces the experiment's seed.
         iterations: Replaces the experiment's number of iterations.
-        out: Folder to write the result to, and checkpoints while it searches.
+        out: Folder to write the result to, and checkpoints while it searches (none by pycma, whose
+            state can't be saved).
         overwrite: Replace another run in that folder.
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
             of the same experiment (see `posegsa.resume.agreed`), but for more iterations: past
@@ -113,7 +122,7 @@ def _saved_run(
     begun: checkpoints.Begun | None,
     progress: Callable[[Progress], object] | None,
 ) -> TuneResult:
-    """Tune with checkpoints in a folder, which is `locked`, and write the result there."""
+    """Tune with checkpoints, if there can be any, in a `locked` folder; write the result there."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         task = make_ready(experiment)
         search, before = first_search(task), (0.0, 0.0)
@@ -121,8 +130,17 @@ def _saved_run(
             before = begun.search_seconds, begun.compile_seconds
             like = first_search(task._replace(optimiser=make_optimiser(begun.experiment)))
             search = lengthened(begun.checkpoint.search(like), experiment.search.iterations)
-        with deferred() as asked, checkpoints.Saver(folder, experiment, asked, before) as keep:
-            found = run_search(task, progress, search=search, keep=keep)
+        if objects_in(search):
+            warnings.warn(
+                f"search.optimiser = {experiment.search.optimiser!r} keeps a state that can't be "
+                "saved: no checkpoints are made, and the run can't be resumed",
+                PosegsaWarning,
+                stacklevel=3,
+            )
+            found = run_search(task, progress, search=search)
+        else:
+            with deferred() as asked, checkpoints.Saver(folder, experiment, asked, before) as keep:
+                found = run_search(task, progress, search=search, keep=keep)
         result = _result(
             task,
             found._replace(

@@ -218,6 +218,23 @@ def test_memory_is_estimated_by_what_takes_it():
     assert memory.available() is None or memory.available() > 0
 
 
+def test_files_that_the_system_can_drop_are_free_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "_MEMORY", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "_GROUP", tmp_path)
+    assert memory.available() is None
+    (tmp_path / "memory.max").write_text("9000\n")
+    (tmp_path / "memory.current").write_text("8000\n")
+    assert memory.available() == 1000
+    stat = "anon 5000\nfile 3000\ninactive_anon 10\nactive_file 500\ninactive_file 2500\n"
+    (tmp_path / "memory.stat").write_text(stat)
+    assert memory.available() == 3500
+    (tmp_path / "memory.stat").write_text("inactive_file\ninactive_file many\n")
+    assert memory.available() == 1000
+    (tmp_path / "meminfo").write_text("MemTotal: 9 kB\nMemAvailable:       2 kB\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.available() == 2048
+
+
 def test_what_would_not_fit_is_refused_with_an_estimate(monkeypatch):
     huge = tiny("run.training_scenarios=1000000", "search.agents=3000")
     with pytest.raises(MemoryLimitError) as refused:

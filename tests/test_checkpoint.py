@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from posegsa.checkpoint import FORMAT, load_search, read, save_search
+from posegsa.checkpoint import FORMAT, load_search, objects_in, read, save_search
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import GSA, RandomSearch, advance, box, lengthened, minimise, start
 
@@ -171,6 +171,8 @@ def forged(path, header: dict, payload: bytes = b"") -> None:
         ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "float32", [2**60]]]}, "not as"),
         ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "float32", [-1]]]}, "not as"),
         ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "no dtype", [1]]]}, "not as"),
+        ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "f4,(2", [1]]]}, "not as"),
+        ({"format": FORMAT, "about": {}, "arrays": [["x", "f", 3, [1]]]}, "not as"),
         ({"format": FORMAT, "about": [3], "arrays": []}, "not as"),
         ([], "not as"),
     ],
@@ -180,6 +182,31 @@ def test_a_forged_header_asks_for_nothing_and_runs_nothing(tmp_path, header, sai
     forged(path, header)
     with pytest.raises(CheckpointError, match=said):
         read(path)
+
+
+@pytest.mark.parametrize("stored", ["int32", "S4"])
+def test_what_is_stored_as_another_dtype_than_the_header_says_is_refused(saved, stored):
+    like = start(SMALL, BOX, KEY)
+    header, payload = saved.read_bytes().split(b"\n", 3)[2:]
+    forging = json.loads(header)
+    (best,) = (array for array in forging["arrays"] if array[0] == ".best_cost")
+    assert best[1:3] == ["float32", "float32"]
+    best[2] = stored
+    forged(saved, forging, payload)
+    with pytest.raises(CheckpointError, match=r"\.best_cost is stored as .*; needed: float32"):
+        load_search(saved, like)
+
+
+def test_what_is_no_array_is_refused_by_name(whole, tmp_path):
+    odd = whole[0]._replace(state={"strategy": (object(), 1.0)})
+    assert objects_in(odd) == {".state['strategy'][0]": "object"}
+    assert not objects_in(whole[0])
+    with pytest.raises(CheckpointError, match=r"search\.state\['strategy'\]\[0\] is a object"):
+        save_search(tmp_path / "search", odd)
+    assert not any(tmp_path.iterdir())
+    save_search(tmp_path / "search", whole[0])
+    with pytest.raises(CheckpointError, match=r"like\.state\['strategy'\]\[0\] is a object"):
+        load_search(tmp_path / "search", odd)
 
 
 def test_what_cannot_be_read_or_is_too_large_is_refused(tmp_path):

@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from test_tuning import TINY
@@ -151,6 +153,37 @@ def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys, few_steps):
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
+    """Another process may replace it until the folder is claimed."""
+    events = []
+
+    class Judged:
+        evaluation = SimpleNamespace(table=str)
+
+        def write_evaluation(self, folder):
+            events.append("written")
+
+    @contextmanager
+    def claimed(folder, *, overwrite):
+        events.append("claimed")
+        yield folder
+
+    def load(folder):
+        events.append("loaded")
+        return len(events)
+
+    def evaluate(result, **_):
+        assert result == events.index("claimed") + 2, "what was loaded before is judged"
+        return Judged()
+
+    monkeypatch.setattr("posegsa.run_folder.claimed", claimed)
+    monkeypatch.setattr("posegsa.results.load", load)
+    monkeypatch.setattr(import_module("posegsa.evaluate"), "evaluate", evaluate)
+    assert main(["evaluate", str(tmp_path)]) == 0
+    assert events == ["loaded", "claimed", "loaded", "written"]
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_export_writes_each_format(finished, tmp_path, capsys):
     run = str(finished[0] / "posegsa-run")
     assert main(["export", run, "--format", "json"]) == 0
@@ -175,6 +208,7 @@ def test_a_missing_run_is_refused(tmp_path, monkeypatch, capsys, arguments, said
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     assert said in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

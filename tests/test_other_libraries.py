@@ -1,6 +1,7 @@
 """Strategies of evosax and pycma behind the protocol, and each other's reference."""
 
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,8 @@ import pytest
 from test_optimisers_base import same
 from test_tuning import tiny
 
-from posegsa.errors import ConfigError
+import posegsa
+from posegsa.errors import ArgumentError, CheckpointError, ConfigError, PosegsaWarning
 from posegsa.named_optimisers import make_optimiser
 from posegsa.optimisers import minimise
 from posegsa.optimisers.evosax import Evosax, EvosaxState
@@ -61,6 +63,36 @@ def test_pycma_keeps_its_state_and_numpys_generator() -> None:
     assert (optimiser.ask(told[0]) == optimiser.ask(told[1])).all()
     assert (optimiser.ask(told[0]) != optimiser.ask(state)).any()
     assert ((optimiser.ask(state) >= 0) & (optimiser.ask(state) <= 1)).all()
+
+
+def test_a_search_by_pycma_goes_on_in_the_process_that_began_it() -> None:
+    optimiser, seen = PyCMA(6, 5), []
+    whole = minimise(FUNCTION, FUNCTION.box, optimiser, KEY, chunk=2, callback=seen.append)
+    again = minimise(FUNCTION, FUNCTION.box, optimiser, KEY, search=seen[0])
+    assert (again.history.best == whole.history.best).all()
+    other = minimise(FUNCTION, FUNCTION.box, PyCMA(7, 5), KEY)
+    with pytest.raises(ArgumentError, match="search"):
+        minimise(FUNCTION, FUNCTION.box, optimiser, KEY, search=other)
+    stranger = seen[0]._replace(
+        state=seen[0].state._replace(strategy=(5, seen[0].state.strategy[1]))
+    )
+    with pytest.raises(ArgumentError, match=r"strategy\[0\] is int; .*CMAEvolutionStrategy"):
+        minimise(FUNCTION, FUNCTION.box, optimiser, KEY, search=stranger)
+
+
+def test_tune_by_pycma_writes_a_folder_without_checkpoints(tmp_path: Path) -> None:
+    by_pycma = tiny("search.optimiser=pycma")
+    with pytest.warns(PosegsaWarning) as said:
+        result = posegsa.tune(by_pycma, out=tmp_path)
+    told = [str(w.message) for w in said if "search.optimiser" in str(w.message)]
+    assert len(told) == 1
+    assert "'pycma'" in told[0]
+    assert "can't be resumed" in told[0]
+    assert np.isfinite(result.best_cost)
+    assert posegsa.load(tmp_path).best_cost == result.best_cost
+    assert not (tmp_path / "checkpoints").exists()
+    with pytest.raises(CheckpointError, match=r"no checkpoint to go on from; .*pycma"):
+        posegsa.tune(by_pycma, resume=tmp_path)
 
 
 def test_an_unknown_strategy_is_refused_by_name() -> None:

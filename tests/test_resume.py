@@ -75,7 +75,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
     assert names(tmp_path)[-1] == 8
 
 
-@pytest.mark.parametrize("stops", [[0], [1], [4], [6], [1, 2, 3, 5, 6]])
+@pytest.mark.parametrize("stops", [[0], [1], [4], [6], [7], [1, 2, 3, 5, 6]])
 def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, stops):
     begun = None
     for at in stops:
@@ -86,6 +86,35 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         # The signal is seen when the running chunk, here an iteration, is done.
         assert int(begun.checkpoint.arrays[".iteration"][1]) == at + 1
     assert same(search_in(tmp_path, task, begun=begun), whole)
+
+
+def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
+    """All iterations are done, but nothing is judged: who asked to stop gets what was asked for."""
+    with pytest.raises(SearchInterrupted, match=r"after iteration 8 of 8, .* --resume"):
+        search_in(tmp_path, task, stop_at=[8])
+    begun = resume.begun(tmp_path)
+    told = []
+    with resume.Saver(tmp_path, LONG, Asked()) as keep:
+        search = begun.checkpoint.search(first_search(task))
+        found = run_search(task, told.append, search=search, keep=keep).search
+    assert same(found, whole)
+    assert [p.iteration for p in told] == [8], "nothing is left to search"
+
+
+def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path):
+    search_in(tmp_path, task)
+    newest = tmp_path / "checkpoints" / "000000008.checkpoint"
+    newest.write_bytes(b"damaged")
+    (tmp_path / "checkpoints" / "000000004.checkpoint").write_bytes(b"an earlier one")
+    copied = tmp_path / "checkpoints" / "copy.checkpoint"
+    with pytest.warns(PosegsaWarning, match="going on from 000000006"):
+        begun = resume.begun(tmp_path)
+    copied.write_bytes(b"somebody's own")
+    with resume.Saver(tmp_path, LONG, Asked()) as keep:
+        keep(begun.checkpoint.search(first_search(task)), 0.0, 0.0)
+    copied.unlink()
+    assert names(tmp_path) == [4, 6], "what was just written stays, with the one before"
+    assert int(read(tmp_path / "checkpoints" / "000000006.checkpoint").arrays[".iteration"][1]) == 6
 
 
 def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tmp_path):
@@ -102,11 +131,18 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tm
 
 
 def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
-    search_in(tmp_path, task)
-    elsewhere = resume.environment() | {"jax": "0.99"}
-    monkeypatch.setattr(resume, "environment", lambda: elsewhere)
-    with pytest.warns(PosegsaWarning, match=r"jax 0\.\d+\.\d+, here 0\.99"):
-        resume.begun(tmp_path)
+    here = resume.environment()
+    earlier = {name: value for name, value in here.items() if name != "posegsa"}
+    for made, said in (
+        (here | {"jax": "0.99"}, r"jax 0\.99, here 0\.\d+\.\d+\)"),
+        (here | {"posegsa": "9.9"}, rf"\(posegsa 9\.9, here {here['posegsa']}\)"),
+        (earlier, rf"\(posegsa unknown, here {here['posegsa']}\)"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(resume, "environment", lambda made=made: made)
+            search_in(tmp_path, task)
+        with pytest.warns(PosegsaWarning, match=said):
+            resume.begun(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """A run's folder changes all at once, for one writer at a time, and nothing leads out of it."""
 
+import errno
+import fcntl
+import os
 import resource
 from pathlib import Path
 
@@ -7,7 +10,7 @@ import pytest
 
 from posegsa import files, run_folder
 from posegsa.errors import RunFolderError
-from posegsa.run_folder import claim, claimed, read, replace_files, settle
+from posegsa.run_folder import claim, claimed, locked, read, replace_files, settle
 
 OLD = {"result.json": b"old", "figures/a.png": b"old", "figures/b.png": b"old"}
 NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}
@@ -88,6 +91,17 @@ def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
         pass
 
 
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch, number):
+    def no_locks(descriptor, how):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    with claimed(tmp_path) as folder:
+        replace_files(folder, NEW, remove=())
+    assert content(tmp_path) == NEW
+
+
 def test_a_run_that_appears_between_look_and_lock_is_seen(tmp_path, monkeypatch):
     looks = []
 
@@ -102,7 +116,7 @@ def test_a_run_that_appears_between_look_and_lock_is_seen(tmp_path, monkeypatch)
         pytest.fail("the other's run is lost")
 
 
-@pytest.mark.parametrize("name", ["figures", "checkpoints"])
+@pytest.mark.parametrize("name", ["figures", "checkpoints", ".lock"])
 def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -115,6 +129,15 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
     (run / name).unlink()
     replace_files(run, NEW, remove=())
     assert not (tmp_path / "elsewhere").exists(), "a link is replaced, not followed"
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    (run / ".lock").symlink_to(precious)  # as if it came after the look
+    with pytest.raises(RunFolderError, match="cannot be written"), locked(run):
+        pytest.fail("a link was opened")
+    (run / "comparison.json.part").symlink_to(precious)
+    with pytest.raises(OSError, match="symbolic links"):
+        files.write_atomically(run / "comparison.json", "new")
+    assert precious.read_text() == "mine"
 
 
 def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):

@@ -91,5 +91,6 @@ def test_too_late_it_warns_and_changes_nothing(monkeypatch):
 
 def test_environment_names_versions_and_device():
     named = runtime.environment()
-    assert set(named) == {"jax", "numpy", "python", "platform", "device", "devices"}
+    versions = {"posegsa", "jax", "numpy", "python"}
+    assert set(named) == versions | {"platform", "device", "devices"}
     assert all(named.values())

@@ -14,11 +14,12 @@ import pytest
 from generated import configuration, not_numbers, structure
 
 import posegsa
-from posegsa import config
+from posegsa import config, results
 from posegsa.comparison import TUNED
 from posegsa.errors import ConfigError, MeasurementError, RunFolderError, SearchInterrupted
 from posegsa.keys import keys, scenario_keys
 from posegsa.population import evaluate_population, problem
+from posegsa.run_folder import read
 from posegsa.scenario import scenario
 from posegsa.search import Progress, make_optimiser, make_ready
 
@@ -152,6 +153,30 @@ def test_load_gives_the_same_from_the_folder(run):
         np.testing.assert_array_equal(getattr(loaded.history, name), values)
     error, rate = np.float32([0.1, 0.5]), np.float32([0.0, 0.3])
     assert (loaded.controller(error, rate) == result.controller(error, rate)).all()
+
+
+def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
+    run, tmp_path, monkeypatch
+):
+    result, folder, _ = run
+    longest = {
+        field.name: np.full_like(getattr(result.trajectory, field.name), -1.2345678901234567e-300)
+        for field in dataclasses.fields(result.trajectory)
+    }
+    text = type(result.trajectory)(**longest).csv()
+    assert len(text.splitlines()[1]) <= results.MAX_ROW / 1.2
+    shutil.copytree(folder, tmp_path / "run")
+    alter(tmp_path / "run" / "result.json", '"duration": 2.0', '"duration": 90000.0')
+    limits = {}
+
+    def noted(folder: Path, name: str, limit: int) -> str:
+        limits[name] = limit
+        return read(folder, name, limit)
+
+    monkeypatch.setattr(results, "read", noted)
+    samples = posegsa.load(tmp_path / "run").experiment.scenario.samples
+    assert limits.pop("trajectory.csv") == results.MAX_ROW * samples > results.MAX_BYTES
+    assert set(limits.values()) == {results.MAX_BYTES}
 
 
 def test_the_summary_shows_training_beside_held_out(run):

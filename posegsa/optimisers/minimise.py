@@ -104,7 +104,8 @@ def minimise(
         on_host: The objective is an ordinary Python function: it is given a NumPy array, and
             called once for each iteration between compiled steps. For a gradient optimiser it
             returns costs and gradients.
-        search: A search to go on with, such as `posegsa.load_search` gives; by default a new one.
+        search: A search to go on with, such as `posegsa.load_search` or a callback gives; by
+            default a new one.
             It goes on as if it had never stopped, to the last bit, and `key` is not used.
 
     Returns:
@@ -228,11 +229,17 @@ def _check_structure(search: Search, like: Search) -> None:
         refuse(f"search: a {type(search).__name__}", "a Search of this optimiser")
     leaves, wanted = (jax.tree_util.tree_leaves_with_path(s) for s in (search, like))
     for (place, leaf), (_, want) in zip(leaves, wanted, strict=True):
-        if (leaf.shape, leaf.dtype) != (want.shape, want.dtype):
+        if _kind(leaf) != _kind(want):
             refuse(
-                f"search{jax.tree_util.keystr(place)} is {leaf.dtype} {leaf.shape}",
-                f"{want.dtype} {want.shape}, as this optimiser and box have it",
+                f"search{jax.tree_util.keystr(place)} is {_kind(leaf)}",
+                f"{_kind(want)}, as this optimiser and box have it",
             )
+
+
+def _kind(leaf: Any) -> str:
+    """An array's dtype and shape; the type of what is none, such as the strategy of pycma."""
+    dtype = getattr(leaf, "dtype", None)
+    return type(leaf).__name__ if dtype is None else f"{dtype} {leaf.shape}"
 
 
 def _check_arguments(objective: Any, box: Any, optimiser: Any, key: Any) -> None:

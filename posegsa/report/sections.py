@@ -210,7 +210,7 @@ def configuration(result: TuneResult) -> Html:
 
 def environment(result: TuneResult) -> Html:
     """Versions and device."""
-    rows = [("posegsa", result.version), *result.environment.items()]
+    rows = list(({"posegsa": result.version} | result.environment).items())
     return section(
         "Environment", table("Where the run was made", ("Part", "Version"), rows, class_="text")
     )
