@@ -90,17 +90,26 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     from posegsa.interrupt import Asked
     from posegsa.search import make_ready, run_search
 
+    class Counted(resume.Saver):
+        count = 0
+
+        def _save(self) -> None:
+            self.count += 1
+            super()._save()
+
     experiment = config.Experiment()
     task = make_ready(experiment)
+    count = 0
     times: dict[str, list[float]] = {"with": [], "without": []}
     found = None
     for _ in range(max(1, repeats)):
         times["without"].append(run_search(task).search_seconds)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        with resume.Saver(folder, experiment, Asked()) as keep:
+        with Counted(folder, experiment, Asked()) as keep:
             found = run_search(task, keep=keep)
         times["with"].append(found.search_seconds)
+        count = keep.count
     least = {name: min(values) for name, values in times.items()}
     # What a checkpoint takes, by itself: the difference above is smaller than its noise.
     assert found is not None
@@ -115,8 +124,8 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
         "search without checkpoints [s]": round(least["without"], 3),
         "search with checkpoints [s]": round(least["with"], 3),
         "one checkpoint [ms]": round(1e3 * one, 2),
-        "checkpoints of the default run": 4,
-        "overhead by that [%]": round(100 * 4 * one / least["without"], 3),
+        "checkpoints of the default run": count,
+        "overhead by that [%]": round(100 * count * one / least["without"], 3),
     }
 
 

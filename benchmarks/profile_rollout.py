@@ -5,7 +5,7 @@ is installed, the machine code of its kernel beside C's.
 
     python benchmarks/profile_rollout.py [--agents 100] [--write]
 
-With --write the table goes into docs/benchmarks.md and the numbers to benchmarks/profile_rollout.json.
+With --write the table goes into docs/benchmarks.md, the numbers to benchmarks/profile_rollout.json.
 """
 
 import argparse
