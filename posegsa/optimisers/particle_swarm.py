@@ -14,13 +14,13 @@ best of all. A coordinate that leaves the box stops at its bound, with velocity 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.base import FailureCost, uniform
 from posegsa.optimisers.checks import check_count, check_number
 
 
@@ -63,6 +63,8 @@ class ParticleSwarm:
     inertia: float = CONSTRICTION
     cognitive: float = CONSTRICTION * 2.05
     social: float = CONSTRICTION * 2.05
+
+    failure_cost: ClassVar[FailureCost] = "largest"
 
     def __post_init__(self) -> None:
         """Check the settings."""
