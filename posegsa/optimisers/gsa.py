@@ -20,13 +20,10 @@ from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
 
 from posegsa.optimisers.base import FailureCost, uniform
-from posegsa.optimisers.checks import check_choice, check_count, check_number
+from posegsa.optimisers.checks import SMALLEST_EPSILON, check_choice, check_count, check_number
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
-
-SMALLEST_EPSILON = float(np.finfo(np.float32).tiny)
-"""A smaller one would be 0 in float32, and two agents in one place a division by zero."""
 
 
 class GSAState(NamedTuple):
