@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from posegsa.arguments import check_type, check_whole
 from posegsa.errors import ArgumentError, PosegsaError
 
 AXIS = "devices"
 """Name of the mesh's only axis."""
 WORTH = 32
 """Simulations that are worth a CPU device of their own: two full vectors."""
+MOST_PROCESSES = 10**6
 
 
 def join(
@@ -44,12 +46,13 @@ def join(
             f"coordinator = {coordinator}, processes = {processes}, process = {process}; allowed: "
             "all three, or none on a cluster that JAX knows"
         )
+    if coordinator is not None:
+        check_type("coordinator", coordinator, str, allowed="text, HOST:PORT")
     if coordinator is not None and not coordinator.rpartition(":")[2].isdecimal():
         raise ArgumentError(f"coordinator = {coordinator!r}; allowed: HOST:PORT")
-    if processes is not None and process is not None and not 0 <= process < processes:
-        raise ArgumentError(
-            f"process = {process}; allowed: 0 to {processes - 1}, as processes = {processes}"
-        )
+    if processes is not None and process is not None:
+        check_whole("processes", processes, 1, MOST_PROCESSES)
+        check_whole("process", process, 0, processes - 1)
     try:
         jax.distributed.initialize(coordinator, processes, process)
     except (RuntimeError, ValueError) as error:

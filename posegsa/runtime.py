@@ -16,6 +16,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from posegsa.arguments import check_whole
 from posegsa.errors import PosegsaWarning
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
@@ -29,6 +30,7 @@ _PATIENCE = {
     "--xla_cpu_collective_call_terminate_timeout_seconds": 7 * 24 * 3600,
     "--xla_cpu_collective_timeout_seconds": 7 * 24 * 3600,  # between processes
 }
+_MOST_DEVICES = 4096  # more than any machine has cores
 _EXTRA = "--xla_backend_extra_options="
 # With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
 # many outputs instead of one kernel for each: 3 times faster on 100 agents.
@@ -44,9 +46,15 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     Args:
         flags: What XLA_FLAGS is now.
         devices: CPU devices to make; by default one for each core that the process may use.
+
+    Raises:
+        ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     words = flags.split()
-    devices = usable_cores() if devices is None else devices
+    if devices is None:
+        devices = usable_cores()
+    else:
+        check_whole("devices", devices, 1, _MOST_DEVICES)
     own = [word for word in words if word.startswith(_EXTRA)]
     options = [option for word in own for option in word.removeprefix(_EXTRA).split(",") if option]
     named = {option.split("=")[0] for option in options}
@@ -75,7 +83,11 @@ def enable_fast_path(devices: int | None = None) -> bool:
     Returns:
         Whether it came in time. Too late, it changes nothing and warns: results are the same,
         slower.
+
+    Raises:
+        ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
+    flags = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
     if _jax_has_started():
         warnings.warn(
             "enable_fast_path() came after JAX had started, so it has no effect: call it before "
@@ -84,7 +96,7 @@ def enable_fast_path(devices: int | None = None) -> bool:
             stacklevel=2,
         )
         return False
-    os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
+    os.environ["XLA_FLAGS"] = flags
     return True
 
 

@@ -23,6 +23,8 @@ from posegsa.optimisers import (
     start,
     tell,
 )
+from posegsa.optimisers.adam import LARGEST_BETA
+from posegsa.optimisers.checks import SMALLEST_EPSILON
 from posegsa.population import evaluate_population
 from posegsa.search import make_ready, run_search
 
@@ -112,13 +114,23 @@ def test_polish_descends_from_the_best_and_chunks_do_not_change_a_bit() -> None:
     ("setting", "message"),
     [
         ({"learning_rate": -1}, "learning_rate = -1"),
-        ({"beta1": 1.5}, "beta1 = 1.5"),
+        ({"beta1": 1.0}, r"beta1 = 1\.0; allowed: .* at most 0\.999999"),
+        ({"beta2": 1 - 1e-9}, "beta2 = 0.999999999"),
+        ({"epsilon": 0.0}, r"epsilon = 0\.0; allowed: a finite number of at least 1\.17549e-38"),
         ({"gradient_price": 0}, "gradient_price = 0"),
     ],
 )
 def test_settings_out_of_range_are_refused(setting: dict, message: str) -> None:
     with pytest.raises(ValueError, match=f"Adam: {message}"):
         Adam(**setting)
+
+
+def test_the_outermost_settings_stay_finite_without_a_slope() -> None:
+    extreme = Adam(3, 5, beta1=LARGEST_BETA, beta2=LARGEST_BETA, epsilon=SMALLEST_EPSILON)
+    for slope in (0.0, 1e-30, 1.0):
+        search = minimise(lambda x, s=slope: s * x[:, 0], TARGET, extreme, random.key(4))
+        assert jnp.isfinite(search.state.position).all(), slope
+        assert search.non_finite == 0
 
 
 SMALL = [

@@ -145,7 +145,12 @@ def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
     [
         (("127.0.0.1:1", None, None), "all three"),
         (("127.0.0.1", 2, 0), "HOST:PORT"),
-        (("127.0.0.1:1", 2, 2), "process = 2; allowed: 0 to 1"),
+        (("127.0.0.1:1", 2, 2), "process = 2; allowed: a whole number from 0 to 1"),
+        (("127.0.0.1:1", 2, 0.5), "process = 0.5; allowed: a whole number from 0 to 1"),
+        (("127.0.0.1:1", 0, 0), "processes = 0; allowed: a whole number from 1"),
+        (("127.0.0.1:1", "2", 0), "processes = '2'; allowed: a whole number from 1"),
+        (("127.0.0.1:1", True, 0), "processes = True; allowed: a whole number from 1"),
+        ((9, 2, 0), "coordinator: a int; allowed: text, HOST:PORT"),
     ],
 )
 def test_processes_that_cannot_join_are_told_why(given, message):

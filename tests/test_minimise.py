@@ -161,6 +161,8 @@ def test_a_gradient_on_the_host() -> None:
         ({"seconds": -1}, "seconds = -1; allowed: a finite number"),
         ({"target": np.nan}, "target = nan; allowed: a finite number"),
         ({"patience": 1.5}, "patience = 1.5; allowed: an integer of at least 1"),
+        ({"tolerance": 0.1}, "tolerance = 0.1; allowed: with patience"),
+        ({"tolerance": 0.1, "target": 1.0}, "tolerance = 0.1; allowed: with patience"),
         ({"on_host": True, "optimiser": Polish(SWARM, Adam())}, "a Polish on the host; allowed"),
         ({"on_host": True, "key": jax.random.split(KEY, 2)}, r"keys of shape \(2,\) on the host"),
     ],

@@ -100,6 +100,19 @@ def test_an_unknown_strategy_is_refused_by_name() -> None:
         make_optimiser(tiny("search.optimiser=evosax", "evosax.strategy=CMAES"))
 
 
+@pytest.mark.parametrize("made", [Evosax, PyCMA])
+def test_a_search_that_can_not_spread_is_refused(made: type) -> None:
+    for sigma in (0.0, 1e-13):
+        with pytest.raises(ValueError, match=f"sigma = {sigma}; allowed: .* at least 1e-12"):
+            made(sigma=sigma)
+
+
+def test_the_smallest_spread_of_a_configuration_stays_finite() -> None:
+    search = minimise(FUNCTION, FUNCTION.box, Evosax("CMA_ES", 6, 5, 1e-12), KEY)
+    assert search.non_finite == 0
+    assert jnp.isfinite(search.state.asked).all()
+
+
 @pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
 def test_a_missing_library_names_the_extra(
     monkeypatch: pytest.MonkeyPatch, name: str, library: str

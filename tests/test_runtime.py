@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from posegsa import runtime
-from posegsa.errors import PosegsaWarning
+from posegsa.errors import ArgumentError, PosegsaWarning
 
 EXTRA = "--xla_backend_extra_options="
 
@@ -86,6 +86,15 @@ def test_too_late_it_warns_and_changes_nothing(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--as_it_was")
     with pytest.warns(PosegsaWarning, match="before the first array"):
         assert not runtime.enable_fast_path()
+    assert os.environ["XLA_FLAGS"] == "--as_it_was"
+
+
+@pytest.mark.parametrize("devices", [0, -1, 2.0, "2", True, 10**9])
+def test_devices_that_can_not_be_made_are_refused(devices, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--as_it_was")
+    message = rf"devices = {devices!r}; allowed: a whole number from 1 to 4096"
+    with pytest.raises(ArgumentError, match=message):
+        runtime.enable_fast_path(devices)
     assert os.environ["XLA_FLAGS"] == "--as_it_was"
 
 

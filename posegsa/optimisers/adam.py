@@ -16,7 +16,10 @@ from jax import Array, random
 from jax.typing import DTypeLike
 
 from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import check_count, check_number
+from posegsa.optimisers.checks import SMALLEST_EPSILON, check_count, check_number
+
+LARGEST_BETA = 0.999999
+"""A running mean that decays by nothing has a bias correction of 0 / 0; float32 rounds."""
 
 
 class AdamState(NamedTuple):
@@ -36,9 +39,9 @@ class Adam:
         agents: Number of starts, drawn uniformly over the box, that descend side by side.
         iterations: Steps of each.
         learning_rate: Length of the first step of each coordinate, in widths of the box.
-        beta1: Decay of the gradient's running mean.
-        beta2: Decay of the squared gradient's running mean.
-        epsilon: Added to its root, against division by zero.
+        beta1: Decay of the gradient's running mean, below 1.
+        beta2: Decay of the squared gradient's running mean, below 1.
+        epsilon: Added to its root, against division by zero; above 0.
         spread: Where the descents begin at a given position: all but the first are moved away
             from it by up to this in each coordinate, in widths of the box.
         gradient_price: How many evaluations a cost with its gradient counts as.
@@ -61,9 +64,9 @@ class Adam:
         check_count("Adam: agents", self.agents)
         check_count("Adam: iterations", self.iterations)
         check_number("Adam: learning_rate", self.learning_rate)
-        check_number("Adam: beta1", self.beta1, most=1)
-        check_number("Adam: beta2", self.beta2, most=1)
-        check_number("Adam: epsilon", self.epsilon)
+        check_number("Adam: beta1", self.beta1, most=LARGEST_BETA)
+        check_number("Adam: beta2", self.beta2, most=LARGEST_BETA)
+        check_number("Adam: epsilon", self.epsilon, least=SMALLEST_EPSILON)
         check_number("Adam: spread", self.spread, most=1)
         check_count("Adam: gradient_price", self.gradient_price)
 

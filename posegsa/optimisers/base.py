@@ -1,7 +1,7 @@
 """The search box, and the ask/tell protocol that every optimiser keeps."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,9 @@ from posegsa.optimisers.checks import real_array, refuse
 
 Objective = Callable[[Array], Array]
 """Maps positions (agents, dimensions), in the box's coordinates, to costs (agents,)."""
+
+FailureCost = Literal["largest", "worst so far", "worst now"]
+"""What an optimiser is told of a position whose cost is not finite; see `Optimiser`."""
 
 
 class Box(NamedTuple):
@@ -50,7 +53,16 @@ class Asking(Protocol):
 class Optimiser(Asking, Protocol):
     """Settings with three pure methods over an immutable state.
 
-    The costs it is told are finite: the loop (`posegsa.optimisers.loop`) sees to that.
+    The costs it is told are finite: the loop (`posegsa.optimisers.loop`) sees to that. What stands
+    for one that is not must never pass for a good one, now or later. An optimiser may say by a
+    class attribute `failure_cost` what that takes:
+
+        "largest": the largest finite number, for one that does nothing but compare costs.
+        "worst so far": a little more than the worst finite cost of the whole search, and before
+            any some 1e15 (in float64 1e123), for one that keeps costs and calculates with them.
+            This is the default.
+        "worst now": the worst finite cost of the iteration, for one that keeps none: an old, high
+            cost would make all of these look alike. Where they are equal it is a little more.
     """
 
     def tell(self, state: Any, costs: Array) -> Any:

@@ -16,6 +16,10 @@ from posegsa.errors import ArgumentError
 
 MOST = 10**8
 """What counts may be: with more, the history of a search alone would not fit a machine."""
+SMALLEST_EPSILON = float(np.finfo(np.float32).tiny)
+"""What is added against division by zero: a smaller number would be 0 in float32."""
+SMALLEST_SIGMA = 1e-12
+"""Standard deviation at the start of a search, in widths of the box; from 0 none gets away."""
 
 
 def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:

@@ -8,13 +8,13 @@ the article does not speak of, is drawn anew.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.base import FailureCost, uniform
 from posegsa.optimisers.checks import check_choice, check_count, check_number
 
 Strategy = Literal["rand/1/bin", "best/1/bin"]
@@ -49,6 +49,8 @@ class DifferentialEvolution:
     strategy: Strategy = "rand/1/bin"
     factor: float = 0.5
     crossover: float = 0.9
+
+    failure_cost: ClassVar[FailureCost] = "largest"
 
     def __post_init__(self) -> None:
         """Check the settings."""

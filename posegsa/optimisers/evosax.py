@@ -19,7 +19,7 @@ from jax import Array, lax, random
 from jax.typing import DTypeLike
 
 from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import check_choice, check_count, check_number
+from posegsa.optimisers.checks import SMALLEST_SIGMA, check_choice, check_count, check_number
 
 
 class EvosaxState(NamedTuple):
@@ -55,7 +55,7 @@ class Evosax:
         """Check the settings."""
         check_count("Evosax: agents", self.agents, least=2)
         check_count("Evosax: iterations", self.iterations)
-        check_number("Evosax: sigma", self.sigma)
+        check_number("Evosax: sigma", self.sigma, least=SMALLEST_SIGMA)
         check_choice("Evosax: strategy", self.strategy, tuple(sorted(_strategies())))
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> EvosaxState:

@@ -12,21 +12,18 @@ smaller costs where the optimum lies at the box's centre, and stalls where it do
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
 
-from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import check_choice, check_count, check_number
+from posegsa.optimisers.base import FailureCost, uniform
+from posegsa.optimisers.checks import SMALLEST_EPSILON, check_choice, check_count, check_number
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
-
-SMALLEST_EPSILON = float(np.finfo(np.float32).tiny)
-"""A smaller one would be 0 in float32, and two agents in one place a division by zero."""
 
 
 class GSAState(NamedTuple):
@@ -76,6 +73,8 @@ class GSA:
     final_percent: float = 2.0
     epsilon: float | None = None
     decay_iterations: int | None = None
+
+    failure_cost: ClassVar[FailureCost] = "worst now"
 
     def __post_init__(self) -> None:
         """Check the settings."""

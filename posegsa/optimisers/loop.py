@@ -13,7 +13,14 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from posegsa.optimisers.base import Box, GradientOptimiser, Objective, Optimiser, from_unit
+from posegsa.optimisers.base import (
+    Box,
+    FailureCost,
+    GradientOptimiser,
+    Objective,
+    Optimiser,
+    from_unit,
+)
 from posegsa.optimisers.checks import check_count, refuse, refuse_unreal
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.polish import Polish
@@ -102,9 +109,9 @@ def advance(
         objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,);
             for a gradient optimiser a `Differentiable`, or a function that reverse mode can
             differentiate. A cost that is not finite marks a position that could not be judged: it
-            is counted, told to the optimiser as the iteration's worst finite cost (all costs as 0
-            where none is finite), and never becomes the best. A gradient that is not finite is
-            counted too, and told as 0.
+            is counted, never becomes the best, and is told to the optimiser as a finite one that
+            is no better than any real cost, as the optimiser says (`base.FailureCost`). A gradient
+            that is not finite is counted too, and told as 0.
         box: Where to search.
         search: The search so far, from `start` or `advance`.
         stop: Number of iterations, counted from the start of the search, after which to stop; the
@@ -276,7 +283,7 @@ def _tell(
     finite = jnp.isfinite(costs)
     some = finite.any()
     worst = jnp.max(costs, where=finite, initial=-jnp.inf)
-    told: list[Array] = [jnp.where(finite, costs, jnp.where(some, worst, 0))]
+    told: list[Array] = [jnp.where(finite, costs, _failure_cost(optimiser, search, costs))]
     judged = finite
     if _wants_gradients(optimiser):
         shape = None if gradients is None else gradients.shape
@@ -307,3 +314,30 @@ def _tell(
         non_finite=search.non_finite + failures,
         history=jax.tree.map(lambda h, s: h.at[search.iteration].set(s), search.history, seen),
     )
+
+
+def _failure_cost(optimiser: Any, search: Search, costs: Array) -> Array:
+    """The finite cost () told of positions whose cost is not, among these costs (agents,)."""
+    limits = jnp.finfo(costs.dtype)
+    largest, tiny = float(limits.max), float(limits.tiny)
+    kind: FailureCost = getattr(optimiser, "failure_cost", "worst so far")
+    if kind == "largest":
+        return jnp.asarray(largest, costs.dtype)
+
+    finite = jnp.isfinite(costs)
+    worst = jnp.max(costs, where=finite, initial=-jnp.inf)
+    if kind == "worst so far":
+        known = search.history.worst
+        before = jnp.max(known, where=jnp.isfinite(known), initial=-jnp.inf)
+        worst = jnp.maximum(worst, before)
+    some = jnp.isfinite(worst)
+    worst = jnp.where(some, worst, 0)
+    # Above it by what rounding can't take away, nor a division by 16 (`gsa.masses`).
+    step = jnp.maximum(2 * float(limits.eps) * jnp.abs(worst), 64 * tiny)
+    above = jnp.minimum(worst + step, largest)
+    if kind == "worst now":
+        # Where real costs differ, the worst of them weighs nothing already.
+        best = jnp.min(costs, where=finite, initial=jnp.inf)
+        above = jnp.where(best < worst, worst, above)
+    # Before any finite cost: one that real costs stay below, and whose square can be added up.
+    return jnp.where(some, above, largest**0.4)

@@ -96,7 +96,7 @@ def minimise(
             (`posegsa.save_search`).
         target: Stop once the best cost is at most this.
         patience: Stop once the best cost has not fallen for this many iterations,
-        tolerance: or has fallen by no more than this share of itself.
+        tolerance: or has fallen by no more than this share of itself; only with `patience`.
         evaluations: Stop before the iteration that would go past this many evaluations; a cost
             with its gradient counts as the optimiser's `gradient_price`.
         seconds: Stop after the chunk in which this much time has passed, compiling included; where
@@ -215,6 +215,8 @@ def _until(target: float | None, patience: int | None, tolerance: float) -> Unti
     if patience is not None:
         check_count("minimise: patience", patience)
     check_number("minimise: tolerance", tolerance)
+    if patience is None and tolerance != 0:
+        refuse(f"minimise: tolerance = {tolerance!r}", "with patience")
     if target is None and patience is None:
         return None
     until = Until()

@@ -14,13 +14,13 @@ best of all. A coordinate that leaves the box stops at its bound, with velocity 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.base import FailureCost, uniform
 from posegsa.optimisers.checks import check_count, check_number
 
 
@@ -29,8 +29,8 @@ def constriction(phi: float) -> float:
     return 2 / (phi - 2 + math.sqrt(phi**2 - 4 * phi))
 
 
-CONSTRICTION = constriction(4.1)
-"""chi = 0.7298 for the usual phi1 = phi2 = 2.05."""
+INERTIA, PULL = 0.7298, 1.4961
+"""chi and chi phi1 for the usual phi1 = phi2 = 2.05, with the four places usually printed."""
 
 
 class ParticleSwarmState(NamedTuple):
@@ -60,9 +60,11 @@ class ParticleSwarm:
 
     agents: int = 100
     iterations: int = 250
-    inertia: float = CONSTRICTION
-    cognitive: float = CONSTRICTION * 2.05
-    social: float = CONSTRICTION * 2.05
+    inertia: float = INERTIA
+    cognitive: float = PULL
+    social: float = PULL
+
+    failure_cost: ClassVar[FailureCost] = "largest"
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.checks import check_count, check_number
+from posegsa.optimisers.checks import SMALLEST_SIGMA, check_count, check_number
 
 
 class PyCMAState(NamedTuple):
@@ -49,7 +49,7 @@ class PyCMA:
         """Check the settings."""
         check_count("PyCMA: agents", self.agents, least=3)
         check_count("PyCMA: iterations", self.iterations)
-        check_number("PyCMA: sigma", self.sigma, least=1e-12)
+        check_number("PyCMA: sigma", self.sigma, least=SMALLEST_SIGMA)
         _library()
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> PyCMAState:

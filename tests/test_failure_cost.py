@@ -1,0 +1,100 @@
+"""What optimisers are told of positions whose cost is not finite, and what they make of it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array
+from test_optimisers_base import fixed_search, sphere
+
+from posegsa.optimisers import (
+    GSA,
+    DifferentialEvolution,
+    Optimiser,
+    ParticleSwarm,
+    Search,
+    box,
+    minimise,
+    start,
+    tell,
+)
+from posegsa.optimisers.gsa import masses
+
+
+@pytest.mark.parametrize("worst", [-7.0, -1e-38, 0.0, 1e-42, 1.0, 3e38, 3.4028235e38])
+def test_a_failure_is_told_as_more_than_the_worst(worst: float) -> None:
+    told = fixed_search([np.nan, worst, worst, worst, worst]).state.told
+    assert jnp.isfinite(told).all()
+    assert told[0] > told[1] or worst > 3.4e38
+
+
+KEEPING = [
+    ParticleSwarm(agents=6, iterations=30),
+    DifferentialEvolution(agents=6, iterations=30),
+    DifferentialEvolution(agents=6, iterations=30, strategy="best/1/bin"),
+]
+"""They keep costs."""
+
+
+def kept(optimiser: Optimiser, search: Search) -> tuple[np.ndarray, np.ndarray]:
+    """The positions that an optimiser keeps, and their costs."""
+    swarm = isinstance(optimiser, ParticleSwarm)
+    names = ("best_position", "best_cost") if swarm else ("position", "cost")
+    positions, costs = (np.asarray(getattr(search.state, name)) for name in names)
+    return positions, costs
+
+
+@pytest.mark.parametrize("shift", [-1000.0, 0.0, 1000.0])
+@pytest.mark.parametrize("optimiser", KEEPING)
+def test_a_first_iteration_without_a_finite_cost_is_overcome(
+    optimiser: Optimiser, shift: float
+) -> None:
+    target, key = box([-1, -1], [1, 1]), jax.random.key(11)
+    search = start(optimiser, target, key)
+    search = jax.jit(tell, static_argnums=0)(optimiser, target, search, np.full(6, np.nan))
+    search = minimise(lambda x: sphere(x) + shift, target, optimiser, key, search=search)
+    positions, costs = kept(optimiser, search)
+    np.testing.assert_allclose(costs, np.sum((2 * positions - 1) ** 2, 1) + shift, atol=1e-3)
+    assert np.ptp(costs) < 0.3
+    assert search.best_cost == costs.min() < search.history.best[1] - 1e-3
+
+
+@pytest.mark.parametrize("optimiser", KEEPING)
+def test_a_failure_never_takes_the_place_of_a_real_cost(optimiser: Optimiser) -> None:
+    """The costs fall from one iteration to the next, so that its worst is below what was kept."""
+    target, rng = box([0, 0], [1, 1]), np.random.default_rng(0)
+    search, learn = start(optimiser, target, jax.random.key(12)), jax.jit(tell, static_argnums=0)
+    judged = np.zeros(6, bool)
+    for iteration in range(12):
+        costs = rng.uniform(0.1, 1, 6) * 0.5**iteration
+        costs[rng.permutation(6)[: rng.integers(3, 6)]] = np.nan  # sometimes all but one
+        before, known = kept(optimiser, search)
+        search = learn(optimiser, target, search, costs)
+        positions, now = kept(optimiser, search)
+        stays = np.isnan(costs) & judged
+        assert (positions[stays] == before[stays]).all()
+        assert (now[stays] == known[stays]).all()
+        better = ~np.isnan(costs) & ~(costs.astype(np.float32) >= known)
+        assert (now[better] == costs[better].astype(np.float32)).all()
+        judged |= ~np.isnan(costs)
+        assert now.argmin() in np.flatnonzero(judged), "the best of all was judged"
+    assert judged.all()
+
+
+def test_gravity_tells_a_lone_real_cost_from_failures() -> None:
+    told = []
+
+    class Seen(GSA):
+        def tell(self, state: Any, costs: Array) -> Any:
+            told.append(np.asarray(costs))
+            return super().tell(state, costs)
+
+    gravity, target = Seen(agents=4, iterations=3), box([0, 0], [1, 1])
+    search = start(gravity, target, jax.random.key(13))
+    for costs in ([np.nan] * 4, [np.nan, 0, np.inf, np.nan], [1, np.nan, 3, 2]):
+        search = tell(gravity, target, search, np.array(costs))
+    assert np.isfinite(told[0]).all()
+    assert np.asarray(masses(told[1])).tolist() == [0, 1, 0, 0]
+    assert told[2].tolist() == [1, 3, 3, 2], "an old cost does not weigh in"
