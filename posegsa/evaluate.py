@@ -27,12 +27,12 @@ from posegsa.comparison import (
     held_out_keys,
     training_keys,
 )
+from posegsa.config import override
 from posegsa.config.fields import MOST
 from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
 from posegsa.keys import keys, scenario_keys
 from posegsa.metrics import run
 from posegsa.named_optimisers import gsa_of
-from posegsa.optimisers import RandomSearch
 from posegsa.parameters import parameter_space
 from posegsa.population import problem
 from posegsa.results import TuneResult
@@ -111,9 +111,9 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
         return ConstantGain(gain), {"gain": result.constant_gain}
 
     def random() -> tuple[GainSchedule, dict[str, Any]]:
-        task = make_ready(experiment)
-        optimiser = RandomSearch(search.agents, search.iterations)
-        best = run_search(task._replace(optimiser=optimiser)).search.best_position
+        # By name, because the library of the run's own optimiser may not be installed here.
+        task = make_ready(override(experiment, ["search.optimiser=random_search"]))
+        best = run_search(task).search.best_position
         controller = space.controller(best)
         return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
 

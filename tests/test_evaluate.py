@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 from importlib import import_module
 
 import jax
@@ -26,7 +27,8 @@ from posegsa.comparison import (
     interval,
     training_keys,
 )
-from posegsa.config import ObjectiveConfig
+from posegsa.config import ObjectiveConfig, override
+from posegsa.evaluate import baselines as find_baselines
 from posegsa.evaluate import evaluate
 from posegsa.gain import ConstantGain, ScheduleInputs
 from posegsa.optimisers import GSA, Box
@@ -222,3 +224,18 @@ def test_the_table_holds_every_contender(evaluated):
         assert text.count(name) == 2
     assert "5 scenarios" in text
     assert comparison.TUNED in text
+
+
+@pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
+def test_the_random_baseline_needs_no_library_of_the_runs_own_optimiser(
+    evaluated, monkeypatch, name, library
+):
+    tuned, judged, _ = evaluated
+    for module in [m for m in sys.modules if m.split(".")[0] == library]:
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, library, None)
+    experiment = override(tuned.experiment, [f"search.optimiser={name}"])
+    result = dataclasses.replace(tuned, experiment=experiment)
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        _, found = find_baselines(result, quietly(experiment))[RANDOM]()
+    assert found["k"] == judged.evaluation.contenders[RANDOM].schedule["k"]
