@@ -9,19 +9,25 @@ import pytest
 from evosax.algorithms import PSO
 from jax import Array, random
 
+from posegsa.config.optimisers import PsoConfig
 from posegsa.optimisers import Box, ParticleSwarm, box, minimise
 from posegsa.optimisers.base import uniform
-from posegsa.optimisers.particle_swarm import constriction
+from posegsa.optimisers.particle_swarm import INERTIA, PULL, constriction
 
 
 def test_constriction_is_the_published_number() -> None:
     # Clerc and Kennedy (2002), Eberhart and Shi (2000): 0.729 for phi = 4.1, pulls 0.729 x 2.05.
-    assert constriction(4.1) == pytest.approx(0.7298, abs=5e-5)
-    assert 4.1 * constriction(4.1) / 2 == pytest.approx(1.4961, abs=1e-4)
+    assert constriction(4.1) == pytest.approx(INERTIA, abs=5e-5)
+    assert 4.1 * constriction(4.1) / 2 == pytest.approx(PULL, abs=1e-4)
     # The swarm's matrix has spectral radius sqrt(chi) < 1: it neither explodes nor freezes.
     chi = constriction(4.1)
     roots = np.linalg.eigvals([[chi, chi * 4.1], [-chi, 1 - chi * 4.1]])
     assert max(abs(roots)) == pytest.approx(math.sqrt(chi))
+
+
+def test_a_configured_swarm_is_the_one_of_the_library() -> None:
+    assert vars(ParticleSwarm()) == {"agents": 100, "iterations": 250} | PsoConfig().model_dump()
+    assert (INERTIA, PULL) == (0.7298, 1.4961), "as the documents' numbers were measured"
 
 
 @pytest.mark.usefixtures("x64")

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.fields import MOST, Count, NonNegative, Positive, Section
+from posegsa.optimisers.particle_swarm import INERTIA, PULL
 
 OptimiserName = Literal[
     "gsa", "random_search", "pso", "de", "adam", "gsa+adam", "cma_es", "evosax", "pycma"
@@ -51,11 +52,11 @@ class GsaConfig(Section):
 class PsoConfig(Section):
     """[pso]: particle swarm (Clerc and Kennedy 2002); agents move in the unit box."""
 
-    inertia: NonNegative = 0.7298
+    inertia: NonNegative = INERTIA
     """Share w of its velocity that a particle keeps, no unit."""
-    cognitive: NonNegative = 1.4961
+    cognitive: NonNegative = PULL
     """Pull c1 of a particle's own best place, no unit."""
-    social: NonNegative = 1.4961
+    social: NonNegative = PULL
     """Pull c2 of the best place of all, no unit."""
 
 

@@ -29,8 +29,8 @@ def constriction(phi: float) -> float:
     return 2 / (phi - 2 + math.sqrt(phi**2 - 4 * phi))
 
 
-CONSTRICTION = constriction(4.1)
-"""chi = 0.7298 for the usual phi1 = phi2 = 2.05."""
+INERTIA, PULL = 0.7298, 1.4961
+"""chi and chi phi1 for the usual phi1 = phi2 = 2.05, with the four places usually printed."""
 
 
 class ParticleSwarmState(NamedTuple):
@@ -60,9 +60,9 @@ class ParticleSwarm:
 
     agents: int = 100
     iterations: int = 250
-    inertia: float = CONSTRICTION
-    cognitive: float = CONSTRICTION * 2.05
-    social: float = CONSTRICTION * 2.05
+    inertia: float = INERTIA
+    cognitive: float = PULL
+    social: float = PULL
 
     failure_cost: ClassVar[FailureCost] = "largest"
 
