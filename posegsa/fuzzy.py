@@ -110,9 +110,12 @@ def firing_heights(
     return tuple(heights)
 
 
-def _overlap(ai: Array, bi: Array, ci: Array, aj: Array, bj: Array, cj: Array) -> Overlap:
-    """The coefficients for terms i <= j (DESIGN: F_ij and M_ij)."""
-    del ai, cj
+def _overlap(bi: Array, ci: Array, aj: Array, bj: Array) -> Overlap:
+    """The coefficients for terms i <= j, from the falling edge of i and the rising edge of j.
+
+    At a height y both reach from aj + y u to ci - y v: the area up to h is the integral of that
+    width over y, the first moment that of the width times its middle.
+    """
     u, v, width = bj - aj, ci - bi, ci - aj
     slope = u + v
     ratio = width / choose(slope > 0, slope, 1.0)
@@ -232,8 +235,8 @@ class FuzzyController:
         if self.centroid == "exact":
             reach = len(triangles) if self.reach is None else self.reach
             overlaps = tuple(
-                tuple(_overlap(*first, *second) for second in triangles[i : i + reach + 1])
-                for i, first in enumerate(triangles)
+                tuple(_overlap(bi, ci, aj, bj) for aj, bj, _ in triangles[i : i + reach + 1])
+                for i, (_, bi, ci) in enumerate(triangles)
             )
         else:
             points = jnp.linspace(*self.output_range, self.points, dtype=out.dtype)

@@ -64,9 +64,11 @@ class TuneResult:
     trust: Trust
     """Numerical sensitivity and use of the rules."""
     evaluations: int
-    """Number of agents evaluated, each on all training scenarios."""
+    """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
+    as the `gradient_price` of the optimiser that asks for it."""
     non_finite: int
-    """Number of them whose cost was not finite."""
+    """Number of agents whose cost, or gradient where there is one, was not finite; each counts as
+    one."""
     compile_seconds: float
     search_seconds: float
     history: History

@@ -1,10 +1,10 @@
 """Independent NumPy float64 reference of the whole chain, the oracle of the test suite.
 
-Written from the paper's equations and DESIGN.md alone, with matrices and loops, for reading and not
-for speed; it shares no code with the package and must stay that way.  Equation numbers are the
-paper's, section numbers DESIGN.md's.
+Written from the paper's equations and the conventions below alone, with matrices and loops, for
+reading and not for speed; it shares no code with the package and must stay that way.  Equation
+numbers are the paper's.
 
-Conventions (section 3): inertial frame I, body frame B; T = [[R, P], [0, 1]] maps B to I, P is in
+Conventions: inertial frame I, body frame B; T = [[R, P], [0, 1]] maps B to I, P is in
 I.  Tangent vectors are xi = [omega; v], rotation first.  SI units, radians.  R_err = R_est R^T,
 P_err = P_est - R_err P.  Time-major arrays.  A measurement of weight 0 may hold NaN.
 """
@@ -105,7 +105,7 @@ def integrate_truth(omega: Array, v: Array, dt: Array, T0: Array) -> Array:
 
 
 def attitude_distance(R_err: Array) -> float:
-    """||R_err||_I = (1/4) tr(I - R_err), in [0, 1], of R_err (3, 3) (section 3)."""
+    """||R_err||_I = (1/4) tr(I - R_err), in [0, 1], of R_err (3, 3)."""
     return float(np.trace(np.eye(3) - R_err) / 4.0)
 
 
@@ -127,7 +127,7 @@ def innovation(
 def curvature(
     T_est: Array, y: Array, p: Array, sL: Array, vB: Array, vI: Array, sR: Array
 ) -> float:
-    """L of section 4 (first formula), with x_i = T_est y_i; a step is stable if K dt L < 2."""
+    """L with x_i = T_est y_i; a step is stable if K dt L < 2."""
     total = 0.0
     for i in np.flatnonzero(sR):
         total += 0.5 * sR[i] * np.linalg.norm(vB[i]) * np.linalg.norm(vI[i])
@@ -149,7 +149,7 @@ def filter_step(
     substeps: int = 1,
     gain_limit: float | None = None,
 ) -> tuple[Array, Array]:
-    """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9, section 4).
+    """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
     gamma is the bias gain of (omega, v); gain_limit is c of K_used = min(K, c / (dt/n L)).  Each of
     the n inner steps evaluates everything at its own start, the measurement held; the velocity
@@ -184,7 +184,7 @@ def pose_errors(T_est: Array, T_true: Array) -> tuple[float, float]:
 def error_signal(
     T_est: Array, sample: Sample, T_true: Array, signal: Signal, position_weight: float
 ) -> float:
-    """Error e the gain looks at (section 5), neither scaled nor clipped.
+    """Error e the gain looks at, neither scaled nor clipped.
 
     "measured": 3/(8 sum s^R) sum s^R |R_est v^B - v^I|^2 plus position_weight times the weighted
     mean of |T_est y - p|; a part whose weights are all 0 is 0.  "pose": the same with true errors.
@@ -276,7 +276,7 @@ def fuzzy_gain(
     lower: float = 0.0,
     upper: float = 100.0,
 ) -> float:
-    """K = 1 + centroid (section 6) of e and rate, both scaled and clipped already; never nan.
+    """K = 1 + centroid of e and rate, both scaled and clipped already; never nan.
 
     `last` is the gain of the sample before; [lower, upper] is the output universe.  Where rules
     fire without area the limit point is the firing term's peak; several such terms at different
@@ -306,7 +306,7 @@ def repair(
     coverage: bool = True,
     overlap: float = 0.01,
 ) -> tuple[Array, Array]:
-    """Terms (5, 3), (5, 3) of k (22,) inside the box [lower, upper], repaired as in section 6."""
+    """Terms (5, 3), (5, 3) of k (22,) inside the box [lower, upper], repaired."""
     for bounds in (*terms_of(lower), *terms_of(upper)):
         if np.any(np.diff(bounds, axis=0) < 0) or np.any(np.diff(bounds, axis=1) < 0):
             raise ValueError("the bounds must ascend within each term and from term to term")
@@ -341,7 +341,7 @@ def run(
     """The loop of gain and filter over N samples; T_true is (N, 4, 4).
 
     gain_function(error, rate, last gain) -> K sees e / error_scale and |e_k - e_{k-1}| rate_scale,
-    each clipped to [0, 1], the rate 0 at sample 0 (section 5).  The last gain is the K asked for at
+    each clipped to [0, 1], the rate 0 at sample 0.  The last gain is the K asked for at
     the sample before, 1 + (lower + upper) / 2 at sample 0.  step_options go to `filter_step`.
     """
     T_est, b_est, last = T0_est, b0_est, 1.0 + (lower + upper) / 2.0
@@ -365,7 +365,7 @@ def cost(
     transient: tuple[int, int] = (0, 100),
     steady: tuple[int, int] = (400, 1400),
 ) -> float:
-    """Eq. 17 over sample indices, both ends of each window included (section 3)."""
+    """Eq. 17 over sample indices, both ends of each window included."""
     total = 0.0
     for weight, (first, final) in ((transient_weight, transient), (1.0, steady)):
         for k in range(first, final + 1):
@@ -385,7 +385,7 @@ def gsa_masses(costs: Array) -> Array:
 def gsa_acceleration(
     x: Array, costs: Array, G: float, k_best: int, rand: Array, power: float, eps: float
 ) -> Array:
-    """a_i = G sum_{j in K_best, j != i} rand_ijd M_j (x_j - x_i) / (R_ij^p + eps), section 7.
+    """a_i = G sum_{j in K_best, j != i} rand_ijd M_j (x_j - x_i) / (R_ij^p + eps).
 
     x, a (N, D), costs (N,), rand (N, N, D); R_ij = |x_j - x_i|; K_best: least cost, ties by index.
     """
