@@ -238,4 +238,4 @@ def test_the_random_baseline_needs_no_library_of_the_runs_own_optimiser(
     result = dataclasses.replace(tuned, experiment=experiment)
     with jax.enable_x64(experiment.run.dtype == "float64"):
         _, found = find_baselines(result, quietly(experiment))[RANDOM]()
-    assert found["k"] == judged.evaluation.contenders[RANDOM].description["k"]
+    assert found["k"] == judged.evaluation.contenders[RANDOM].schedule["k"]
