@@ -65,6 +65,22 @@ def compile_fast() -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", False)
 
 
+HEAVY = ("test_tuning", "test_gsa", "test_optimisers_base", "test_population", "test_rollout")
+"""Begun first, so that no worker is left with one of them at the end."""
+COMPILED = ("test_cli", "test_evaluate", "test_devices", "test_report", "test_resume")
+"""What `test_tuning` compiles is needed here: begun when it is done."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put files in the order in which workers are to take them (`--no-loadscope-reorder`)."""
+
+    def rank(item: pytest.Item) -> int:
+        name = item.path.stem
+        return HEAVY.index(name) if name in HEAVY else len(HEAVY) + (name not in COMPILED)
+
+    items.sort(key=rank)
+
+
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove the run's compiled programs, once all workers are done."""
     if not hasattr(config, "workerinput"):
