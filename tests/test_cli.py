@@ -23,13 +23,16 @@ from posegsa.cli import main
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
 
-def posegsa(*arguments: str, cwd=None, as_module: bool = True) -> subprocess.CompletedProcess[str]:
+def posegsa(
+    *arguments: str, cwd=None, as_module: bool = True, compiled: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own; `compiled` with the programs of these tests."""
     command = (
         [sys.executable, "-m", "posegsa"]
         if as_module
         else [str(Path(sys.executable).with_name("posegsa"))]
     )
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    environment = {k: v for k, v in os.environ.items() if compiled or k != "XLA_FLAGS"}
     return subprocess.run(
         [*command, *arguments],
         cwd=cwd,
@@ -45,7 +48,7 @@ def posegsa(*arguments: str, cwd=None, as_module: bool = True) -> subprocess.Com
 def finished(tmp_path_factory):
     """`posegsa tune` without CONFIG in an empty folder."""
     folder = tmp_path_factory.mktemp("anywhere")
-    return folder, posegsa("tune", "--seed", "3", *SETTINGS, cwd=folder)
+    return folder, posegsa("tune", "--seed", "3", *SETTINGS, cwd=folder, compiled=True)
 
 
 def test_tune_runs_from_any_folder(finished):
