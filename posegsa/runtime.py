@@ -23,8 +23,8 @@ from posegsa.errors import PosegsaWarning
 _WIDTH = "--xla_cpu_prefer_vector_width"
 # A compiled loop runs on one core: searches divide their simulations over devices, one to a core.
 _DEVICES = "--xla_force_host_platform_device_count"
-# XLA ends the process where one device waits 40 s for another's costs: one iteration of a large
-# population may well take that long, and a process that was stopped for a while always does.
+# XLA ends the process where one device waits 40 s for another's costs: an iteration of a large
+# population can well be so much longer on a core that other processes use too.
 _PATIENCE = {
     "--xla_cpu_collective_call_warn_stuck_timeout_seconds": 3600,
     "--xla_cpu_collective_call_terminate_timeout_seconds": 7 * 24 * 3600,
