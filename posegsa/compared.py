@@ -291,8 +291,15 @@ def from_json(text: str) -> Comparison:
 
 
 def quantiles(values: np.ndarray) -> np.ndarray:
-    """Quartiles (3, ...) over the first axis, infinite values included: they stay in order."""
-    return np.quantile(values, (0.25, 0.5, 0.75), axis=0, method="nearest")
+    """Quartiles (3, ...) over the first axis; between two infinite values infinite."""
+    share = (0.25, 0.5, 0.75)
+    below = np.quantile(values, share, axis=0, method="lower")
+    with np.errstate(invalid="ignore"):
+        between = np.quantile(values, share, axis=0)
+    # NumPy's interpolation makes NaN of two infinities, and of a number next to one.
+    beyond = np.where(np.isinf(below), below, np.inf)
+    exact = below == np.quantile(values, share, axis=0, method="higher")
+    return np.where(exact, below, np.where(np.isnan(between), beyond, between))
 
 
 def _quartiles(values: np.ndarray) -> Quartiles:

@@ -48,6 +48,8 @@ def begun(folder: Path) -> Begun:
         CheckpointError: There is no good one, or it is of another format.
         ConfigError: Its experiment is not one of this version of posegsa.
     """
+    if not folder.is_dir():
+        raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
     damaged = []
     for path in _paths(folder):
         try:

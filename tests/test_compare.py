@@ -15,7 +15,7 @@ from posegsa import memory
 from posegsa.cli import main
 from posegsa.cli_progress import CompareBar
 from posegsa.compare import Status, _search, load_comparison
-from posegsa.compared import Comparison, Gradients, Repeat, from_json
+from posegsa.compared import Comparison, Gradients, Repeat, from_json, quantiles
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.gain import FuzzyGain
 from posegsa.keys import keys
@@ -77,6 +77,17 @@ def test_levels_evaluations_and_seconds() -> None:
     for words in ("a minus this", "held out", "to 4", "30 (1.5 s)", "something: 6 repeats of 40"):
         assert words in table
     assert comparison.markdown([4.0]).count("| --- ") == len(comparison.rows([4.0])[0])
+
+
+def test_quartiles_are_the_usual_ones_and_infinite_among_infinite_costs() -> None:
+    for values in (A, A[:5], [1.0, 2.0]):
+        np.testing.assert_allclose(
+            quantiles(np.array(values)), np.quantile(values, [0.25, 0.5, 0.75])
+        )
+    known = [(1, 1, np.inf), (np.inf, np.inf), (1, 2, 3, np.inf, np.inf), (np.inf, 1)]
+    found = [quantiles(np.array(values, float))[1] for values in known]
+    assert found == [1, np.inf, 3, np.inf]
+    assert made(a=[1.0, 2.0]).rows([])[1][2].startswith("1.5 [")
 
 
 def test_infinite_costs_rank_last_and_survive_the_file() -> None:
