@@ -9,6 +9,7 @@ import pytest
 from contenders import c, numpy_vectorised, plain_loop
 from contenders.posegsa_worker import parameter_vectors, scene_of
 from contenders.scene import Scene, load
+from readme import ROOT
 from run_tables import POSEGSA, C, Row, duration, readme_rows, table
 from setups import lasting, paper
 
@@ -107,3 +108,19 @@ def test_rows_say_time_ratio_and_what_is_wrong() -> None:
     assert "| - | - | - | 5e-01 | WRONG |" in lines[2]
     assert readme_rows(rows) == rows
     assert [duration(t) for t in (0.0123, 61, 9000)] == ["12.3 ms", "1.02 min", "2.5 h"]
+
+
+@pytest.mark.parametrize(
+    ("page", "block", "named"),
+    [
+        ("docs/benchmarks.md", "benchmarks", (C, POSEGSA, "NumPy", "Numba", "pyfuzzylite")),
+        ("docs/benchmarks.md", "profile", ("kernels (HLO)", "instructions")),
+        ("README.md", "benchmarks", (C, POSEGSA)),
+        ("docs/robustness.md", "faults", ("kills", "configurations", "one checkpoint")),
+    ],
+)
+def test_the_pages_have_what_was_measured(page: str, block: str, named: tuple[str, ...]) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    measured = text.split(f"<!-- {block}: begin -->")[1].split(f"<!-- {block}: end -->")[0]
+    assert all(name in measured for name in named)
+    assert "WRONG" not in measured
