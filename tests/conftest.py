@@ -33,7 +33,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # JAX makes millions of objects that stay: looking for garbage among all of them, as often as Python
 # does by default, takes a twentieth of the tests' time.
-gc.set_threshold(700, 10, 100)
+gc.set_threshold(20_000, 50, 1000)
 
 # The first example of a shape compiles, so that no example has a deadline.
 settings.register_profile("posegsa", deadline=None, derandomize=True, max_examples=25)
