@@ -170,11 +170,10 @@ def test_vmap_over_keys_equals_a_loop(optimiser: Optimiser) -> None:
         for i, key in enumerate(keys):
             alone = minimise(sphere, target, optimiser, key)
             for field in ("best_position", "best_cost", "iteration", "non_finite", "history"):
-                jax.tree.map(
-                    lambda a, b: np.testing.assert_allclose(a, b[i], rtol=1e-9),  # noqa: B023 - called in this turn
-                    getattr(alone, field),
-                    getattr(together, field),
-                )
+                found = jax.tree.leaves(getattr(alone, field))
+                among = jax.tree.leaves(getattr(together, field))
+                for a, b in zip(found, among, strict=True):
+                    np.testing.assert_allclose(a, b[i], rtol=1e-9)
 
 
 @pytest.mark.parametrize("optimiser", OPTIMISERS[:3])

@@ -39,10 +39,11 @@ def test_all_files_are_replaced_and_those_that_go_are_gone(folder):
 
 @pytest.mark.parametrize("written", [0, 1, 2])
 def test_what_cannot_be_written_leaves_the_old_ones(folder, monkeypatch, written):
-    def full(path, data, left=[written]):  # noqa: B006 - counts over calls
-        if left[0] == 0:
+    room = iter(range(written))
+
+    def full(path, data):
+        if next(room, None) is None:
             raise OSError(28, "No space left on device")
-        left[0] -= 1
         path.write_bytes(data)
 
     monkeypatch.setattr(run_folder, "write_synced", full)

@@ -1,7 +1,6 @@
 """Rotations: quaternions, attitude errors, Euler angles, projection; against SciPy."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -279,7 +278,10 @@ def test_random_rotations_have_the_angle_asked_for_in_both_precisions(dtype, ang
 
 def test_random_rotations_are_about_uniformly_random_axes() -> None:
     angle = jnp.float32(1.0)
-    draw: Callable[[Array], Array] = lambda key: se3.random_rotation(key, angle)  # noqa: E731 - typed
+
+    def draw(key: Array) -> Array:
+        return se3.random_rotation(key, angle)
+
     R = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(1), 3000))
     axes = Rotation.from_matrix(np.asarray(R, np.float64)).as_rotvec()
     # Standard deviation of the means: sqrt(1/3/3000) = 0.011, and 0.005 for the products.
