@@ -39,7 +39,8 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
     import jax
 
     from posegsa.errors import PosegsaError
-    from posegsa.search import make_ready, run_search
+    from posegsa.search.build import tuning_problem
+    from posegsa.search.run import run_search
 
     names = ("configurations tuned whole", "of these written and read back")
     names += ("configurations searched only", "results with NaN")
@@ -61,7 +62,7 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
             continue
         try:
             with jax.enable_x64(experiment.run.dtype == "float64"):
-                task = make_ready(experiment)
+                task = tuning_problem(experiment)
                 kind = generated.structure(task)
                 found = None
                 if not whole.setdefault(kind, len(whole) < TUNED_STRUCTURES):

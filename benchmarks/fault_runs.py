@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from posegsa import cli
+from posegsa.cli import command as cli
 
 KILLED = [
     *("scenario.duration=2.0", "cost.steady_window=[150, 199]", "search.agents=100"),
@@ -119,7 +119,7 @@ def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     # None of these starts JAX, so that a process forked from here can.
     import matplotlib.pyplot  # noqa: F401 - loaded before the forks, not in each
 
-    import posegsa.evaluate  # noqa: F401 - likewise
+    import posegsa.evaluating  # noqa: F401 - likewise
 
     while counts["kills"] < wanted:
         run = folder / f"run{counts['killed runs']}"

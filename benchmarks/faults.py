@@ -30,9 +30,9 @@ COUNTS = Path(__file__).with_suffix(".json")
 
 def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     """Checkpoints cut short, with bits flipped, or with parts zeroed or swapped."""
-    from posegsa import resume
-    from posegsa.checkpoint import read
     from posegsa.errors import DamagedCheckpointError
+    from posegsa.saving import resume
+    from posegsa.saving.checkpoint import read
 
     counts: Counter = Counter()
     small = [s for s in KILLED if "search" not in s]
@@ -75,20 +75,22 @@ def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
 
 def searched(experiment: config.Experiment, folder: Path) -> None:
     """Search with checkpoints in a folder, without judging."""
-    from posegsa import resume
-    from posegsa.interrupt import Asked
-    from posegsa.search import make_ready, run_search
+    from posegsa.saving import resume
+    from posegsa.saving.interrupt import Asked
+    from posegsa.search.build import tuning_problem
+    from posegsa.search.run import run_search
 
     folder.mkdir(parents=True, exist_ok=True)
     with resume.Saver(folder, experiment, Asked()) as keep:
-        run_search(make_ready(experiment), keep=keep)
+        run_search(tuning_problem(experiment), keep=keep)
 
 
 def overhead(repeats: int, folder: Path) -> dict[str, float]:
     """Time of the default search with and without checkpoints, alternating [s]."""
-    from posegsa import resume
-    from posegsa.interrupt import Asked
-    from posegsa.search import make_ready, run_search
+    from posegsa.saving import resume
+    from posegsa.saving.interrupt import Asked
+    from posegsa.search.build import tuning_problem
+    from posegsa.search.run import run_search
 
     class Counted(resume.Saver):
         count = 0
@@ -98,7 +100,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
             super()._save()
 
     experiment = config.Experiment()
-    task = make_ready(experiment)
+    task = tuning_problem(experiment)
     count = 0
     times: dict[str, list[float]] = {"with": [], "without": []}
     found = None

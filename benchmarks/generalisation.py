@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.comparison import CONSTANT, TUNED
+from posegsa.judging.evaluation import CONSTANT, TUNED
 
 NUMBERS = (1, 2, 4, 8, 16)
 FIGURE = Path(__file__).parent / "generalisation.png"

@@ -27,18 +27,19 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.compare import compare, load_comparison
-from posegsa.compared import Comparison
-from posegsa.figure_style import png
-from posegsa.gain import FuzzyGain
-from posegsa.keys import keys, scenario_keys
-from posegsa.named_optimisers import make_optimiser, specify
+from posegsa.comparing import compare, load_comparison
+from posegsa.figures.comparison import plot_comparison, plot_comparisons
+from posegsa.figures.style import png
+from posegsa.judging.comparison import Comparison
+from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import AnyOptimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.plots_compare import plot_comparison, plot_comparisons
-from posegsa.population import costs_by_scenario, problem
 from posegsa.runtime import environment
-from posegsa.search import make_ready, run_search
+from posegsa.search.build import scenario_batch, tuning_problem
+from posegsa.search.keys import keys, scenario_keys
+from posegsa.search.named_optimisers import make_optimiser, specify
+from posegsa.search.population import costs_by_scenario
+from posegsa.search.run import run_search
 
 BEST = "de:strategy=best/1/bin"
 FILTER = ("gsa", "random", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
@@ -134,13 +135,13 @@ def scenarios(options: argparse.Namespace) -> None:
             simulations = (50 if options.quick else 25000) * 8
             settings = [f"run.training_scenarios={count}", f"run.seed={seed}"]
             experiment = config.override(config.Experiment(), settings)
-            task = make_ready(specify(experiment, name, max(100, simulations // count)))
+            task = tuning_problem(specify(experiment, name, max(100, simulations // count)))
             found = run_search(task).search
             # The same validation scenarios for all; held-out ones are not read.
             key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
             controller = task.space.controller(found.best_position)
             one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
-            costs = costs_by_scenario(one, problem(experiment, task.scenario, key))
+            costs = costs_by_scenario(one, scenario_batch(experiment, task.scenario, key))
             held[f"{name} {count} {seed}"] = float(found.best_cost), float(np.mean(costs))
             print(seed, name, count, *held[f"{name} {count} {seed}"], flush=True)
             path.write_text(json.dumps(held) + "\n")

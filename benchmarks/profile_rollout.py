@@ -25,8 +25,8 @@ from contenders.posegsa_worker import parameter_vectors, task_of
 from readme import write_block
 from run_tables import number
 
-from posegsa.population import evaluate_population
 from posegsa.runtime import fast_path_flags
+from posegsa.search.population import evaluate_population
 
 JSON = Path(__file__).with_suffix(".json")
 SAMPLES = 1500

@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.comparison import CONSTANT, TUNED, Evaluation
-from posegsa.evaluate import evaluate
+from posegsa.evaluating import evaluate
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.runtime import environment
 
 JUDGED = {"recommended": "the paper's scenario", "family": "random starts and motions"}

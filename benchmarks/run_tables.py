@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from posegsa.figure_style import BLUE, GREEN, PURPLE, VERMILION, WIDTH, style_ticks, styled
+from posegsa.figures.style import BLUE, GREEN, PURPLE, VERMILION, WIDTH, style_ticks, styled
 
 SAMPLES = 1500
 """Time steps of the paper's scenario."""

@@ -17,11 +17,12 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.comparison import best_constant
-from posegsa.gain import ConstantGain, FuzzyGain, GainSchedule
-from posegsa.keys import keys, scenario_keys
-from posegsa.population import Problem, costs_by_scenario, problem
-from posegsa.search import make_ready, run_search
+from posegsa.judging.baselines import best_constant
+from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule
+from posegsa.search.build import scenario_batch, tuning_problem
+from posegsa.search.keys import keys, scenario_keys
+from posegsa.search.population import ScenarioBatch, costs_by_scenario
+from posegsa.search.run import run_search
 
 VALIDATION_SCENARIOS = 64
 
@@ -44,17 +45,17 @@ GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
-def mean_cost(schedule: GainSchedule, scenarios: Problem) -> float:
+def mean_cost(schedule: GainSchedule, scenarios: ScenarioBatch) -> float:
     """Mean cost of one schedule."""
     return float(np.mean(costs_by_scenario(jax.tree.map(lambda a: a[None], schedule), scenarios)))
 
 
 def judge(experiment: config.Experiment) -> tuple[float, float, float]:
     """Training and validation cost of the tuned schedule, validation cost of the best constant."""
-    task = make_ready(experiment)
+    task = tuning_problem(experiment)
     found = run_search(task)
     key = keys(experiment.run.seed).validation
-    validation = problem(experiment, task.scenario, scenario_keys(key, VALIDATION_SCENARIOS))
+    validation = scenario_batch(experiment, task.scenario, scenario_keys(key, VALIDATION_SCENARIOS))
     tuned = FuzzyGain(task.space.controller(found.search.best_position))
     constant: ConstantGain = best_constant(
         task.training, experiment.parameters.gain_range, experiment.objective

@@ -6,19 +6,22 @@ Data flow: config -> scenarios (truth + measurements) -> filter step + fuzzy gai
 Importing it changes nothing in the process. `enable_fast_path()`, called first, makes CPUs fast.
 """
 
-from posegsa.batch import TuneBatch
-from posegsa.checkpoint import load_search, save_search
-from posegsa.compare import compare
-from posegsa.compared import Comparison
+from posegsa.comparing import compare
 from posegsa.config import Experiment
 from posegsa.config import load as load_config
 from posegsa.errors import PosegsaError, PosegsaWarning, SearchInterrupted
-from posegsa.evaluate import evaluate
+from posegsa.evaluating import evaluate
 from posegsa.export import export_c, export_csv, export_json
-from posegsa.filter import FilterSettings, FilterState, filter_settings, initial_state, step
-from posegsa.fuzzy import FuzzyController
-from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
-from posegsa.measurements import Measurements
+from posegsa.figures.result import draw, plot_input_terms, plot_output_terms, plot_surface
+from posegsa.judging.comparison import Comparison
+from posegsa.judging.result import VERSION as __version__
+from posegsa.judging.result import TuneResult
+from posegsa.model.filter import FilterSettings, FilterState, initial_state, step
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, begin, run_filter, scheduled_step
+from posegsa.model.schedules import ConstantGain, FuzzyGain
+from posegsa.model.signal import SignalSettings
 from posegsa.optimisers import (
     GSA,
     Adam,
@@ -28,13 +31,11 @@ from posegsa.optimisers import (
     box,
     minimise,
 )
-from posegsa.parameters import parameter_space
-from posegsa.plots import plot_input_terms, plot_output_terms, plot_surface
-from posegsa.results import VERSION as __version__
-from posegsa.results import TuneResult, load
-from posegsa.rollout import Estimates, begin, run_filter, scheduled_step
 from posegsa.runtime import enable_fast_path
-from posegsa.tuning import tune, tune_batch
+from posegsa.saving.checkpoint import load_search, save_search
+from posegsa.saving.run import load, save
+from posegsa.search.build import filter_settings, parameter_space, signal_settings
+from posegsa.tuning import TuneBatch, tune, tune_batch
 
 __all__ = [
     "GSA",
@@ -61,6 +62,7 @@ __all__ = [
     "begin",
     "box",
     "compare",
+    "draw",
     "enable_fast_path",
     "evaluate",
     "export_c",
@@ -77,6 +79,7 @@ __all__ = [
     "plot_output_terms",
     "plot_surface",
     "run_filter",
+    "save",
     "save_search",
     "scheduled_step",
     "signal_settings",

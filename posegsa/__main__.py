@@ -2,6 +2,6 @@
 
 import sys
 
-from posegsa.cli import main
+from posegsa.cli.command import main
 
 sys.exit(main())

@@ -4,25 +4,15 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from posegsa import config, memory, results, trust
-from posegsa import resume as checkpoints
+from posegsa import config
 from posegsa.arguments import check_callable, check_type
-from posegsa.batch import TuneBatch
-from posegsa.checkpoint import objects_in
-from posegsa.comparison import (
-    CONSTANT,
-    TUNED,
-    best_constant,
-    contender,
-    evaluation,
-    run_scenario,
-)
 from posegsa.errors import (
     ArgumentError,
     ConfigError,
@@ -30,24 +20,30 @@ from posegsa.errors import (
     RunFolderError,
     SaveError,
 )
-from posegsa.gain import FuzzyGain
-from posegsa.interrupt import deferred
-from posegsa.keys import keys, scenario_keys
-from posegsa.metrics import metrics_of, run, take
-from posegsa.optimisers import evaluations_spent, lengthened
-from posegsa.results import TuneResult
-from posegsa.run_folder import as_path, claimed
-from posegsa.runtime import environment
-from posegsa.search import (
-    Found,
-    Progress,
-    Task,
-    first_search,
-    make_optimiser,
-    make_ready,
-    run_search,
-    search_batch,
+from posegsa.judging import trust
+from posegsa.judging.baselines import best_constant
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    TUNED,
+    contender,
+    evaluation,
 )
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.trajectory import simulate_scenario
+from posegsa.model.schedules import FuzzyGain
+from posegsa.optimisers import evaluations_spent, lengthened
+from posegsa.runtime import environment
+from posegsa.saving import resume as checkpoints
+from posegsa.saving.checkpoint import objects_in
+from posegsa.saving.folder import as_path, claimed
+from posegsa.saving.interrupt import deferred
+from posegsa.saving.run import load, write
+from posegsa.search import memory
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.keys import keys, scenario_keys
+from posegsa.search.named_optimisers import make_optimiser
+from posegsa.search.run import Found, Progress, first_search, run_search, search_batch
 
 
 def tune(
@@ -65,7 +61,7 @@ def tune(
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it does the latter by itself, and
     Ctrl-C or SIGTERM stop it where it can go on. It runs on all devices of the process, or of all
-    processes that have joined (`posegsa.devices.join`), to the same bits.
+    processes that have joined (`posegsa.search.devices.join`), to the same bits.
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
@@ -76,8 +72,8 @@ def tune(
             state can't be saved).
         overwrite: Replace another run in that folder.
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
-            of the same experiment (see `posegsa.resume.agreed`), but for more iterations: past
-            those it began with, G and K_best hold their final values.
+            of the same experiment (see `saving.resume.agreed`), but for more iterations: past those
+            it began with, G and K_best hold their final values.
         progress: Called when the search is compiled, and after each chunk of iterations.
 
     Returns:
@@ -101,7 +97,7 @@ def tune(
         one = _experiment(experiment, seed, iterations)
         if out is None or jax.process_index() > 0:  # of processes that have joined, one writes
             with jax.enable_x64(one.run.dtype == "float64"):
-                task = make_ready(one)
+                task = tuning_problem(one)
                 return _result(task, run_search(task, progress))
         with claimed(out, overwrite=overwrite) as folder:
             checkpoints.discard(folder)
@@ -124,7 +120,7 @@ def _saved_run(
 ) -> TuneResult:
     """Tune with checkpoints, if there can be any, in a `locked` folder; write the result there."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        task = make_ready(experiment)
+        task = tuning_problem(experiment)
         search, before = first_search(task), (0.0, 0.0)
         if begun is not None:
             before = begun.search_seconds, begun.compile_seconds
@@ -149,7 +145,7 @@ def _saved_run(
             ),
         )
     try:
-        result.write(folder)
+        write(result, folder)
     except RunFolderError as error:
         raise SaveError(str(error), result) from error
     return result
@@ -170,11 +166,37 @@ def _folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: boo
 def _finished(folder: Path, experiment: config.Experiment) -> TuneResult | None:
     """The result of this very experiment, if the folder has it."""
     try:
-        result = results.load(folder)
+        result = load(folder)
     except RunFolderError:
         return None
     same = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
     return result if same == experiment else None
+
+
+@dataclass(frozen=True)
+class TuneBatch:
+    """Results of a batch, in the order of its experiments and seeds."""
+
+    results: tuple[TuneResult, ...]
+
+    def summary(self) -> str:
+        """Median and range over the batch, of training beside held-out cost."""
+
+        def row(label: str, values: list[float]) -> str:
+            return (
+                f"  {label:<34}{np.median(values):>10.4g}{min(values):>10.4g}{max(values):>10.4g}"
+            )
+
+        def held_out(name: str) -> list[float]:
+            return [r.evaluation.cost(name).mean for r in self.results]
+
+        rows = [
+            f"  {f'{len(self.results)} searches':<34}{'median':>10}{'least':>10}{'largest':>10}",
+            row(f"{TUNED}, training", [float(np.mean(r.training_costs)) for r in self.results]),
+            row(f"{TUNED}, held out", held_out(TUNED)),
+            row(f"{CONSTANT}, held out", held_out(CONSTANT)),
+        ]
+        return "\n".join(rows)
 
 
 def tune_batch(
@@ -216,7 +238,7 @@ def tune_batch(
         raise ConfigError("run.dtype: differs within the batch; allowed: the same in all of it")
     memory.check(many)
     with jax.enable_x64(many[0].run.dtype == "float64"):
-        tasks = [make_ready(one) for one in many]
+        tasks = [tuning_problem(one) for one in many]
         found = search_batch(tasks, progress)
         return TuneBatch(tuple(_result(t, f) for t, f in zip(tasks, found, strict=True)))
 
@@ -239,34 +261,37 @@ def _written(value: object) -> str:
     return json.dumps(str(value))
 
 
-def _result(task: Task, found: Found) -> TuneResult:
+def _result(task: TuningProblem, found: Found) -> TuneResult:
     """Judge what a search found."""
     experiment, everywhere, search = task.experiment, task.everywhere, found.search
     count = experiment.run.training_scenarios
-    held_out = take(everywhere, slice(count, None))
+    held_out = everywhere.select(slice(count, None))
     controller = task.space.controller(search.best_position)
     parameters = np.asarray(task.space.vector(controller), np.float64)
     schedule = FuzzyGain(controller)
     constant = best_constant(task.training, experiment.parameters.gain_range, experiment.objective)
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
-    tuned_tracks, constant_tracks = run(schedule, everywhere), run(constant, everywhere)
+    tuned_tracks, constant_tracks = (
+        error_tracks(schedule, everywhere),
+        error_tracks(constant, everywhere),
+    )
     contenders = {
         TUNED: contender(
-            tuned_tracks.part(slice(count, None)), held_out, {"k": parameters.tolist()}
+            tuned_tracks.select(slice(count, None)), held_out, {"k": parameters.tolist()}
         ),
         CONSTANT: contender(
-            constant_tracks.part(slice(count, None)), held_out, {"gain": float(constant.gain)}
+            constant_tracks.select(slice(count, None)), held_out, {"gain": float(constant.gain)}
         ),
     }
     first = scenario_keys(keys(experiment.run.seed).held_out, 1)[0]
-    trajectory = run_scenario(schedule, task.scenario, experiment, first)
+    trajectory = simulate_scenario(schedule, task.scenario, experiment, first)
     return TuneResult(
         experiment=experiment,
         best_cost=float(search.best_cost),
         parameters=parameters,
-        training_costs=metrics_of(tuned_tracks.part(slice(count)), task.training)[0].cost,
+        training_costs=metrics_of(tuned_tracks.select(slice(count)), task.training)[0].cost,
         constant_gain=float(constant.gain),
-        constant_training_costs=metrics_of(constant_tracks.part(slice(count)), task.training)[
+        constant_training_costs=metrics_of(constant_tracks.select(slice(count)), task.training)[
             0
         ].cost,
         evaluation=evaluation(contenders, held_out),
@@ -280,5 +305,5 @@ def _result(task: Task, found: Found) -> TuneResult:
         history=jax.tree.map(np.asarray, search.history),
         trajectory=trajectory,
         environment=environment(),
-        version=results.VERSION,
+        version=VERSION,
     )

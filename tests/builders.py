@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from posegsa.config import CostConfig, Experiment, RunConfig, ScenarioConfig
 from posegsa.errors import PosegsaWarning
-from posegsa.measurements import Measurements
-from posegsa.scenario import Scenario, scenario
+from posegsa.model.measurements import Measurements
+from posegsa.model.scenario import Scenario
+from posegsa.search.build import scenario
 
 AT_REST: dict[str, Any] = {"angular_velocity": ((), (), ()), "velocity": ((), (), ())}
 """A scenario without motion."""

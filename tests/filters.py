@@ -8,21 +8,15 @@ import numpy as np
 from builders import as_arrays, random_measurements, random_poses
 from jax import Array
 
-from posegsa import se3
 from posegsa.config import FilterConfig
-from posegsa.filter import (
-    FilterSettings,
-    FilterState,
-    advance,
-    filter_settings,
-    initial_state,
-    innovation,
-)
-from posegsa.measurements import Measurements, prepare
+from posegsa.model import se3
+from posegsa.model.filter import FilterSettings, FilterState, initial_state, innovation, observe
+from posegsa.model.measurements import Measurements, prepare
+from posegsa.search.build import filter_settings
 
 GAMMA = (3.0, 7.0)
 
-jitted_advance, jitted_innovation = jax.jit(advance), jax.jit(innovation)
+jitted_observe, jitted_innovation = jax.jit(observe), jax.jit(innovation)
 jitted_transform = jax.jit(se3.transform)
 jitted_prepare, jitted_state = jax.jit(prepare), jax.jit(initial_state)
 

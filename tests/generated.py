@@ -15,8 +15,8 @@ import numpy as np
 
 import posegsa
 from posegsa import config
-from posegsa.comparison import TUNED
-from posegsa.search import Task
+from posegsa.judging.evaluation import TUNED
+from posegsa.search.build import TuningProblem
 
 HOSTILE: tuple[Any, ...] = (
     *(float("nan"), float("inf"), -float("inf"), -1, 0, 1, -0.0, 0.5, 1e308, -1e308, 5e-324),
@@ -79,7 +79,7 @@ def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str
     return data
 
 
-def structure(task: Task) -> tuple[Any, ...]:
+def structure(task: TuningProblem) -> tuple[Any, ...]:
     """What a search is compiled for: tasks in which it is equal run the same program."""
     leaves, tree = jax.tree.flatten((task.training, task.space))
     return (

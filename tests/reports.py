@@ -8,8 +8,8 @@ from test_plots import history, trajectory
 from test_plots_evaluation import evaluation, trust
 
 from posegsa import config
+from posegsa.judging.result import TuneResult
 from posegsa.report import report_html
-from posegsa.results import TuneResult
 
 # In order and without gaps, so that the repairs leave them as they are.
 PARAMETERS = np.array(

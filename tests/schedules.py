@@ -8,11 +8,11 @@ import numpy as np
 from setups import paper, search_vectors
 
 import posegsa
-from posegsa.comparison import CONSTANT, TUNED, Contender, Evaluation
-from posegsa.fuzzy import FuzzyController
-from posegsa.metrics import Bands, Metrics
-from posegsa.results import TuneResult
-from posegsa.trust import Trust
+from posegsa.judging.evaluation import CONSTANT, TUNED, Contender, Evaluation
+from posegsa.judging.metrics import Bands, Metrics
+from posegsa.judging.result import TuneResult
+from posegsa.judging.trust import Trust
+from posegsa.model.fuzzy import FuzzyController
 
 COUNT = 10_000
 

@@ -20,17 +20,18 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
-from posegsa.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.errors import PosegsaWarning
-from posegsa.evaluate import scenario_keys
-from posegsa.filter import FilterState, initial_state
-from posegsa.fuzzy import FuzzyController
-from posegsa.gain import pose_errors
-from posegsa.measurements import Measurements
-from posegsa.parameters import ParameterSpace, parameter_space
-from posegsa.population import Problem, problem
-from posegsa.rollout import Estimates, Track, track
-from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
+from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
+from posegsa.model.filter import FilterState, initial_state
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, Samples, samples_of
+from posegsa.model.scenario import Scenario, Truth, integrate, measure
+from posegsa.model.signal import pose_errors
+from posegsa.search.build import parameter_space, scenario, scenario_batch
+from posegsa.search.keys import scenario_keys
+from posegsa.search.parameters import ParameterSpace
+from posegsa.search.population import ScenarioBatch
 
 PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
 RULES = tuple(tuple(row) for row in reference.PAPER_RULES.tolist())
@@ -123,7 +124,7 @@ class World(NamedTuple):
 
     truth: Truth
     measurements: Measurements
-    track: Track
+    samples: Samples
     initial: FilterState
 
 
@@ -132,7 +133,7 @@ def _world(one: Scenario, key: Array) -> World:
     truth = integrate(one)
     sensed = measure(one, truth, key)
     initial = initial_state(one.rotation_estimate, one.position_estimate, one.bias_estimate)
-    return World(truth, sensed, track(sensed, truth.rotation, truth.position), initial)
+    return World(truth, sensed, samples_of(sensed, truth.rotation, truth.position), initial)
 
 
 def built(experiment: config.Experiment) -> Scenario:
@@ -146,14 +147,20 @@ def world(experiment: config.Experiment, seed: int = 0) -> World:
     return _world(built(experiment), jax.random.key(seed))
 
 
-def posed(experiment: config.Experiment, scenarios: int = 1) -> Problem:
+def posed(experiment: config.Experiment, scenarios: int = 1) -> ScenarioBatch:
     """The problem of an experiment's scenario with some noise keys, at its dtype."""
-    return problem(experiment, built(experiment), scenario_keys(jax.random.key(0), scenarios))
+    return scenario_batch(
+        experiment, built(experiment), scenario_keys(jax.random.key(0), scenarios)
+    )
 
 
-def without_limit(limited: Problem) -> Problem:
+def without_limit(limited: ScenarioBatch) -> ScenarioBatch:
     """The same problem with every gain applied as it is."""
-    return limited._replace(settings=dataclasses.replace(limited.settings, gain_limit=None))
+    return limited._replace(
+        settings=dataclasses.replace(
+            limited.settings, gain_limit=jnp.full_like(limited.settings.gain_limit, jnp.inf)
+        )
+    )
 
 
 # The reference's view -----------------------------------------------------------------------------
@@ -232,14 +239,14 @@ def sensed(
     return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)
 
 
-def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Track:
+def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Samples:
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
-    return jax.jit(track)(as_arrays(measurements, dtype), rotation, position)
+    return jax.jit(samples_of)(as_arrays(measurements, dtype), rotation, position)
 
 
 @jax.jit
-def cost_of_estimates(estimates: Estimates, scenario: Track, weights: CostWeights) -> CostParts:
+def cost_of_estimates(estimates: Estimates, scenario: Samples, weights: CostWeights) -> CostParts:
     """The cost of a trajectory, from its errors."""
     poses = initial_state(estimates.rotation, estimates.position)
     return trajectory_cost(*pose_errors(poses, scenario.truth), weights)

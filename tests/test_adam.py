@@ -8,7 +8,6 @@ from jax import Array, random
 from test_optimisers_base import same
 from test_tuning import tiny
 
-from posegsa.keys import keys
 from posegsa.optimisers import (
     GSA,
     Adam,
@@ -25,8 +24,10 @@ from posegsa.optimisers import (
 )
 from posegsa.optimisers.adam import LARGEST_BETA
 from posegsa.optimisers.checks import SMALLEST_EPSILON
-from posegsa.population import evaluate_population
-from posegsa.search import make_ready, run_search
+from posegsa.search.build import tuning_problem
+from posegsa.search.keys import keys
+from posegsa.search.population import evaluate_population
+from posegsa.search.run import run_search
 
 TARGET = box([-1.0, -2.0], [3.0, 2.0])
 learn = jax.jit(tell, static_argnums=0)
@@ -155,7 +156,7 @@ SMALL = [
 def test_gradients_of_the_filter_against_central_differences() -> None:
     # One step of Adam on an experiment: its first moment is (1 - beta1) times the gradient.
     with jax.enable_x64(True):
-        task = make_ready(tiny(*SMALL))
+        task = tuning_problem(tiny(*SMALL))
         search = run_search(task).search
         assert search.iteration == 1
         assert isinstance(task.optimiser, Adam)

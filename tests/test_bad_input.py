@@ -10,9 +10,10 @@ from generated import call, configuration
 from test_tuning import TINY, tiny
 
 import posegsa
-from posegsa import config, memory
+from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
-from posegsa.search import make_ready
+from posegsa.search import memory
+from posegsa.search.build import tuning_problem
 
 SECTIONS = tuple(config.Experiment.model_fields)
 
@@ -114,7 +115,7 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.load(5), "folder = 5"),
         (lambda r: posegsa.load_config(5), "path: a int"),
         (lambda r: config.override(tiny(), "run.seed=1"), "settings = 'run.seed=1'"),
-        (lambda r: posegsa.filter_settings({}, np.float32), "settings: a dict"),
+        (lambda r: posegsa.filter_settings({}, np.float32), "section: a dict"),
         (lambda r: posegsa.signal_settings(tiny().gain, int), "dtype = .*floating"),
         (lambda r: posegsa.initial_state(np.eye(2), np.zeros(3)), r"rotation: .*\(3, 3\)"),
         (lambda r: posegsa.initial_state(np.eye(3), "here"), "position"),
@@ -208,8 +209,8 @@ def test_measurements_made_by_hand_are_checked_too(result):
 
 def test_memory_is_estimated_by_what_takes_it():
     with pytest.warns(posegsa.PosegsaWarning):
-        task = make_ready(tiny())
-    held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.everywhere.tracks))
+        task = tuning_problem(tiny())
+    held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.everywhere.samples))
     shares = memory.needs(tiny())
     estimated = shares["run.held_out_scenarios"] + shares["run.training_scenarios"]
     assert held < estimated < 20 * held

@@ -13,8 +13,8 @@ from readme import ROOT
 from run_tables import POSEGSA, C, Row, duration, readme_rows, table
 from setups import lasting, paper
 
-from posegsa.population import evaluate_population
-from posegsa.search import make_ready
+from posegsa.search.build import tuning_problem
+from posegsa.search.population import evaluate_population
 
 AGENTS = 20  # more than a block of 16, so that the last one has empty lanes
 
@@ -24,7 +24,7 @@ def posed_scene() -> tuple[Scene, np.ndarray]:
     """A short scene with smoothing and two scenarios, and posegsa's costs of it."""
     settings = ("gain.smoothing=0.1", "filter.gamma=[5.0, 3.0]", "run.training_scenarios=2")
     with pytest.warns(UserWarning, match="projected"):
-        task = make_ready(paper(*lasting(1.5), *settings, dtype="float32"))
+        task = tuning_problem(paper(*lasting(1.5), *settings, dtype="float32"))
     vectors = parameter_vectors(task, AGENTS)
     return scene_of(task, vectors), np.asarray(
         evaluate_population(vectors, task.training, task.space)

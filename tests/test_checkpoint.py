@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from posegsa.checkpoint import FORMAT, load_search, objects_in, read, save_search
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import GSA, RandomSearch, advance, box, lengthened, minimise, start
+from posegsa.saving.checkpoint import FORMAT, load_search, objects_in, read, save_search
 
 BOX = box([-1.0, -1.0], [1.0, 2.0])
 SMALL = GSA(agents=5, iterations=7)

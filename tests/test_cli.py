@@ -11,14 +11,13 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from test_tuning import TINY
 
-from posegsa.cli import main
+from posegsa.cli.command import main
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -133,9 +132,9 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
 @pytest.fixture
 def few_steps(monkeypatch):
     """The oracle's descent, cut short; its programs are those of `test_evaluate`."""
-    monkeypatch.setattr("posegsa.baselines.ORACLE_STEPS", 3)
-    monkeypatch.setattr("posegsa.baselines.KNOTS", 6)
-    monkeypatch.setattr(import_module("posegsa.evaluate"), "ORACLE_SCENARIOS", 2)
+    monkeypatch.setattr("posegsa.judging.baselines.ORACLE_STEPS", 3)
+    monkeypatch.setattr("posegsa.judging.baselines.KNOTS", 6)
+    monkeypatch.setattr("posegsa.judging.baselines.ORACLE_SCENARIOS", 2)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -163,9 +162,6 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
     class Judged:
         evaluation = SimpleNamespace(table=str)
 
-        def write_evaluation(self, folder):
-            events.append("written")
-
     @contextmanager
     def claimed(folder, *, overwrite):
         events.append("claimed")
@@ -179,9 +175,10 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         assert result == events.index("claimed") + 2, "what was loaded before is judged"
         return Judged()
 
-    monkeypatch.setattr("posegsa.run_folder.claimed", claimed)
-    monkeypatch.setattr("posegsa.results.load", load)
-    monkeypatch.setattr(import_module("posegsa.evaluate"), "evaluate", evaluate)
+    monkeypatch.setattr("posegsa.saving.folder.claimed", claimed)
+    monkeypatch.setattr("posegsa.saving.run.load", load)
+    monkeypatch.setattr("posegsa.saving.run.write", lambda *_: events.append("written"))
+    monkeypatch.setattr("posegsa.evaluating.evaluate", evaluate)
     assert main(["evaluate", str(tmp_path)]) == 0
     assert events == ["loaded", "claimed", "loaded", "written"]
 

@@ -11,21 +11,20 @@ from scipy import stats
 from test_tuning import tiny
 
 import posegsa
-from posegsa import memory
-from posegsa.cli import main
-from posegsa.cli_progress import CompareBar
-from posegsa.compare import Status, _search, load_comparison
-from posegsa.compared import Comparison, Gradients, Repeat, from_json, quantiles
+from posegsa.cli.command import main
+from posegsa.cli.progress import CompareBar
+from posegsa.comparing import Status, _search, load_comparison
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
-from posegsa.gain import FuzzyGain
-from posegsa.keys import keys
-from posegsa.metrics import take
+from posegsa.figures.comparison import plot_comparison
+from posegsa.judging.comparison import Comparison, Gradients, Repeat, from_json, quantiles
+from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.plots_compare import plot_comparison
-from posegsa.population import costs_by_scenario
-from posegsa.run_folder import claimed
-from posegsa.search import make_ready
+from posegsa.saving.folder import claimed
+from posegsa.search import memory
+from posegsa.search.build import tuning_problem
+from posegsa.search.keys import keys
+from posegsa.search.population import costs_by_scenario
 
 SPHERE = ClassicalFunction("sphere", 2)
 
@@ -156,7 +155,7 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None
     searched = []
     search = _search
     monkeypatch.setattr(
-        sys.modules["posegsa.compare"],
+        sys.modules["posegsa.comparing"],
         "_search",
         lambda *args: searched.append(args[1]) or search(*args),
     )
@@ -242,7 +241,7 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
     def full(path, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("posegsa.run_folder.write_synced", full)
+    monkeypatch.setattr("posegsa.saving.folder.write_synced", full)
     with pytest.raises(RunFolderError, match="cannot be written: No space left"):
         posegsa.compare(
             tiny(),
@@ -258,9 +257,9 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
 def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
     """How often checkpoints are made; comparisons of before have it among their settings."""
     monkeypatch.setattr(
-        sys.modules["posegsa.compare"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
+        sys.modules["posegsa.comparing"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
     )
-    monkeypatch.setattr(sys.modules["posegsa.compare"], "_Filter", Unsearched)
+    monkeypatch.setattr(sys.modules["posegsa.comparing"], "_Filter", Unsearched)
     same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
     posegsa.compare(tiny(), repeats=1, **same)
     data = json.loads((tmp_path / "comparison.json").read_text())
@@ -287,13 +286,13 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
     comparison = posegsa.compare(experiment, optimisers=["gsa"], repeats=2, evaluations=24)
     first, second = comparison.repeats["gsa"]
     assert first.cost != second.cost
-    task = make_ready(experiment)
+    task = tuning_problem(experiment)
     for found in (first, second):
         assert found.evaluations[-1] == 24
         controller = task.space.controller(task.space.checked(found.position))
         schedule = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
         for cost, part in ((found.cost, slice(2)), (found.held_out, slice(2, None))):
-            costs = costs_by_scenario(schedule, take(task.everywhere, part))
+            costs = costs_by_scenario(schedule, task.everywhere.select(part))
             assert float(np.mean(costs)) == pytest.approx(cost, rel=1e-4)
 
 
@@ -365,7 +364,7 @@ def test_arguments_of_another_type_are_refused_by_name(arguments: dict, said: st
 
 
 def test_what_would_not_fit_into_memory_is_refused_before_it_is_made(monkeypatch) -> None:
-    monkeypatch.setattr("posegsa.memory.available", lambda: memory.COMPILER + 2**26)
+    monkeypatch.setattr("posegsa.search.memory.available", lambda: memory.COMPILER + 2**26)
     with pytest.raises(MemoryLimitError):
         posegsa.compare(tiny(), optimisers=["gsa:agents=1000000"], evaluations=10**9)
     with pytest.raises(ArgumentError, match=r"dimensions = 100000.*2 to 5000|5000"):

@@ -18,15 +18,11 @@ from setups import (
 )
 
 from posegsa.config import CostConfig, ObjectiveConfig
-from posegsa.cost import (
-    cost_weights,
-    over_scenarios,
-    sample_error,
-    trajectory_cost,
-)
-from posegsa.filter import filter_settings
-from posegsa.gain import FuzzyGain, signal_settings
-from posegsa.rollout import simulate, simulate_cost
+from posegsa.model.cost import sample_error, trajectory_cost
+from posegsa.model.rollout import simulate, simulate_cost
+from posegsa.model.schedules import FuzzyGain
+from posegsa.search.build import cost_weights, filter_settings, signal_settings
+from posegsa.search.population import over_scenarios
 
 HAND = CostConfig(
     transient_weight=0.5,

@@ -13,11 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_tuning import TINY, tiny
 
-from posegsa import devices, search
-from posegsa.cli import main
+from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.population import LANES, PIECE, tasks
-from posegsa.search import make_ready, run_search
+from posegsa.search import devices
+from posegsa.search import run as search
+from posegsa.search.build import tuning_problem
+from posegsa.search.population import LANES, PIECE, partition
+from posegsa.search.run import run_search
 
 OWN = ["search.agents=11", "run.training_scenarios=1"]
 """No number of devices here divides 11 agents."""
@@ -35,7 +37,7 @@ def bits(found) -> list[bytes]:
 def task():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)
-        return make_ready(tiny(*OWN))
+        return tuning_problem(tiny(*OWN))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def test_small_searches_stay_on_one_device_and_large_ones_use_all():
 def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
     scenarios, agents, shards, piecewise
 ):
-    cut = tasks(scenarios, agents, shards=shards, piecewise=piecewise)
+    cut = partition(scenarios, agents, shards=shards, piecewise=piecewise)
     assert cut.groups * cut.scenarios >= scenarios
     assert cut.chunks * cut.agents >= agents
     assert cut.groups * cut.chunks % shards == 0
@@ -79,15 +81,17 @@ import os, sys, warnings
 from posegsa.runtime import fast_path_flags
 os.environ["XLA_FLAGS"] = fast_path_flags(devices=1)
 import jax, numpy as np
-from posegsa import config, devices
-from posegsa.search import make_ready, run_search
+from posegsa import config
+from posegsa.search import devices
+from posegsa.search.run import run_search
+from posegsa.search.build import tuning_problem
 index, address, *settings = sys.argv[1:]
 devices.join(address, 2, int(index))
 assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
 warnings.simplefilter("ignore")
 mesh = devices.mesh_for(1)
 assert mesh.devices.size == 2, "processes that have joined use all devices"
-found = run_search(make_ready(config.override(config.Experiment(), settings))).search
+found = run_search(tuning_problem(config.override(config.Experiment(), settings))).search
 print("found", np.asarray(found.history.best).tobytes().hex(), float(found.best_cost).hex())
 """
 
@@ -122,9 +126,9 @@ def test_two_processes_find_what_one_finds(task):
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
     joined = {}
-    monkeypatch.setattr("posegsa.devices.join", lambda **given: joined.update(given))
+    monkeypatch.setattr("posegsa.search.devices.join", lambda **given: joined.update(given))
     monkeypatch.setattr(jax, "process_index", lambda: 1)
-    monkeypatch.setattr("posegsa.cli.enable_fast_path", lambda: True)
+    monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
     command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
     command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
     command += [word for setting in TINY for word in ("--set", setting)]
@@ -135,7 +139,7 @@ def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeyp
 
 
 def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
-    monkeypatch.setattr("posegsa.cli.enable_fast_path", lambda: True)
+    monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
     assert main(["tune", "--processes", "2"]) == 2
     assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 

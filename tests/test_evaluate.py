@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import sys
-from importlib import import_module
 
 import jax
 import jax.numpy as jnp
@@ -13,26 +12,26 @@ from builders import quietly
 from test_tuning import tiny
 
 import posegsa
-from posegsa import baselines, comparison
-from posegsa.baselines import KnotGain, SmoothGain, search_schedule
-from posegsa.comparison import (
+from posegsa.config import ObjectiveConfig, override
+from posegsa.evaluating import evaluate
+from posegsa.judging import baselines
+from posegsa.judging import evaluation as comparison
+from posegsa.judging.baselines import baselines as find_baselines
+from posegsa.judging.baselines import best_constant, search_schedule
+from posegsa.judging.evaluation import (
     CONSTANT,
     ORACLE,
     RANDOM,
     SMOOTH,
     TUNED,
-    best_constant,
     from_json,
-    held_out_keys,
     interval,
-    training_keys,
 )
-from posegsa.config import ObjectiveConfig, override
-from posegsa.evaluate import baselines as find_baselines
-from posegsa.evaluate import evaluate
-from posegsa.gain import ConstantGain, ScheduleInputs
+from posegsa.model.schedules import ConstantGain, KnotGain, ScheduleInputs, SmoothGain
 from posegsa.optimisers import GSA, Box
-from posegsa.population import costs_by_scenario, problem
+from posegsa.search.build import scenario_batch
+from posegsa.search.keys import held_out_keys, training_keys
+from posegsa.search.population import costs_by_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -47,7 +46,7 @@ def evaluated():
     patch = pytest.MonkeyPatch()
     patch.setattr(baselines, "ORACLE_STEPS", 12)
     patch.setattr(baselines, "KNOTS", 6)
-    patch.setattr(import_module("posegsa.evaluate"), "ORACLE_SCENARIOS", 2)
+    patch.setattr(baselines, "ORACLE_SCENARIOS", 2)
     told: list[str] = []
     tuned = posegsa.tune(tiny())
     yield tuned, evaluate(tuned, scenarios=5, progress=told.append), told
@@ -57,7 +56,11 @@ def evaluated():
 @pytest.fixture(scope="module")
 def training():
     experiment = tiny()
-    return problem(experiment, quietly(experiment), training_keys(experiment))
+    return scenario_batch(
+        experiment,
+        quietly(experiment),
+        training_keys(experiment.run.seed, experiment.run.training_scenarios),
+    )
 
 
 def inputs(error, time=0.0) -> ScheduleInputs:
@@ -86,9 +89,9 @@ def test_another_seed_is_another_held_out_set():
     own, other, training = (
         {tuple(k) for k in jax.random.key_data(keys).tolist()}
         for keys in (
-            held_out_keys(experiment, 1000),
-            held_out_keys(experiment, 1000, seed=0),
-            training_keys(experiment),
+            held_out_keys(experiment.run.seed, 1000),
+            held_out_keys(experiment.run.seed, 1000, 0),
+            training_keys(experiment.run.seed, experiment.run.training_scenarios),
         )
     )
     assert len(own | other | training) == 2002

@@ -16,7 +16,7 @@ import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, SCHEMA, export, export_c, export_csv, export_json
-from posegsa.fuzzy import FuzzyController
+from posegsa.model.fuzzy import FuzzyController
 
 # JSON and CSV -------------------------------------------------------------------------------------
 

@@ -17,8 +17,8 @@ from setups import corner_vectors
 
 import posegsa
 from posegsa.export import export_c
-from posegsa.results import TuneResult
-from posegsa.trust import Trust
+from posegsa.judging.result import TuneResult
+from posegsa.judging.trust import Trust
 
 CC = shutil.which("cc") or shutil.which("gcc")
 WARNINGS = [

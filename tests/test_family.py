@@ -9,9 +9,10 @@ from builders import quietly
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
 from posegsa.errors import ConfigError
-from posegsa.family import draw, family, realise
-from posegsa.keys import Keys, keys, scenario_keys
-from posegsa.se3 import attitude_distance, quaternion, rotation_angle, split
+from posegsa.model.family import draw, realise
+from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
+from posegsa.search.build import family
+from posegsa.search.keys import Keys, keys, scenario_keys
 
 SHORT = Experiment(
     scenario=config.ScenarioConfig(duration=0.2),
@@ -35,7 +36,7 @@ def drawn(base, count: int = 200, **settings):
 
 def initial_angles(scenarios) -> np.ndarray:
     """Initial attitude errors [deg]."""
-    q_est, q = (split(quaternion(R)) for R in (scenarios.rotation_estimate, scenarios.rotation))
+    q_est, q = (unstack(quaternion(R)) for R in (scenarios.rotation_estimate, scenarios.rotation))
     return np.degrees(rotation_angle(attitude_distance(q_est, q)))
 
 

@@ -24,9 +24,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from jax import Array
 
-from posegsa import se3
-from posegsa.filter import advance, correction, initial_state, innovation
-from posegsa.measurements import Measurements, prepare
+from posegsa.model import se3
+from posegsa.model.filter import correction, initial_state, innovation, observe
+from posegsa.model.measurements import Measurements, prepare
 
 
 def cost(T: Array, m: Measurements) -> Array:
@@ -51,7 +51,7 @@ def derivatives(T: Array, m: Measurements) -> tuple[Array, Array]:
 
 def joined(U: Any) -> np.ndarray:
     """[angular; linear] (..., 6)."""
-    return np.asarray(se3.join(U.angular + U.linear))
+    return np.asarray(se3.stack(U.angular + U.linear))
 
 
 @pytest.mark.usefixtures("x64")
@@ -101,7 +101,7 @@ def innovated(T: Array, m: Measurements, step_length: Array) -> tuple[Array, Arr
     state = initial_state(T[:3, :3], T[:3, 3])
     chosen = replace(settings(), gain_limit=step_length)
     L = innovation(state, prepare(still)).curvature
-    after, used = advance(state, prepare(still), jnp.asarray(1e6), chosen)
+    after, used = observe(state, prepare(still), jnp.asarray(1e6), chosen)
     T_after = se3.transform(after.rotation, after.position)
     return cost(T, m), cost(T_after, m), used * m.time_step * L
 
@@ -167,7 +167,7 @@ def test_the_lyapunov_function_falls_by_the_innovation_alone_under_the_gradient_
     U = jitted_innovation(state, jitted_prepare(m))
     W = jax.jit(correction)(state, U, settings(law=law))
     bias_error, Ad, u = rng.normal(size=6), reference.adjoint(T), joined(U)
-    bias_rate = np.asarray(se3.join(W.bias_angular + W.bias_linear))
+    bias_rate = np.asarray(se3.stack(W.bias_angular + W.bias_linear))
     bias_rate = bias_rate / np.repeat(GAMMA, 3)
     rate = -u @ Ad @ (bias_error + K * joined(W)) - bias_error @ bias_rate
     assert (rate == pytest.approx(-K * u @ u)) == holds

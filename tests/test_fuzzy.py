@@ -24,8 +24,8 @@ from setups import (
 )
 
 from posegsa.errors import FuzzyError
-from posegsa.fuzzy import FuzzyController
-from posegsa.parameters import rule_indices
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.search.build import rule_indices
 
 DTYPES = ("float32", "float64")
 

@@ -23,7 +23,7 @@ from setups import (
     search_vectors,
 )
 
-from posegsa.fuzzy import FuzzyController, exact_integrals
+from posegsa.model.fuzzy import FuzzyController, exact_integrals
 
 DTYPES = ("float32", "float64")
 

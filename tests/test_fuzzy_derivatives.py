@@ -19,7 +19,7 @@ from setups import (
     search_vectors,
 )
 
-from posegsa.fuzzy import FuzzyController
+from posegsa.model.fuzzy import FuzzyController
 
 DTYPES = ("float32", "float64")
 

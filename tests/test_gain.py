@@ -13,21 +13,19 @@ from scipy.spatial.transform import Rotation
 from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
-from posegsa.filter import FilterState, initial_state
-from posegsa.gain import (
-    ConstantGain,
-    FuzzyGain,
-    ScheduleInputs,
+from posegsa.model.filter import FilterState, initial_state
+from posegsa.model.measurements import Measurements, prepare
+from posegsa.model.schedules import ConstantGain, FuzzyGain, ScheduleInputs
+from posegsa.model.se3 import quaternion, unstack
+from posegsa.model.signal import (
     SignalMemory,
     TruePose,
     initial_memory,
     measured_errors,
     pose_errors,
     scheduled_gain,
-    signal_settings,
 )
-from posegsa.measurements import Measurements, prepare
-from posegsa.se3 import quaternion, split
+from posegsa.search.build import signal_settings
 
 N = 60
 
@@ -42,8 +40,8 @@ def states(poses: np.ndarray) -> FilterState:
 
 def true_poses(poses: np.ndarray) -> TruePose:
     origin = np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
-    w, x, y, z = split(quaternion(jnp.asarray(poses[:, :3, :3])))
-    return TruePose((w, x, y, z), split(jnp.asarray(origin)))
+    w, x, y, z = unstack(quaternion(jnp.asarray(poses[:, :3, :3])))
+    return TruePose((w, x, y, z), unstack(jnp.asarray(origin)))
 
 
 class Listener(NamedTuple):

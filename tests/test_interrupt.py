@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from posegsa.errors import SearchInterrupted
-from posegsa.interrupt import SIGNALS, at_once, deferred
+from posegsa.saving.interrupt import SIGNALS, at_once, deferred
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -60,7 +60,7 @@ def test_sigterm_raises_where_nothing_is_deferred():
 
 BUSY = """
 import hashlib, os, signal, threading
-from posegsa.interrupt import at_once, deferred
+from posegsa.saving.interrupt import at_once, deferred
 
 def say():
     print("told", flush=True)

@@ -9,7 +9,7 @@ import pytest
 from builders import as_arrays, random_measurements
 
 from posegsa.errors import MeasurementError
-from posegsa.measurements import (
+from posegsa.model.measurements import (
     Measurements,
     inverse_or_zero,
     normalised,

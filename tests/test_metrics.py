@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from builders import quietly
 
-from posegsa import config, metrics
+from posegsa import config
 from posegsa.config import Experiment
-from posegsa.cost import cost_weights
-from posegsa.gain import ConstantGain
-from posegsa.keys import scenario_keys
-from posegsa.metrics import Tracks, metrics_of, run, take
-from posegsa.population import costs_by_scenario, problem
+from posegsa.judging import metrics
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.model.rollout import ErrorTrack
+from posegsa.model.schedules import ConstantGain
+from posegsa.search.build import cost_weights, scenario_batch
+from posegsa.search.keys import scenario_keys
+from posegsa.search.population import costs_by_scenario
 
 EXPERIMENT = Experiment(
     scenario=config.ScenarioConfig(duration=2.0),
@@ -22,18 +24,18 @@ EXPERIMENT = Experiment(
 
 @pytest.fixture(scope="module")
 def posed():
-    return problem(EXPERIMENT, quietly(EXPERIMENT), scenario_keys(jax.random.key(0), 5))
+    return scenario_batch(EXPERIMENT, quietly(EXPERIMENT), scenario_keys(jax.random.key(0), 5))
 
 
 @pytest.fixture(scope="module")
 def tracks(posed):
-    return run(ConstantGain(jnp.float32(20)), posed)
+    return error_tracks(ConstantGain(jnp.float32(20)), posed)
 
 
-def made(attitude, position, posed) -> Tracks:
-    """Tracks with given errors, (S, 200) each."""
+def made(attitude, position, posed) -> ErrorTrack:
+    """ErrorTrack with given errors, (S, 200) each."""
     S = len(attitude)
-    return Tracks(
+    return ErrorTrack(
         np.float32(attitude), np.float32(position), np.ones((S, 200), np.float32), np.zeros((S, 6))
     )
 
@@ -51,7 +53,7 @@ def test_settling_is_the_last_time_outside(posed):
     position[1, 100] = 0.6  # once more
     position[2, 199] = 0.6  # at the very end
     attitude = np.zeros((4, 200))
-    found, _ = metrics_of(made(attitude, position, posed), take(posed, slice(4)))
+    found, _ = metrics_of(made(attitude, position, posed), posed.select(slice(4)))
     np.testing.assert_allclose(found.settling_position, [0.37, 1.01, np.inf, 0.0], atol=1e-6)
     np.testing.assert_array_equal(found.settling_attitude, 0)
 
@@ -59,7 +61,7 @@ def test_settling_is_the_last_time_outside(posed):
 def test_rms_and_angles_are_in_degrees_and_metres(posed):
     distance = np.sin(np.radians(30) / 2) ** 2
     found, bands = metrics_of(
-        made(np.full((2, 200), distance), np.full((2, 200), 0.25), posed), take(posed, slice(2))
+        made(np.full((2, 200), distance), np.full((2, 200), 0.25), posed), posed.select(slice(2))
     )
     np.testing.assert_allclose(found.rms_attitude, 30, rtol=1e-6)
     np.testing.assert_allclose(found.rms_position, 0.25, rtol=1e-6)
@@ -84,7 +86,7 @@ def test_divergence_is_lost_errors_or_no_finite_cost(posed):
     attitude[1, -120:] = 0.9  # 143 degrees over the last second
     position[2, -120:] = 6.0
     position[3, 150:] = np.nan
-    found, bands = metrics_of(made(attitude, position, posed), take(posed, slice(4)))
+    found, bands = metrics_of(made(attitude, position, posed), posed.select(slice(4)))
     assert found.diverged.tolist() == [False, True, True, True]
     assert found.cost[3] == np.inf
     assert np.isfinite(bands.position).all(), "runs without a cost are left out of the bands"
@@ -100,5 +102,7 @@ def test_the_bias_error_is_against_the_true_bias(posed, tracks):
 
 def test_batches_give_what_one_call_gives(posed, tracks, monkeypatch):
     monkeypatch.setattr(metrics, "BATCH", 2)
-    for whole, parts in zip(tracks, run(ConstantGain(jnp.float32(20)), posed), strict=True):
+    for whole, parts in zip(
+        tracks, error_tracks(ConstantGain(jnp.float32(20)), posed), strict=True
+    ):
         np.testing.assert_allclose(parts, whole, rtol=1e-4, atol=1e-6)

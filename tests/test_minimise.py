@@ -91,7 +91,7 @@ def test_evaluations_stop_the_search(whole: Search) -> None:
 def test_time_stops_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(100))
     ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))  # for this module alone
-    monkeypatch.setattr(sys.modules["posegsa.optimisers.minimise"], "time", ticking)
+    monkeypatch.setattr(sys.modules["posegsa.optimisers.minimisation"], "time", ticking)
     search = minimise(sphere, TARGET, SWARM, KEY, seconds=3.0, chunk=7)
     assert search.iteration == 21, "one second a chunk"
 

@@ -7,8 +7,8 @@ from test_tuning import tiny
 
 from posegsa.config import OptimiserName
 from posegsa.errors import ConfigError
-from posegsa.named_optimisers import TITLES, make_optimiser, size_in_words, specify
 from posegsa.optimisers import GSA, DifferentialEvolution, Polish, evaluations_spent
+from posegsa.search.named_optimisers import TITLES, make_optimiser, size_in_words, specify
 
 
 def test_every_name_makes_an_optimiser_that_keeps_the_budget() -> None:

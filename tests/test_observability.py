@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posegsa.errors import ScenarioError
-from posegsa.observability import are_collinear, check_observability
+from posegsa.model.observability import are_collinear, check_observability
 
 ALONG, UP, EAST = (1.0, -1.0, 1.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 CORNERS = ((1.0, 2.0, 3.0), (2.0, 2.0, 3.0), (1.0, 5.0, 3.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from optimisers import FILTER, FUNCTIONS, ON_FUNCTIONS, SPENT, VARIANTS
 
-from posegsa.cli import _parser
+from posegsa.cli.command import _parser
 from posegsa.config import OptimiserName
 
 ROOT = Path(__file__).parent.parent

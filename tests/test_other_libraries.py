@@ -12,11 +12,11 @@ from test_tuning import tiny
 
 import posegsa
 from posegsa.errors import ArgumentError, CheckpointError, ConfigError, PosegsaWarning
-from posegsa.named_optimisers import make_optimiser
 from posegsa.optimisers import minimise
 from posegsa.optimisers.evosax import Evosax, EvosaxState
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.optimisers.pycma import PyCMA
+from posegsa.search.named_optimisers import make_optimiser
 
 FUNCTION = ClassicalFunction("ellipsoid", 4, shift=0.6, rotation=2)
 KEY = jax.random.key(0)

@@ -12,8 +12,9 @@ from setups import PAPER, RULES, corner_vectors, search_vectors, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError
-from posegsa.fuzzy import membership, slopes
-from posegsa.parameters import ParameterSpace, in_order, rule_indices
+from posegsa.model.fuzzy import membership, slopes
+from posegsa.search.build import rule_indices
+from posegsa.search.parameters import ParameterSpace, in_order
 
 KINDS = [search_vectors, corner_vectors]
 REPAIRS = {

@@ -14,10 +14,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from posegsa import plots
-from posegsa.fuzzy import FuzzyController
+from posegsa.figures import result as plots
+from posegsa.judging.trajectory import Trajectory
+from posegsa.model.fuzzy import FuzzyController
 from posegsa.optimisers import History
-from posegsa.trajectory import Trajectory
 
 COVERED = ((0, 0, 0.1), (0.05, 0.1, 0.2), (0.15, 0.2, 0.3), (0.2, 0.4, 0.8), (0.6, 1, 1))
 GAPPED = ((0, 0, 0.1), (0.125, 0.15, 0.2), (0.15, 0.2, 0.3), (0.5, 0.6, 0.8), (0.6, 1, 1))

@@ -10,11 +10,19 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from test_plots import legend, lines
 
-from posegsa import plots_evaluation as plots
-from posegsa.comparison import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Contender, Evaluation
-from posegsa.figure_style import START
-from posegsa.metrics import Bands, Metrics
-from posegsa.trust import Trust
+from posegsa.figures import evaluation as plots
+from posegsa.figures.style import START
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    ORACLE,
+    RANDOM,
+    SMOOTH,
+    TUNED,
+    Contender,
+    Evaluation,
+)
+from posegsa.judging.metrics import Bands, Metrics
+from posegsa.judging.trust import Trust
 
 TIME = np.linspace(0, 15, 61)
 SCHEDULES = {

@@ -10,21 +10,21 @@ import pytest
 import reference
 from setups import lasting, paper, posed, repaired_terms, search_vectors, space, without_limit
 
-from posegsa.devices import AXIS, collect, mesh_of, on_each, spread
-from posegsa.gain import ConstantGain, FuzzyGain
+from posegsa.model.rollout import simulate_cost
+from posegsa.model.schedules import ConstantGain, FuzzyGain
 from posegsa.optimisers import GSA, box, minimise
-from posegsa.population import (
-    Problem,
+from posegsa.search.devices import AXIS, collect, mesh_of, on_each, spread
+from posegsa.search.population import (
+    ScenarioBatch,
     costs_by_scenario,
     evaluate_population,
     population_costs,
 )
-from posegsa.rollout import simulate_cost
 
 DTYPES = ["float32", "float64"]
 
 
-def costs_of(vectors: np.ndarray, problem: Problem, *settings: str) -> np.ndarray:
+def costs_of(vectors: np.ndarray, problem: ScenarioBatch, *settings: str) -> np.ndarray:
     """Costs (A,) of parameter vectors (A, 22), at the problem's dtype."""
     made = space(*settings, dtype=str(problem.dtype))
     return np.asarray(evaluate_population(jnp.asarray(vectors, problem.dtype), problem, made))
@@ -60,7 +60,7 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one(
                 [
                     one(
                         jnp.asarray(k, dtype),
-                        *jax.tree.map(lambda a, s=s: a[s], (problem.tracks, problem.initial)),
+                        *jax.tree.map(lambda a, s=s: a[s], (problem.samples, problem.initial)),
                     )
                     for k in vectors
                 ]
@@ -100,9 +100,9 @@ def test_costs_by_scenario_are_scenarios_by_agents() -> None:
     gains = jnp.asarray([2.0, 20.0])
     costs = np.asarray(costs_by_scenario(ConstantGain(gains), problem))
     assert costs.shape == (3, 2)
-    first = jax.tree.map(lambda a: a[:1], (problem.tracks, problem.initial))
+    first = jax.tree.map(lambda a: a[:1], (problem.samples, problem.initial))
     alone = costs_by_scenario(
-        ConstantGain(gains), problem._replace(tracks=first[0], initial=first[1])
+        ConstantGain(gains), problem._replace(samples=first[0], initial=first[1])
     )
     np.testing.assert_allclose(alone[0], costs[0], rtol=1e-5)  # float32 sums in another batch
 

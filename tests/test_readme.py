@@ -7,7 +7,7 @@ import pytest
 from test_tuning import tiny
 
 from posegsa import config
-from posegsa.cli import _parser
+from posegsa.cli.command import _parser
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

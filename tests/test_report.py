@@ -11,15 +11,15 @@ from reports import PARAMETERS, PICTURE, Page, page, result, values
 from test_plots_evaluation import ANGLES, SCHEDULES, changed, evaluation, trust
 
 import posegsa
-from posegsa import config, figure_style
-from posegsa.comparison import CONSTANT, ORACLE, TUNED, Evaluation
+from posegsa import config
 from posegsa.errors import RunFolderError
-from posegsa.plots_evaluation import evaluation_figures
+from posegsa.figures import style as figure_style
+from posegsa.figures.evaluation import evaluation_figures
+from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED, Evaluation
 from posegsa.report import report_html
 from posegsa.report.headline import verdict
 from posegsa.report.markup import cost, element, number
 from posegsa.report.sections import schedule_words
-from posegsa.results import TuneResult
 
 
 def test_it_needs_nothing_else():
@@ -330,7 +330,7 @@ def test_the_angles_are_explained_where_they_do_not_differ():
 def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
     whole = result(evaluation=evaluation(initial_angle=ANGLES))
-    folder = whole.save(tmp_path / "run")
+    folder = posegsa.save(whole, tmp_path / "run")
     figures = {path.stem: path.read_bytes() for path in (folder / "figures").iterdir()}
     assert {"costs", "bands", "angles", "rules", "control_surface", "errors"} <= set(figures)
     text = (folder / "report.html").read_text(encoding="utf-8")
@@ -343,11 +343,13 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
 
 def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
-    monkeypatch.setattr(TuneResult, "figures", lambda self: evaluation_figures(self.evaluation))
+    monkeypatch.setattr(
+        "posegsa.saving.run.draw", lambda result: evaluation_figures(result.evaluation)
+    )
     first = result(evaluation=evaluation(initial_angle=ANGLES))
-    first.save_evaluation(tmp_path)
+    posegsa.save(first, tmp_path, overwrite=True)
     assert (tmp_path / "figures" / "angles.png").exists()
-    replace(first, evaluation=evaluation(seed=3)).save_evaluation(tmp_path)
+    posegsa.save(replace(first, evaluation=evaluation(seed=3)), tmp_path, overwrite=True)
     assert not (tmp_path / "figures" / "angles.png").exists(), "it would be another evaluation's"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "held-out set number 3" in text
@@ -355,9 +357,7 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(TuneResult, "figures", lambda _: {})
-    with pytest.raises(RunFolderError, match="missing: cannot be written: No such folder"):
-        result().save_evaluation(tmp_path / "missing")
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
     (tmp_path / "figures").write_text("a file in the place of a folder")
     with pytest.raises(RunFolderError, match="cannot be written: Not a directory"):
-        result().save(tmp_path)
+        posegsa.save(result(), tmp_path)

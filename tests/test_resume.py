@@ -9,8 +9,7 @@ from test_checkpoint import same
 from test_tuning import tiny
 
 import posegsa
-from posegsa import config, resume
-from posegsa.checkpoint import read
+from posegsa import config
 from posegsa.errors import (
     CheckpointError,
     ConfigError,
@@ -19,9 +18,13 @@ from posegsa.errors import (
     SearchError,
     SearchInterrupted,
 )
-from posegsa.interrupt import Asked
 from posegsa.optimisers import GSA, lengthened
-from posegsa.search import first_search, make_optimiser, make_ready, run_search
+from posegsa.saving import resume
+from posegsa.saving.checkpoint import read
+from posegsa.saving.interrupt import Asked
+from posegsa.search.build import tuning_problem
+from posegsa.search.named_optimisers import make_optimiser
+from posegsa.search.run import first_search, run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
 
@@ -31,7 +34,7 @@ LONG = tiny("search.iterations=8", "checkpoint.iterations=3")
 @pytest.fixture(scope="module")
 def task():
     with pytest.warns(PosegsaWarning, match="not a rotation"):
-        return make_ready(LONG)
+        return tuning_problem(LONG)
 
 
 @pytest.fixture(scope="module")

@@ -28,13 +28,14 @@ from setups import (
 )
 
 from posegsa.config import Experiment
-from posegsa.cost import cost_weights
-from posegsa.filter import filter_settings, initial_state
-from posegsa.gain import ConstantGain, FuzzyGain, SignalSettings, signal_settings
-from posegsa.measurements import Measurements
-from posegsa.rollout import Estimates, run_filter, simulate, simulate_cost
-from posegsa.scenario import Truth
-from posegsa.trajectory import trajectory
+from posegsa.judging.trajectory import trajectory
+from posegsa.model.filter import initial_state
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, run_filter, simulate, simulate_cost
+from posegsa.model.scenario import Truth
+from posegsa.model.schedules import ConstantGain, FuzzyGain
+from posegsa.model.signal import SignalSettings
+from posegsa.search.build import cost_weights, filter_settings, signal_settings
 
 VECTOR = search_vectors(1, seed=1)[0]
 """A schedule with nothing special about it; its gains run from 11 to 75 in the paper's scenario."""

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from posegsa import files, run_folder
 from posegsa.errors import RunFolderError
-from posegsa.run_folder import claim, claimed, locked, read, replace_files, settle
+from posegsa.saving import files
+from posegsa.saving import folder as run_folder
+from posegsa.saving.folder import claim, claimed, locked, read, replace_files, settle
 
 OLD = {"result.json": b"old", "figures/a.png": b"old", "figures/b.png": b"old"}
 NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}

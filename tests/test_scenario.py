@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from posegsa.config import Landmark, Sine, Vector
 from posegsa.errors import PosegsaWarning
-from posegsa.measurements import Measurements
-from posegsa.scenario import Scenario, Truth, integrate, measure, scenario
+from posegsa.model.measurements import Measurements
+from posegsa.model.scenario import Scenario, Truth, integrate, measure
+from posegsa.search.build import scenario
 
 SILENT = {
     "angular_velocity_noise": 0.0,

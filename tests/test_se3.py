@@ -12,7 +12,7 @@ from builders import directions, epsilon
 from jax import Array, lax
 from scipy.spatial.transform import Rotation
 
-from posegsa import se3
+from posegsa.model import se3
 
 PRINTED = np.array([[-0.829, 0.293, 0.343], [0.399, 0.157, 0.903], [0.210, 0.943, -0.257]])
 """The paper's initial attitude estimate, which is not a rotation."""
@@ -74,7 +74,7 @@ def test_quaternion_is_hamiltons_scalar_first() -> None:
 @pytest.mark.usefixtures("x64")
 def test_compose_is_the_matrix_product_in_the_same_order() -> None:
     p, q = random_quaternions(20, seed=1), random_quaternions(20, seed=2)
-    product = se3.compose(se3.split(jnp.asarray(p)), se3.split(jnp.asarray(q)))
+    product = se3.compose(se3.unstack(jnp.asarray(p)), se3.unstack(jnp.asarray(q)))
     want = np.asarray(jitted_matrix(p)) @ np.asarray(jitted_matrix(q))
     np.testing.assert_allclose(jitted_matrix(np.stack(product, -1)), want, atol=1e-15)
 
@@ -100,7 +100,7 @@ def test_compose_keeps_the_norm_at_one_over_1e5_float32_steps() -> None:
 @pytest.mark.usefixtures("x64")
 def test_compose_squares_the_error_of_the_norm() -> None:
     q, p = 1.001 * random_quaternions(1)[0], random_quaternions(1, seed=1)[0]
-    product = se3.join(se3.compose(se3.split(jnp.asarray(q)), se3.split(jnp.asarray(p))))
+    product = se3.stack(se3.compose(se3.unstack(jnp.asarray(q)), se3.unstack(jnp.asarray(p))))
     assert abs(np.linalg.norm(product) - 1) < 2 * 0.001**2
 
 
@@ -113,9 +113,9 @@ def test_unrotate_undoes_rotate_and_both_are_matrix_products(dtype) -> None:
 
     @jax.jit
     def turned(q: Array, a: Array) -> tuple[Array, ...]:
-        rows, parts = se3.rows(se3.split(q)), se3.split(a)
+        rows, parts = se3.rows(se3.unstack(q)), se3.unstack(a)
         there = se3.rotate(rows, parts)
-        return tuple(map(se3.join, (there, se3.unrotate(rows, parts), se3.unrotate(rows, there))))
+        return tuple(map(se3.stack, (there, se3.unrotate(rows, parts), se3.unrotate(rows, there))))
 
     there, back, there_and_back = turned(q, a)
     close = partial(np.testing.assert_allclose, rtol=0, atol=16 * epsilon(dtype))
@@ -126,8 +126,8 @@ def test_unrotate_undoes_rotate_and_both_are_matrix_products(dtype) -> None:
 
 def test_cross_dot_and_norm_equal_numpys() -> None:
     a, b = directions(20).astype(np.float32), directions(20, seed=1).astype(np.float32)
-    x, y = se3.split(jnp.asarray(a)), se3.split(jnp.asarray(b))
-    np.testing.assert_allclose(se3.join(se3.cross(x, y)), np.cross(a, b), atol=2e-7)
+    x, y = se3.unstack(jnp.asarray(a)), se3.unstack(jnp.asarray(b))
+    np.testing.assert_allclose(se3.stack(se3.cross(x, y)), np.cross(a, b), atol=2e-7)
     np.testing.assert_allclose(se3.dot(x, y), np.sum(a * b, axis=-1), atol=2e-7)
     np.testing.assert_allclose(se3.norm(x), np.linalg.norm(a, axis=-1), rtol=2e-7)
 
@@ -135,7 +135,7 @@ def test_cross_dot_and_norm_equal_numpys() -> None:
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
 def test_norm_has_derivative_zero_at_the_zero_vector(derivative) -> None:
     def length(a: Array) -> Array:
-        return se3.norm(se3.split(a))
+        return se3.norm(se3.unstack(a))
 
     assert derivative(length)(jnp.zeros(3)).tolist() == [0, 0, 0]
     np.testing.assert_allclose(derivative(length)(jnp.array([3.0, 0.0, 4.0])), [0.6, 0, 0.8])
@@ -145,7 +145,7 @@ def test_norm_has_derivative_zero_at_the_zero_vector(derivative) -> None:
 
 
 def distance(p: np.ndarray, q: np.ndarray) -> Array:
-    return se3.attitude_distance(se3.split(jnp.asarray(p)), se3.split(jnp.asarray(q)))
+    return se3.attitude_distance(se3.unstack(jnp.asarray(p)), se3.unstack(jnp.asarray(q)))
 
 
 def test_attitude_distance_is_a_quarter_of_the_trace_whatever_the_signs(dtype) -> None:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from jax import Array
 
-from posegsa import se3
+from posegsa.model import se3
 
 THRESHOLD = math.sqrt(se3.SERIES_BELOW)
 """Angle [rad] at which the series hands over to the closed form."""
@@ -233,9 +233,9 @@ def moved(*xis: Array) -> Array:
     one, zero = jnp.ones(()), jnp.zeros(())
     q, P = (one, zero, zero, zero), (zero, zero, zero)
     for xi in xis:
-        omega, v = se3.split(xi[:3]), se3.split(xi[3:])
+        omega, v = se3.unstack(xi[:3]), se3.unstack(xi[3:])
         q, P = se3.move(q, P, omega, v)
-    return se3.transform(se3.rotation_matrix(se3.join(q)), se3.join(P))
+    return se3.transform(se3.rotation_matrix(se3.stack(q)), se3.stack(P))
 
 
 # Twists of 10 rad/m, three in a row, reach some tens of metres: 1e-12 is some tens of roundings.

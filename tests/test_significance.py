@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from posegsa.significance import holm, signed_rank
+from posegsa.judging.statistics import holm, signed_rank
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 12, 20])

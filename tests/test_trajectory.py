@@ -11,9 +11,9 @@ import reference
 from builders import random_poses
 from scipy.spatial.transform import Rotation
 
-from posegsa.rollout import Estimates
-from posegsa.scenario import Truth
-from posegsa.trajectory import Trajectory, read_trajectory, trajectory
+from posegsa.judging.trajectory import Trajectory, read_trajectory, trajectory
+from posegsa.model.rollout import Estimates
+from posegsa.model.scenario import Truth
 
 N = 40
 

@@ -9,8 +9,8 @@ import reference
 from test_tuning import tiny
 
 import posegsa
-from posegsa.fuzzy import FuzzyController
-from posegsa.trust import rule_weights, uncovered
+from posegsa.judging.trust import rule_weights, uncovered
+from posegsa.model.fuzzy import FuzzyController
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 

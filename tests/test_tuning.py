@@ -14,14 +14,16 @@ import pytest
 from generated import configuration, not_numbers, structure
 
 import posegsa
-from posegsa import config, results
-from posegsa.comparison import TUNED
+from posegsa import config
 from posegsa.errors import ConfigError, MeasurementError, RunFolderError, SearchInterrupted
-from posegsa.keys import keys, scenario_keys
-from posegsa.population import evaluate_population, problem
-from posegsa.run_folder import read
-from posegsa.scenario import scenario
-from posegsa.search import Progress, make_optimiser, make_ready
+from posegsa.judging.evaluation import TUNED
+from posegsa.saving import run as run_folder
+from posegsa.saving.folder import read
+from posegsa.search.build import scenario, scenario_batch, tuning_problem
+from posegsa.search.keys import keys, scenario_keys
+from posegsa.search.named_optimisers import make_optimiser
+from posegsa.search.population import evaluate_population
+from posegsa.search.run import Progress
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -51,7 +53,7 @@ def run(tmp_path_factory):
 def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
     result, _, _ = run
     experiment = result.experiment
-    training = problem(
+    training = scenario_batch(
         experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 2)
     )
     space = posegsa.parameter_space(experiment)
@@ -100,12 +102,12 @@ def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
 
 
 def test_the_best_constant_gain_is_the_best_of_those_tried(run):
-    from posegsa.comparison import CONSTANT_GAINS
-    from posegsa.gain import ConstantGain
-    from posegsa.population import costs_by_scenario
+    from posegsa.judging.baselines import CONSTANT_GAINS
+    from posegsa.model.schedules import ConstantGain
+    from posegsa.search.population import costs_by_scenario
 
     result, _, _ = run
-    training = problem(
+    training = scenario_batch(
         result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 2)
     )
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
@@ -134,7 +136,7 @@ def test_the_folder_holds_what_is_promised(run):
     assert len(rows) == 4
     assert len((folder / "trajectory.csv").read_text().splitlines()) == 201
     figures = {path.stem for path in (folder / "figures").glob("*.png")}
-    assert figures == set(result.figures())
+    assert figures == set(posegsa.draw(result))
     paper = {"input_terms", "output_terms", "euler_angles", "position", "errors"}
     assert paper | {"convergence", "gain", "control_surface"} <= figures
     assert (folder / "report.html").read_text().startswith("<!doctype html>")
@@ -164,7 +166,7 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
         for field in dataclasses.fields(result.trajectory)
     }
     text = type(result.trajectory)(**longest).csv()
-    assert len(text.splitlines()[1]) <= results.MAX_ROW / 1.2
+    assert len(text.splitlines()[1]) <= run_folder.MAX_ROW / 1.2
     shutil.copytree(folder, tmp_path / "run")
     alter(tmp_path / "run" / "result.json", '"duration": 2.0', '"duration": 90000.0')
     limits = {}
@@ -173,10 +175,10 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
         limits[name] = limit
         return read(folder, name, limit)
 
-    monkeypatch.setattr(results, "read", noted)
+    monkeypatch.setattr(run_folder, "read", noted)
     samples = posegsa.load(tmp_path / "run").experiment.scenario.samples
-    assert limits.pop("trajectory.csv") == results.MAX_ROW * samples > results.MAX_BYTES
-    assert set(limits.values()) == {results.MAX_BYTES}
+    assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * samples > run_folder.MAX_BYTES
+    assert set(limits.values()) == {run_folder.MAX_BYTES}
 
 
 def test_the_summary_shows_training_beside_held_out(run):
@@ -220,10 +222,10 @@ def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch
 
 def test_a_run_is_replaced_when_asked(run, tmp_path):
     result, _, _ = run
-    result.save(tmp_path)
+    posegsa.save(result, tmp_path)
     with pytest.raises(RunFolderError, match="overwrite"):
-        result.save(tmp_path)
-    result.save(tmp_path, overwrite=True)
+        posegsa.save(result, tmp_path)
+    posegsa.save(result, tmp_path, overwrite=True)
     assert posegsa.load(tmp_path).best_cost == result.best_cost
 
 
@@ -337,13 +339,16 @@ def test_a_box_of_zero_width_fixes_its_parameter():
 def test_generated_configurations_are_tuned_without_nan(run):
     """Those that run the same program as the tests above: compiling takes the time."""
     rng, base, tuned = np.random.default_rng(2), tiny(), 0
-    program = structure(make_ready(base))
+    program = structure(tuning_problem(base))
     while tuned < 20:
         try:
             experiment = config.from_dict(configuration(rng, base))
         except ConfigError:
             continue
-        if experiment.run.dtype == base.run.dtype and structure(make_ready(experiment)) == program:
+        if (
+            experiment.run.dtype == base.run.dtype
+            and structure(tuning_problem(experiment)) == program
+        ):
             assert not_numbers(posegsa.tune(experiment)) == []
             tuned += experiment != base
     broken = run[0].history._replace(best=np.full(4, np.nan))
@@ -367,7 +372,7 @@ def test_a_batch_gives_what_single_runs_give(run):
 
 
 def test_a_batch_of_traced_values_is_compiled_once():
-    from posegsa.search import _advance_batch
+    from posegsa.search.run import _advance_batch
 
     many = [tiny(f"filter.gamma={g}", f"scenario.velocity_noise={g / 100}") for g in (2.0, 8.0)]
     costs = [r.best_cost for r in posegsa.tune_batch(many).results]

@@ -121,7 +121,7 @@ def _fuzzify(x, terms, out):
 
 @_inline
 def _integrals(h, first, second):
-    """Area and moment under two output terms clipped at h (see `posegsa.fuzzy.Overlap`)."""
+    """Area and moment under two output terms clipped at h (see `posegsa.model.fuzzy.Overlap`)."""
     a, c = second[0], first[2]
     width, u, v = c - a, second[1] - a, c - first[1]
     slope = u + v

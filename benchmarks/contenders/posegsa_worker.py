@@ -30,11 +30,12 @@ import posegsa
 from contenders import c
 from contenders.scene import RULES, Scene
 from posegsa import config
-from posegsa.keys import keys
 from posegsa.optimisers import Box, minimise
-from posegsa.population import evaluate_population
 from posegsa.runtime import enable_compilation_cache, fast_path_flags
-from posegsa.search import Task, make_ready, on_all_devices, run_search
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.keys import keys
+from posegsa.search.population import evaluate_population
+from posegsa.search.run import on_all_devices, run_search
 
 PAPER = Path(__file__).parent.parent.parent / "configs" / "paper.toml"
 CHECKED_AGENTS = 100
@@ -52,16 +53,16 @@ def use_devices(count: int) -> None:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:count])
 
 
-def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Task:
+def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> TuningProblem:
     """The paper's experiment, made ready."""
     settings = [f"run.dtype={dtype}", f"run.training_scenarios={scenarios}"]
     settings += [f"search.agents={agents}"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", posegsa.PosegsaWarning)
-        return make_ready(config.override(config.load(PAPER), settings))
+        return tuning_problem(config.override(config.load(PAPER), settings))
 
 
-def parameter_vectors(task: Task, agents: int) -> jax.Array:
+def parameter_vectors(task: TuningProblem, agents: int) -> jax.Array:
     """Parameter vectors (agents, 22), uniform in their boxes; the same in every dtype."""
     unit = jax.random.uniform(jax.random.key(1), (CHECKED_AGENTS, 22), jnp.float32)
     lower, upper = task.space.lower, task.space.upper
@@ -69,7 +70,7 @@ def parameter_vectors(task: Task, agents: int) -> jax.Array:
     return jnp.resize(drawn, (agents, drawn.shape[1]))
 
 
-def scene_of(task: Task, vectors: jax.Array) -> Scene:
+def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
     """A task's training scenarios and the controllers of parameter vectors as plain arrays.
 
     Raises:
@@ -82,7 +83,7 @@ def scene_of(task: Task, vectors: jax.Array) -> Scene:
     if task.space.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != ("exact", "hold"):
         raise ValueError("the other contenders know the paper's rules and the exact centroid")
     training = task.training
-    sample, truth, begun = training.tracks.sample, training.tracks.truth, training.initial
+    sample, truth, begun = training.samples.sample, training.samples.truth, training.initial
     if truth is None:
         raise ValueError("the true pose is needed for the cost")
     (landmark,) = sample.landmarks

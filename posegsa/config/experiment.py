@@ -16,9 +16,9 @@ from posegsa.config.optimisers import (
     PycmaConfig,
     SearchConfig,
 )
-from posegsa.config.problems import Problem
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.config.violations import Violation
 
 Window = tuple[Index, Index]
 """First and last sample, both included."""
@@ -65,11 +65,11 @@ class CostConfig(Section):
     steady_window: Window = (400, 1400)
     """First and last sample of the steady state, both included (the paper: 4 to 14 s)."""
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         for key in ("transient_window", "steady_window"):
             first, last = window = getattr(self, key)
             if first > last:
-                yield Problem(key, "allowed: a first sample that is not after the last", window)
+                yield Violation(key, "allowed: a first sample that is not after the last", window)
 
 
 class ObjectiveConfig(Section):
@@ -136,12 +136,12 @@ class Experiment(Section):
     pycma: PycmaConfig = PycmaConfig()
     """CMA-ES of the pycma library."""
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples
         for key in ("transient_window", "steady_window"):
             window: Window = getattr(self.cost, key)
             if window[1] >= samples:
-                yield Problem(
+                yield Violation(
                     f"cost.{key}",
                     f"allowed: samples 0 to {samples - 1}, as scenario.duration = "
                     f"{self.scenario.duration} and scenario.sampling_time = "

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.fields import Flag, NonNegative, Section
-from posegsa.config.problems import Problem
+from posegsa.config.violations import Violation
 
 Angle = Annotated[float, Field(strict=True, ge=0, le=180)]
 Range = tuple[NonNegative, NonNegative]
@@ -37,7 +37,7 @@ class FamilyConfig(Section):
     random_phase: Flag = False
     """Whether the phase of each sine of both velocities is drawn anew, uniformly."""
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         for key in (
             "attitude_error",
             "position_error",
@@ -47,4 +47,4 @@ class FamilyConfig(Section):
         ):
             ends = getattr(self, key)
             if ends != "off" and ends[0] > ends[1]:
-                yield Problem(key, "allowed: a least value that is not above the largest", ends)
+                yield Violation(key, "allowed: a least value that is not above the largest", ends)

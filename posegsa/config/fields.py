@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
-from posegsa.config.problems import Problem, Refused, config_error
+from posegsa.config.violations import Refused, Violation, config_error
 
 LARGEST, SMALLEST = 1e9, 1e-9
 """What numbers may be, so that float32 holds them, and products of some of them, with room."""
@@ -39,7 +39,7 @@ class Section(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         """What is wrong between the fields, each of them valid in itself."""
         yield from ()
 

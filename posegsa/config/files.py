@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from posegsa.arguments import check_type
 from posegsa.config.experiment import Experiment
-from posegsa.config.problems import Problem, config_error, report
+from posegsa.config.violations import Violation, config_error, report
 from posegsa.errors import ArgumentError, ConfigError
 
 MAX_BYTES = 2**20
@@ -146,22 +146,24 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     )
 
 
-def _set(data: dict[str, Any], text: str) -> Problem | None:
+def _set(data: dict[str, Any], text: str) -> Violation | None:
     """Changes one value of the data in place, or says why that is not possible."""
     path, _, written = (part.strip() for part in text.partition("="))
     keys = path.split(".")
     if not written or len(keys) < 2 or not all(keys):
-        return Problem(text, "allowed: section.key=value, such as filter.substeps=4")
+        return Violation(text, "allowed: section.key=value, such as filter.substeps=4")
     try:
         value = _value(written)
     except (ValueError, RecursionError):
-        return Problem(path, "allowed: a value as TOML writes it", written)
+        return Violation(path, "allowed: a value as TOML writes it", written)
     node: Any = data
     for depth, key in enumerate(keys, start=1):
         entries = {str(i): i for i in range(len(node))} if isinstance(node, list) else {}
         if not isinstance(node, dict) and key not in entries:
             kind = f"an array of {len(node)}" if isinstance(node, list) else "a single value"
-            return Problem(path, f"{'.'.join(keys[: depth - 1])} is {kind}; it has no {key}", value)
+            return Violation(
+                path, f"{'.'.join(keys[: depth - 1])} is {kind}; it has no {key}", value
+            )
         place: Any = entries.get(key, key)
         if depth == len(keys):
             node[place] = value

@@ -18,9 +18,9 @@ from posegsa.config.fields import (
     Vector3,
     Vector6,
 )
-from posegsa.config.problems import Problem, refuse
+from posegsa.config.violations import Violation, refuse
 from posegsa.errors import ScenarioError
-from posegsa.observability import are_collinear, check_observability
+from posegsa.model.observability import are_collinear, check_observability
 
 _ZERO_LENGTH = 1e-12
 """Length, in its own unit, up to which a direction counts as a zero vector."""
@@ -160,10 +160,10 @@ class ScenarioConfig(Section):
             )
         return matrix
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         ratio = self.duration / self.sampling_time
         if not (2 <= round(ratio) <= MOST_SAMPLES and abs(ratio - round(ratio)) <= 1e-6):
-            yield Problem(
+            yield Violation(
                 "duration",
                 f"allowed: a whole number of samples, 2 to {MOST_SAMPLES}; with sampling_time = "
                 f"{self.sampling_time} these are {ratio:.9g}",
@@ -171,7 +171,7 @@ class ScenarioConfig(Section):
             )
         product = self._cross_direction() if self.cross_vector else None
         if self.cross_vector and product is None:
-            yield Problem(
+            yield Violation(
                 "cross_vector",
                 "allowed: false, or two vectors to begin with that are not collinear",
                 True,
@@ -180,7 +180,7 @@ class ScenarioConfig(Section):
             self._check_observability(product)
         except ScenarioError as error:
             these = "these, their cross product" if product else "these"
-            yield Problem("vectors", f"with {these} and the landmarks, {error}")
+            yield Violation("vectors", f"with {these} and the landmarks, {error}")
 
     def _cross_direction(self) -> Vector3 | None:
         """v_1 x v_2 of the first two vectors at length one; None where it is not defined."""

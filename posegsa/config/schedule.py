@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 from pydantic import Field
 
 from posegsa.config.fields import Flag, NonNegative, Number, Positive, Section
-from posegsa.config.problems import Problem
+from posegsa.config.violations import Violation
 
 Term = Literal["VS", "S", "M", "L", "VL"]
 """A linguistic term, from very small to very large. The paper's table writes V for L."""
@@ -112,15 +112,15 @@ class FuzzyConfig(Section):
     """The rule table as the paper prints it (its V is L): rows are the rate, VL at the top to VS at
     the bottom; columns are the error, VL at the left to VS at the right."""
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         if not self.ordering and self.centroid != "sampled":
             reason = (
                 'allowed: "sampled", because ordering = false (the closed form needs ordered terms)'
             )
-            yield Problem("centroid", reason, self.centroid)
+            yield Violation("centroid", reason, self.centroid)
         if not self.ordering and self.coverage:
             reason = "allowed: false, because ordering = false (the repair needs ordered terms)"
-            yield Problem("coverage", reason, self.coverage)
+            yield Violation("coverage", reason, self.coverage)
 
 
 class ParametersConfig(Section):
@@ -133,21 +133,23 @@ class ParametersConfig(Section):
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
 
-    def _conflicts(self) -> Iterator[Problem]:
+    def _conflicts(self) -> Iterator[Violation]:
         if self.gain_range[0] >= self.gain_range[1]:
-            yield Problem("gain_range", "allowed: a lower end below the upper end", self.gain_range)
+            yield Violation(
+                "gain_range", "allowed: a lower end below the upper end", self.gain_range
+            )
             return
         for i, (name, low, high) in enumerate(zip(PARAMETERS, self.lower, self.upper, strict=True)):
             start, end = INPUT_RANGE if i < 11 else self.gain_range
             for key, value in (("lower", low), ("upper", high)):
                 if not start <= value <= end:
                     reason = f"{name} is out of its universe; allowed: {start} to {end}"
-                    yield Problem(f"{key}.{i}", reason, value)
+                    yield Violation(f"{key}.{i}", reason, value)
             if low > high:
                 reason = f"{name} has low > high; allowed: at most upper.{i} = {high}"
-                yield Problem(f"lower.{i}", reason, low)
+                yield Violation(f"lower.{i}", reason, low)
 
-    def disorder(self) -> Iterator[Problem]:
+    def disorder(self) -> Iterator[Violation]:
         """Bounds with which sorting could take parameters out of their boxes.
 
         Sorting numbers keeps each of them inside its own interval if the lower ends of the
@@ -161,14 +163,14 @@ class ParametersConfig(Section):
                 values = _neighbours(triangles(bounds[part], *universe))
                 for (name, next_name), (value, next_value) in zip(names, values, strict=True):
                     if value > next_value:
-                        yield Problem(
+                        yield Violation(
                             f"{key}.{PARAMETERS.index(name)}",
                             f"{name} comes before {next_name}, whose {key} bound is {next_value}; "
                             f"allowed: {allowed}, or fuzzy.ordering = false",
                             value,
                         )
 
-    def gaps(self) -> Iterator[Problem]:
+    def gaps(self) -> Iterator[Violation]:
         """Bounds with which the coverage repair could not close a gap between two input terms.
 
         The repair moves the left end a of a term down to the right end c of the term before it,
@@ -178,7 +180,7 @@ class ParametersConfig(Section):
         values = pairwise(triangles(self.lower[:11], *INPUT_RANGE))
         for (before, after), (before_low, after_low) in zip(names, values, strict=True):
             if after_low[0] > before_low[2]:
-                yield Problem(
+                yield Violation(
                     f"lower.{PARAMETERS.index(after[0])}",
                     f"{after[0]} has to come down to {before[2]} to close a gap; allowed: at most "
                     f"{before_low[2]}, the lower bound of {before[2]}, or fuzzy.coverage = false",

@@ -3,7 +3,7 @@
 from posegsa.errors import PosegsaError
 from posegsa.export.c import export_c
 from posegsa.export.tables import SCHEMA, export_csv, export_json
-from posegsa.results import TuneResult
+from posegsa.judging.result import TuneResult
 
 __all__ = ["FORMATS", "SCHEMA", "export", "export_c", "export_csv", "export_json"]
 

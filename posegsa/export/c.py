@@ -11,7 +11,6 @@ from string import Template
 import numpy as np
 
 from posegsa.arguments import check_type
-from posegsa.comparison import CONSTANT, TUNED
 from posegsa.config import PARAMETERS, TERMS, ScenarioConfig
 from posegsa.config.fields import Section
 from posegsa.export.c_source import (
@@ -23,9 +22,10 @@ from posegsa.export.c_source import (
     NO_RULE,
     SAMPLED_CONSTANTS,
 )
-from posegsa.fuzzy import FuzzyController
-from posegsa.named_optimisers import size_in_words
-from posegsa.results import VERSION, TuneResult
+from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.result import VERSION, TuneResult
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.search.named_optimisers import size_in_words
 
 _WIDTH = 96
 """Columns of the comment's text."""

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 
 from posegsa.arguments import check_type, check_whole
-from posegsa.comparison import CONSTANT, TUNED
 from posegsa.config import PARAMETERS, TERMS
-from posegsa.results import VERSION, TuneResult
+from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.result import VERSION, TuneResult
 
 SCHEMA = 1
 """Number of the layout of the JSON; it changes when a key changes its meaning."""

@@ -22,7 +22,7 @@ from posegsa.optimisers.loop import (
     start,
     tell,
 )
-from posegsa.optimisers.minimise import advance_on_host, minimise
+from posegsa.optimisers.minimisation import advance_on_host, minimise
 from posegsa.optimisers.particle_swarm import ParticleSwarm
 from posegsa.optimisers.polish import Polish
 from posegsa.optimisers.random_search import RandomSearch

@@ -1,19 +1,15 @@
 """One page that shows a result: a single HTML file that needs no network and runs no script."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
-from typing import TYPE_CHECKING
 
-from posegsa.comparison import TUNED
-from posegsa.figure_style import png
+from posegsa.figures.result import draw
+from posegsa.figures.style import png
+from posegsa.judging.evaluation import TUNED
+from posegsa.judging.result import TuneResult
 from posegsa.report import headline, sections
 from posegsa.report.markup import cost, element, join
-
-if TYPE_CHECKING:
-    from posegsa.results import TuneResult
 
 
 def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None) -> str:
@@ -24,7 +20,7 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None)
         pictures: Its figures as PNG files, by name; drawn here by default.
     """
     if pictures is None:
-        pictures = {name: png(figure) for name, figure in result.figures().items()}
+        pictures = {name: png(figure) for name, figure in draw(result).items()}
     here = files(__name__)
     page = Template((here / "page.html").read_text(encoding="utf-8"))
     held_out = cost(result.evaluation.cost(TUNED).mean)

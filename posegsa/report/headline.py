@@ -1,18 +1,15 @@
 """The top of the report: warnings, a verdict, and the numbers that matter most."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posegsa.comparison import CONSTANT, ORACLE, TUNED, Evaluation, Interval
+from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED, Evaluation, Interval
+from posegsa.judging.result import TuneResult
 from posegsa.report.markup import (
     DASH,
     Html,
     cost,
-    counted,
     element,
     interval,
     join,
@@ -20,9 +17,7 @@ from posegsa.report.markup import (
     paragraph,
     section,
 )
-
-if TYPE_CHECKING:
-    from posegsa.results import TuneResult
+from posegsa.words import counted
 
 
 def warnings(result: TuneResult) -> Html:

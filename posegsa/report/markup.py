@@ -119,8 +119,3 @@ def interval(low: float, high: float, form: str = "+.2f") -> str:
     if math.isnan(low) and math.isnan(high):
         return DASH
     return f"{cost(low, form)} to {cost(high, form)}"
-
-
-def counted(n: int, what: str) -> str:
-    """A count with its noun."""
-    return f"{n} {what}" + "s" * (n != 1)

@@ -1,29 +1,27 @@
 """The sections of the report, each a function from the result to HTML."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from posegsa import config
-from posegsa.comparison import ORACLE, TUNED, Contender, Evaluation
-from posegsa.metrics import (
+from posegsa.figures.evaluation import NAMES, angles_differ
+from posegsa.judging.evaluation import ORACLE, TUNED, Contender, Evaluation
+from posegsa.judging.metrics import (
     DIVERGED_ATTITUDE,
     DIVERGED_POSITION,
     SETTLED_ATTITUDE,
     SETTLED_POSITION,
 )
-from posegsa.parameters import rule_indices
-from posegsa.plots_evaluation import NAMES, angles_differ
+from posegsa.judging.result import TuneResult
+from posegsa.judging.trust import PERTURBATION, SENSITIVE, Trust
 from posegsa.report.figures import ONE_RUN, SCHEDULE, SEARCH, figures
 from posegsa.report.markup import (
     DASH,
     INFINITE,
     Html,
     cost,
-    counted,
     element,
     interval,
     join,
@@ -33,10 +31,8 @@ from posegsa.report.markup import (
     table,
 )
 from posegsa.report.words import what_was_run as words
-from posegsa.trust import PERTURBATION, SENSITIVE, Trust
-
-if TYPE_CHECKING:
-    from posegsa.results import TuneResult
+from posegsa.search.build import rule_indices
+from posegsa.words import counted
 
 
 def about(result: TuneResult) -> Html:

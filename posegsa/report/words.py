@@ -1,16 +1,11 @@
 """What was run, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-from posegsa.named_optimisers import TITLES, size_in_words
-from posegsa.report.markup import counted
-
-if TYPE_CHECKING:
-    from posegsa.config import Experiment, ObjectiveConfig
-    from posegsa.results import TuneResult
+from posegsa.config import Experiment, ObjectiveConfig
+from posegsa.judging.result import TuneResult
+from posegsa.search.named_optimisers import TITLES, size_in_words
+from posegsa.words import counted
 
 
 def what_was_run(result: TuneResult) -> Iterator[tuple[str, str]]:

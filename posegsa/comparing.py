@@ -1,0 +1,361 @@
+"""`posegsa compare`: optimisers at equal budgets on the same scenarios, or on a test function."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jax import Array
+
+from posegsa import config
+from posegsa.arguments import check_callable, check_type, check_whole
+from posegsa.errors import ArgumentError, ConfigError, RunFolderError
+from posegsa.figures.comparison import plot_comparison
+from posegsa.figures.style import png
+from posegsa.judging.comparison import DIGITS, NO_MATTER, Comparison, Gradients, Repeat, from_json
+from posegsa.model.schedules import FuzzyGain
+from posegsa.optimisers import (
+    AnyOptimiser,
+    Polish,
+    advance,
+    advance_on_host,
+    evaluations_spent,
+    start,
+)
+from posegsa.optimisers.checks import check_number
+from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.runtime import environment
+from posegsa.saving.files import write_atomically
+from posegsa.saving.folder import as_path, claimed, read, replace_files, writing
+from posegsa.search import memory
+from posegsa.search.build import tuning_problem
+from posegsa.search.keys import keys
+from posegsa.search.named_optimisers import make_optimiser, specify
+from posegsa.search.population import costs_by_scenario
+from posegsa.search.run import Found, Progress, first_search, run_in_chunks, run_search
+
+OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
+"""What is compared unless something else is asked for."""
+POINTS = 250
+"""Iterations of a search whose best cost is kept, and some more of the first."""
+DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
+"""The files of a comparison."""
+MAX_BYTES = 2**27
+"""Size up to which a comparison is read: 128 MiB."""
+
+
+class Status(NamedTuple):
+    """What a progress callback is told."""
+
+    optimiser: str
+    repeat: int
+    """Searches of this optimiser that are done."""
+    repeats: int
+    share: float
+    """Of the search that is running."""
+    best_cost: float
+    """Its best cost so far."""
+
+
+class Subject(Protocol):
+    """Something to minimise, again and again."""
+
+    title: str
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> Found:
+        """The finished search, and how long it took."""
+        ...
+
+    def held_out(self, position: Array) -> float | None:
+        """Cost on unseen scenarios, where there are any."""
+        ...
+
+
+class _Filter:
+    """An experiment's filter: every search meets its training scenarios."""
+
+    def __init__(self, experiment: config.Experiment) -> None:
+        self.task = tuning_problem(experiment)
+        count = experiment.run.training_scenarios
+        self.unseen = self.task.everywhere.select(slice(count, None))
+        self.title = f"fuzzy gain on {count} training scenarios"
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> Found:
+        task = self.task._replace(optimiser=optimiser)
+        return run_search(task, progress, search=first_search(task, key))
+
+    def held_out(self, position: Array) -> float:
+        controller = self.task.space.controller(position)
+        one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        return float(np.mean(costs_by_scenario(one, self.unseen)))
+
+
+_advance = jax.jit(advance, static_argnums=(0, 1))
+
+
+class _Function:
+    """A test function; a gradient is taken by reverse mode."""
+
+    def __init__(self, function: ClassicalFunction) -> None:
+        self.function, self.box = function, function.box
+        self.costs = jax.jit(function)
+        self.title = function.title
+
+    def search(
+        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+    ) -> Found:
+        on_host = getattr(optimiser, "on_host", False)
+        go = (
+            partial(advance_on_host, optimiser, self.costs, self.box, numpy_objective=False)
+            if on_host
+            else partial(_advance, optimiser, self.function, self.box)
+        )
+        begin = start(optimiser, self.box, key)
+        return run_in_chunks(go, begin, optimiser.iterations, progress)
+
+    def held_out(self, position: Array) -> None:
+        del position
+
+
+def compare(
+    experiment: config.Experiment | str | Path | None = None,
+    *,
+    optimisers: Iterable[str] = OPTIMISERS,
+    repeats: int = 20,
+    evaluations: int = 25000,
+    function: ClassicalFunction | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    levels: Sequence[float] | None = None,
+    progress: Callable[[Status], object] | None = None,
+) -> Comparison:
+    """Run several optimisers many times on the same problem, each with the same evaluations.
+
+    All searches of an experiment meet the same training scenarios; the repeats of an optimiser
+    differ in the random key of the search, and repeat r of every optimiser has the same key. They
+    run one after the other: a search fills the machine by itself.
+
+    Args:
+        experiment: Problem and settings of the optimisers, or a TOML file; by default the
+            recommended experiment. Its search.optimiser and search.iterations are not used.
+        optimisers: Names as in search.optimiser ("random" for random_search), each with settings
+            of its own after colons if wanted, such as "gsa:g0=1.0" or "cma_es:agents=20". The
+            others are compared with the first.
+        repeats: Searches of each.
+        evaluations: Evaluations of a search, rounded down to whole iterations. A cost with its
+            gradient counts as adam.gradient_price.
+        function: A test function to minimise instead of the experiment's cost.
+        out: Folder to keep the comparison in. Its JSON is written after each search, table and
+            figure at the end; searches that it holds already, of the same problem, budget and
+            settings, are not run again.
+        overwrite: Replace a comparison of something else in that folder.
+        levels: Costs to reach, in the table that is written to `out`; by default medians.
+        progress: Told several times a search where it stands.
+
+    Returns:
+        The comparison; of a folder also those optimisers that it held before, after the others.
+
+    Raises:
+        ConfigError: The experiment, or an optimiser's name or setting, is not valid, or a search
+            would need more memory than there is.
+        ArgumentError: A number is out of its range, or an argument is of the wrong type.
+        RunFolderError: `out` holds another comparison, can't be used, or another process is writing
+            there.
+    """
+    check_callable("progress", progress)
+    one = config.as_experiment(experiment)
+    names = _names(optimisers)
+    if function is not None:
+        check_type("function", function, ClassicalFunction)
+    if levels is not None:
+        check_type("levels", levels, Iterable, allowed="several numbers")
+        levels = list(levels)
+        for level in levels:
+            check_number("levels", level, least=-math.inf)
+    check_whole("repeats", repeats, 1, 10**6)
+    check_whole("evaluations", evaluations, 1, 10**12)
+    specified = {name: specify(one, name, evaluations) for name in names}
+    made = {name: make_optimiser(experiment) for name, experiment in specified.items()}
+    if function is None:
+        for experiment in specified.values():
+            memory.check([experiment])
+    # A run in that folder has files of other names: nothing of it is overwritten.
+    place = nullcontext() if out is None else claimed(out, overwrite=True)
+    with place as folder, jax.enable_x64(one.run.dtype == "float64"):
+        subject: Subject = _Filter(one) if function is None else _Function(function)
+        ran = Comparison(
+            subject.title,
+            evaluations,
+            _settings(one, function),
+            {name: [] for name in names},
+            {name: used for name, each in made.items() if (used := _gradients(each))},
+            environment(),
+        )
+        if folder is not None:
+            _take_over(folder, ran, overwrite=overwrite)
+        for name, optimiser in made.items():
+            for repeat in range(len(ran.repeats[name]), repeats):
+                key = jax.random.fold_in(keys(one.run.seed).search, repeat)
+                tell = _teller(progress, name, repeat, repeats)
+                ran.repeats[name].append(_search(subject, optimiser, key, tell))
+                if folder is not None:
+                    _keep(folder, ran)
+        if folder is not None:
+            _save(folder, ran, levels)
+    return ran
+
+
+def load_comparison(folder: str | Path) -> Comparison:
+    """The comparison that a folder holds.
+
+    Raises:
+        RunFolderError: It holds none, or one that can't be read.
+    """
+    folder = as_path("folder", folder)
+    try:
+        return from_json(read(folder, DATA, MAX_BYTES))
+    except RunFolderError:
+        raise
+    except OSError as error:
+        raise RunFolderError(f"{folder}: holds no comparison ({DATA}: {error.strerror})") from None
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise RunFolderError(f"{folder / DATA}: cannot be read as a comparison: {error}") from None
+
+
+def _keep(folder: Path, comparison: Comparison) -> None:
+    """Write what has been searched so far to its folder."""
+    with writing(folder):
+        write_atomically(folder / DATA, comparison.to_json())
+
+
+def _save(folder: Path, comparison: Comparison, levels: Sequence[float] | None) -> None:
+    """Write a comparison's JSON, table and figure to its folder."""
+    files = {
+        DATA: comparison.to_json().encode(),
+        TABLE: f"{comparison.table(levels)}\n".encode(),
+        FIGURE: png(plot_comparison(comparison)),
+    }
+    replace_files(folder, files, remove=())
+
+
+def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
+    """What searches depend on: all but what `compare` sets itself or does not use."""
+    data = experiment.model_dump(mode="json", exclude={NO_MATTER})
+    for key in ("optimiser", "iterations"):
+        del data["search"][key]
+    if function is None:
+        return data
+    sections = ("run", "search", "gsa", "pso", "de", "adam", "evosax", "pycma")
+    return {"function": vars(function), **{name: data[name] for name in sections}}
+
+
+def _gradients(optimiser: AnyOptimiser) -> Gradients | None:
+    """How an optimiser uses gradients, if it does."""
+    if isinstance(optimiser, Polish):
+        begin = int(evaluations_spent(optimiser.first)[-1])
+        return Gradients(optimiser.second.gradient_price, begin)
+    price = getattr(optimiser, "gradient_price", None)
+    return None if price is None else Gradients(price, 0)
+
+
+def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
+    """Put what a folder holds of this comparison into it; the others of it come after.
+
+    Raises:
+        RunFolderError: The folder holds another comparison, or one that can't be read.
+    """
+    if not (folder / DATA).exists():
+        return
+    try:
+        held = load_comparison(folder)
+        if (held.budget, held.settings) != (ran.budget, ran.settings):
+            raise RunFolderError(
+                f"{folder}: holds a comparison with another problem, budget or settings "
+                f"({held.subject}, {held.budget} evaluations); choose another folder, or replace "
+                "it (--overwrite; overwrite=True)"
+            )
+    except RunFolderError:
+        if not overwrite:
+            raise
+        # Else the old table and figure would stand beside the new searches until the end.
+        replace_files(folder, {DATA: ran.to_json().encode()}, remove=(TABLE, FIGURE))
+        return
+    ran.repeats.update(held.repeats)
+    ran.gradients.update(held.gradients)
+
+
+def _names(optimisers: Iterable[str]) -> list[str]:
+    """Names of optimisers, each once.
+
+    Raises:
+        ArgumentError: They are something else.
+        ConfigError: There are none.
+    """
+    allowed = "several names"
+    if isinstance(optimisers, str):
+        raise ArgumentError(
+            f"optimisers = {optimisers!r}; allowed: {allowed}, as in [{optimisers!r}]"
+        )
+    check_type("optimisers", optimisers, Iterable, allowed=allowed)
+    names = list(optimisers)
+    for name in names:
+        check_type("optimisers", name, str, allowed=allowed)
+    if not names:
+        raise ConfigError("optimisers: none were given; allowed: at least one")
+    return list(dict.fromkeys(names))
+
+
+def _teller(
+    progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int
+) -> Callable[[Progress], object]:
+    """What turns a search's progress into the comparison's."""
+    if progress is None:
+        return lambda _: None
+    return lambda p: progress(
+        Status(name, repeat, repeats, p.iteration / p.iterations, p.best_cost)
+    )
+
+
+def _search(
+    subject: Subject, optimiser: AnyOptimiser, key: Array, tell: Callable[[Progress], object]
+) -> Repeat:
+    """Search once, and judge what was found."""
+    stamps = [(0, 0.0)]
+
+    def told(progress: Progress) -> None:
+        if progress.iteration:  # not when it is compiled
+            stamps.append((progress.iteration, progress.seconds))
+            tell(progress)
+
+    search, compile_seconds, seconds = subject.search(optimiser, key, told)
+    spent = evaluations_spent(optimiser)
+    kept = _kept(len(spent))
+    done, since = np.array(stamps).T
+    times = np.interp(kept + 1, done, since)
+    best = np.asarray(search.history.best, np.float64)[kept]
+    return Repeat(
+        float(search.best_cost),
+        subject.held_out(search.best_position),
+        np.asarray(search.best_position, np.float64).tolist(),
+        seconds,
+        compile_seconds,
+        int(search.non_finite),
+        spent[kept].tolist(),
+        [float(f"{c:.{DIGITS}g}") for c in best],
+        [round(t, 4) for t in times.tolist()],
+    )
+
+
+def _kept(iterations: int) -> np.ndarray:
+    """Which iterations are kept: POINTS evenly spaced ones, and more of the first."""
+    even = np.linspace(1, iterations, POINTS)
+    early = np.geomspace(1, iterations, POINTS // 4)
+    return np.unique(np.concatenate([even, early]).round().astype(int)) - 1

@@ -1,0 +1,1 @@
+"""What a schedule is worth: metrics, baselines, trust, and comparisons on unseen scenarios."""

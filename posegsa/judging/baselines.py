@@ -1,0 +1,212 @@
+"""What a tuned schedule has to beat, and the oracle that shows how far schedules can go."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from posegsa.config import ObjectiveConfig, override
+from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH
+from posegsa.judging.result import TuneResult
+from posegsa.model.scenario import Scenario
+from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
+from posegsa.optimisers import Box, Optimiser, advance, start
+from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
+from posegsa.search.keys import keys, oracle_keys, training_keys
+from posegsa.search.named_optimisers import gsa_of
+from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
+from posegsa.search.run import run_search
+
+CONSTANT_GAINS = 201
+"""Constant gains that `tune` tries, evenly spaced over all that a controller can ask for."""
+ORACLE_SCENARIOS = 32
+"""Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""
+KNOTS = 24
+"""Knots of the oracle's gain over time."""
+ORACLE_STARTS = (10.0, 30.0, 100.0)
+"""Constant gains [1/s] that the oracle's descents start from."""
+ORACLE_RATES = (0.1, 0.03, 0.01)
+"""Adam's steps on the logarithm of a gain: coarse, then finer from the best of each start."""
+ORACLE_PATIENCE = 20
+"""Steps without an improvement of ORACLE_IMPROVEMENT after which a start is done at one rate."""
+ORACLE_IMPROVEMENT = 1e-4
+"""Relative improvement of the cost that counts."""
+ORACLE_STEPS = 400
+"""Most steps at one rate; a descent that needs more says so."""
+ORACLE_RANGE = (0.5, 200.0)
+"""Gains that the oracle may ask for [1/s]; wider than a controller's range."""
+
+
+Baseline = Callable[[], tuple[GainSchedule, dict[str, Any]]]
+"""Finds a schedule, and says what it is."""
+
+
+def best_constant(
+    training: ScenarioBatch, gain_range: tuple[float, float], objective: ObjectiveConfig
+) -> ConstantGain:
+    """The constant gain of least cost, of CONSTANT_GAINS that a controller can ask for.
+
+    With one number to find, and a cost that is flat about its least, more of them change nothing.
+    """
+    low, high = gain_range
+    gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
+    costs = np.asarray(over_scenarios(costs_by_scenario(ConstantGain(gains), training), objective))
+    return ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
+
+
+def smooth_gain(vector: Array) -> SmoothGain:
+    """The schedule of a search vector (3,): low and high gain [1/s], log of the half-way error."""
+    return SmoothGain(vector[0], vector[1], jnp.exp(vector[2]))
+
+
+def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
+    """Where the smooth schedule is searched: the same gains, half-way errors from 0.003 to 1."""
+    low, high = (1 + end for end in gain_range)
+    lower, upper = (low, low, math.log(0.003)), (high, high, 0.0)
+    return Box(jnp.asarray(lower, dtype), jnp.asarray(upper, dtype))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def search_schedule(
+    optimiser: Optimiser,
+    schedule: Callable[[Array], GainSchedule],
+    objective: ObjectiveConfig,
+    box: Box,
+    training: ScenarioBatch,
+    key: Array,
+) -> Array:
+    """The best vector (d,) of a family of schedules on the training scenarios.
+
+    Args:
+        optimiser: What searches, and with how many evaluations.
+        schedule: Maps a vector (d,) to a schedule.
+        objective: What of the costs on several scenarios is minimised.
+        box: Where to search.
+        training: The training scenarios.
+        key: Random key of the search.
+    """
+
+    def costs(vectors: Array) -> Array:
+        return over_scenarios(agent_costs(jax.vmap(schedule)(vectors), training), objective)
+
+    found = advance(optimiser, costs, box, start(optimiser, box, key), optimiser.iterations)
+    return found.best_position
+
+
+@jax.jit
+def _descend(
+    log_gain: Array, state: optax.OptState, rate: Array, time: Array, batch: ScenarioBatch
+) -> tuple[Array, Array, optax.OptState]:
+    """Mean cost (s,) of each start's knots (s, n), and the knots after one step of Adam."""
+
+    def cost(knots: Array) -> Array:
+        schedule = jax.tree.map(lambda a: a[None], KnotGain(time, knots))
+        return jnp.mean(agent_costs(schedule, batch))
+
+    def cost_and_gradient(knots: Array) -> tuple[Array, Array]:
+        # Forward mode: few inputs, 1500 steps, and nothing to store.
+        basis = jnp.eye(knots.shape[0], dtype=knots.dtype)
+        values, slopes = jax.vmap(lambda d: jax.jvp(cost, (knots,), (d,)))(basis)
+        return values[0], slopes
+
+    values, gradient = jax.vmap(cost_and_gradient)(log_gain)
+    gradient = jnp.where(jnp.isfinite(gradient), gradient, 0.0)
+    direction, state = optax.scale_by_adam().update(gradient, state)
+    low, high = (math.log(end) for end in ORACLE_RANGE)
+    return values, jnp.clip(log_gain - rate * jnp.asarray(direction), low, high), state
+
+
+def oracle_knots(end: float) -> np.ndarray:
+    """Times (KNOTS,) of the oracle's knots [s]: dense in the transient, even after it."""
+    dense, turn = KNOTS // 3, min(1.0, 0.5 * end)
+    early = np.geomspace(0.03 * turn, turn, dense)
+    return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
+
+
+def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
+    """The best open-loop gain sequence found for a batch of scenarios, and how it was found.
+
+    Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains from several
+    starts, at ever finer rates, each until no start improves any more. It is a strong reference for
+    what a schedule can do on the family as a whole, no proven bound: a schedule that looks at the
+    error may beat it.
+
+    Args:
+        batch: Scenarios to fit; not the held-out ones.
+
+    Returns:
+        The sequence, and its mean cost on the batch, the steps taken and whether every descent
+        ended because it no longer improved.
+    """
+    dtype = batch.dtype
+    time = jnp.asarray(oracle_knots(float(batch.samples.time[0, -1])), dtype)
+    starts = jnp.log(jnp.asarray(ORACLE_STARTS, dtype))
+    best = starts[:, None] * jnp.ones((1, KNOTS), dtype)
+    best_cost = np.full(len(ORACLE_STARTS), np.inf)
+    steps, converged = 0, True
+    for rate in ORACLE_RATES:
+        knots, state = best, optax.scale_by_adam().init(best)
+        counted, idle = best_cost.copy(), np.zeros(len(ORACLE_STARTS), int)
+        for _ in range(ORACLE_STEPS):
+            with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
+                values, after, state = _descend(knots, state, jnp.asarray(rate, dtype), time, batch)
+            costs = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf)
+            better = costs < best_cost
+            best = jnp.where(jnp.asarray(better)[:, None], knots, best)
+            best_cost = np.where(better, costs, best_cost)
+            enough = best_cost < counted * (1 - ORACLE_IMPROVEMENT)
+            counted, idle = np.where(enough, best_cost, counted), np.where(enough, 0, idle + 1)
+            knots, steps = after, steps + 1
+            if (idle >= ORACLE_PATIENCE).all():
+                break
+        else:
+            converged = False
+    i = int(np.argmin(best_cost))
+    found = {"cost_fitted": float(best_cost[i]), "steps": steps, "converged": converged}
+    return KnotGain(time, best[i]), found
+
+
+def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
+    """How to find each baseline of a run, by name."""
+    experiment, seed = result.experiment, result.experiment.run.seed
+    space, search = parameter_space(experiment), experiment.search
+    training = scenario_batch(
+        experiment, one, training_keys(seed, experiment.run.training_scenarios)
+    )
+    gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
+
+    def constant() -> tuple[GainSchedule, dict[str, Any]]:
+        # The grid's best: with one number to find, a full search ends at the same cost.
+        gain = jnp.asarray(result.constant_gain, dtype)
+        return ConstantGain(gain), {"gain": result.constant_gain}
+
+    def random() -> tuple[GainSchedule, dict[str, Any]]:
+        # By name, because the library of the run's own optimiser may not be installed here.
+        task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
+        best = run_search(task).search.best_position
+        controller = space.controller(best)
+        return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
+
+    def smooth() -> tuple[GainSchedule, dict[str, Any]]:
+        box = smooth_box(gains, dtype)
+        optimiser = gsa_of(experiment, search.iterations)
+        found = search_schedule(
+            optimiser, smooth_gain, objective, box, training, keys(seed).baselines
+        )
+        schedule = smooth_gain(found)
+        return schedule, {name: float(value) for name, value in vars(schedule).items()}
+
+    def best_sequence() -> tuple[GainSchedule, dict[str, Any]]:
+        of = oracle_keys(seed, ORACLE_SCENARIOS)
+        knots, how = oracle(scenario_batch(experiment, one, of))
+        gain = np.exp(np.asarray(knots.log_gain, np.float64))
+        time = np.asarray(knots.time, np.float64)
+        return knots, {"time": time.tolist(), "gain": gain.tolist(), **how}
+
+    return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

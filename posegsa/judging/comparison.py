@@ -1,0 +1,345 @@
+"""What optimisers found at equal budgets, side by side: the table, and the file that keeps it."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from posegsa.judging.statistics import holm, signed_rank
+
+SCHEMA = 1
+"""Version of the file's layout."""
+NO_MATTER = "checkpoint"
+"""The section of an experiment that a comparison does not use; files of before have it."""
+DIGITS = 7
+"""Significant digits of the costs over a search that are kept."""
+
+
+class Repeat(NamedTuple):
+    """One search of one optimiser."""
+
+    cost: float
+    """Best cost on what it searched."""
+    held_out: float | None
+    """Cost of that on unseen scenarios; None where there are none."""
+    position: list[float]
+    """Where it is."""
+    seconds: float
+    """Time of the search, without compiling."""
+    compile_seconds: float
+    non_finite: int
+    """Evaluations that were not finite."""
+    evaluations: list[int]
+    """(n,) evaluations made after some or all iterations; a gradient counts at its price."""
+    best: list[float]
+    """(n,) best cost so far, then."""
+    times: list[float]
+    """(n,) seconds since the search began, then."""
+
+
+class Gradients(NamedTuple):
+    """How an optimiser uses gradients."""
+
+    price: int
+    """Evaluations that a cost with its gradient counts as."""
+    begin: int
+    """Evaluations before the first gradient."""
+
+
+class Quartiles(NamedTuple):
+    """Of values over repeats."""
+
+    low: float
+    median: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.median:.5g} [{self.low:.5g}, {self.high:.5g}]"
+
+
+class Versus(NamedTuple):
+    """A paired comparison with the first optimiser over repeats."""
+
+    difference: float
+    """Median of first minus this; below 0 the first is better."""
+    p: float
+    """Of the signed rank test, corrected for the number of optimisers (Holm)."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Searches of several optimisers on the same problem, each with the same evaluations."""
+
+    subject: str
+    """What was minimised, in words."""
+    budget: int
+    """Evaluations of a search."""
+    settings: dict[str, Any]
+    """What the searches depend on; a file is only added to where they are the same."""
+    repeats: dict[str, list[Repeat]] = field(default_factory=dict)
+    """By optimiser, the first being what the others are compared with."""
+    gradients: dict[str, Gradients] = field(default_factory=dict)
+    """Of the optimisers that use gradients."""
+    environment: dict[str, str] = field(default_factory=dict)
+    """The machine that made them."""
+
+    def only(self, names: Sequence[str]) -> "Comparison":
+        """The same with some of the optimisers, in this order."""
+        return Comparison(
+            self.subject,
+            self.budget,
+            self.settings,
+            {name: self.repeats[name] for name in names},
+            {name: self.gradients[name] for name in names if name in self.gradients},
+            self.environment,
+        )
+
+    def costs(self, name: str, *, held_out: bool = False) -> np.ndarray:
+        """Final costs (repeats,) of an optimiser."""
+        found = self.repeats[name]
+        return np.array([r.held_out if held_out else r.cost for r in found], np.float64)
+
+    @property
+    def has_held_out(self) -> bool:
+        """Whether what was found was judged on unseen scenarios."""
+        return all(r.held_out is not None for each in self.repeats.values() for r in each)
+
+    def versus_first(self, *, held_out: bool = False) -> dict[str, Versus]:
+        """Each other optimiser against the first, over the repeats that both have made."""
+        first, *others = self.repeats
+        ours, found = self.costs(first, held_out=held_out), {}
+        for name in others:
+            theirs = self.costs(name, held_out=held_out)
+            both = min(len(ours), len(theirs))
+            with np.errstate(invalid="ignore"):
+                difference = ours[:both] - theirs[:both]
+            found[name] = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
+        corrected = holm([signed_rank(d) for d in found.values()])
+        return {
+            name: Versus(float(np.median(d)), p)
+            for (name, d), p in zip(found.items(), corrected, strict=True)
+        }
+
+    def levels(self) -> list[float]:
+        """Costs worth reaching: the largest, middle and least of the optimisers' medians."""
+        medians = sorted(float(np.median(self.costs(name))) for name in self.repeats)
+        chosen = (medians[-1], medians[len(medians) // 2], medians[0])
+        return sorted({m for m in chosen if math.isfinite(m)}, reverse=True)
+
+    def reached(self, name: str, level: float) -> tuple[float, float, float]:
+        """Median evaluations and seconds to a cost of at most `level`, and who got there (share).
+
+        Both are infinite where fewer than half of the repeats got there.
+        """
+        evaluations, seconds = [], []
+        rounding = 10.0 ** (1 - DIGITS) * abs(level)
+        for repeat in self.repeats[name]:
+            there = np.flatnonzero(np.asarray(repeat.best) <= level + rounding)
+            evaluations.append(repeat.evaluations[there[0]] if there.size else math.inf)
+            seconds.append(repeat.times[there[0]] if there.size else math.inf)
+        share = float(np.mean(np.isfinite(evaluations)))
+        # The lower of two middle ones: a mean of a number and infinity says nothing.
+        return (
+            float(np.quantile(evaluations, 0.5, method="lower")),
+            float(np.quantile(seconds, 0.5, method="lower")),
+            share,
+        )
+
+    def bands(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluations (n,) and quartiles (3, n) over repeats of the best cost so far."""
+        found = self.repeats[name]
+        best = np.array([r.best for r in found], np.float64)
+        return np.array(found[0].evaluations), quantiles(best)
+
+    def rows(self, levels: Sequence[float] | None = None) -> list[list[str]]:
+        """The table, its header first, a row for each optimiser.
+
+        Args:
+            levels: Costs to reach; by default `levels()`.
+        """
+        levels = self.levels() if levels is None else levels
+        first, judged = next(iter(self.repeats)), self.has_held_out
+        header = [
+            "optimiser",
+            "repeats",
+            "cost, median [quartiles]",
+            "best",
+            f"{first} minus this (p)",
+        ]
+        if judged:
+            header += ["held out", f"{first} minus this (p)"]
+        header += [f"to {level:.5g}" for level in levels] + ["s"]
+        rows = [header]
+        training = self.versus_first()
+        unseen = self.versus_first(held_out=True) if judged else {}
+        for name in self.repeats:
+            costs = self.costs(name)
+            row = [
+                name,
+                str(len(costs)),
+                str(_quartiles(costs)),
+                f"{costs.min():.5g}",
+                _versus(training, name),
+            ]
+            if judged:
+                row += [str(_quartiles(self.costs(name, held_out=True))), _versus(unseen, name)]
+            row += [_reached(*self.reached(name, level)) for level in levels]
+            seconds = [r.seconds for r in self.repeats[name]]
+            rows.append([*row, f"{np.median(seconds):.3g}"])
+        return rows
+
+    def table(self, levels: Sequence[float] | None = None) -> str:
+        """The comparison as text for a person."""
+        rows = self.rows(levels)
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        lines = [
+            "  ".join(
+                cell.ljust(w) if i == 0 else cell.rjust(w)
+                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in rows
+        ]
+        return "\n".join([self.heading(), "", *lines, "", *self.notes()])
+
+    def markdown(self, levels: Sequence[float] | None = None) -> str:
+        """The same as a Markdown table."""
+        header, *rows = (f"| {' | '.join(row)} |" for row in self.rows(levels))
+        rule = "|" + " --- |" * len(self.rows(levels)[0])
+        return "\n".join([self.heading(), "", header, rule, *rows, "", *self.notes()])
+
+    def heading(self) -> str:
+        """What was compared."""
+        made = sorted({len(repeats) for repeats in self.repeats.values()})
+        count = str(made[0]) if len(made) == 1 else f"{made[0]} to {made[-1]}"
+        return f"{self.subject}: {count} repeats of {self.budget} evaluations each."
+
+    def notes(self) -> list[str]:
+        """How to read the table."""
+        first = next(iter(self.repeats))
+        lines = [
+            f"In the columns '{first} minus this', below 0 {first} is better: median over the "
+            "repeats, and p of Wilcoxon's signed rank test, corrected for the number of optimisers "
+            "(Holm). 'to C': median evaluations (and seconds) until the cost is at most C; '-' "
+            "where fewer than half of the repeats got there.",
+        ]
+        evaluation = self._evaluation_seconds()
+        for name in self.repeats:
+            if (measured := self.gradient_seconds(name)) is not None:
+                counted = self.gradients[name].price
+                lines.append(
+                    f"{name}: a cost with its gradient counts as {counted} evaluations; it took "
+                    f"{1000 * measured:.3g} ms"
+                    + (f", as long as {measured / evaluation:.3g}." if evaluation else ".")
+                )
+        return lines
+
+    def gradient_seconds(self, name: str) -> float | None:
+        """Time of one cost with its gradient; None for an optimiser without gradients."""
+        if name not in self.gradients:
+            return None
+        price, begin = self.gradients[name]
+        per = []
+        for r in self.repeats[name]:
+            begun = np.interp(begin, [0, *r.evaluations], [0.0, *r.times])
+            per.append((r.times[-1] - begun) * price / (r.evaluations[-1] - begin))
+        return float(np.median(per))
+
+    def _evaluation_seconds(self) -> float | None:
+        """Time of one evaluation among many: of the quickest optimiser without gradients."""
+        plain = [n for n in self.repeats if n not in self.gradients]
+        times = [np.median([r.seconds / r.evaluations[-1] for r in self.repeats[n]]) for n in plain]
+        return float(min(times)) if times else None
+
+    def to_json(self) -> str:
+        """Everything, as JSON; `from_json` gives it back."""
+        data = {
+            "schema": SCHEMA,
+            "subject": self.subject,
+            "budget": self.budget,
+            "settings": self.settings,
+            "environment": self.environment,
+            "gradients": {name: used._asdict() for name, used in self.gradients.items()},
+            "optimisers": {
+                name: [_plain(r._asdict()) for r in repeats]
+                for name, repeats in self.repeats.items()
+            },
+        }
+        return json.dumps(_plain(data)) + "\n"
+
+
+def from_json(text: str) -> Comparison:
+    """Read what `Comparison.to_json` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: It is not a comparison.
+    """
+    data = json.loads(text)
+    if data["schema"] != SCHEMA:
+        raise ValueError(f"schema {data['schema']}; this version reads {SCHEMA}")
+    return Comparison(
+        str(data["subject"]),
+        int(data["budget"]),
+        {name: value for name, value in data["settings"].items() if name != NO_MATTER},
+        # An interrupted comparison also names those that it had not come to.
+        {name: [_repeat(r) for r in each] for name, each in data["optimisers"].items() if each},
+        {name: Gradients(**used) for name, used in data["gradients"].items()},
+        dict(data["environment"]),
+    )
+
+
+def quantiles(values: np.ndarray) -> np.ndarray:
+    """Quartiles (3, ...) over the first axis; between two infinite values infinite."""
+    share = (0.25, 0.5, 0.75)
+    below = np.quantile(values, share, axis=0, method="lower")
+    with np.errstate(invalid="ignore"):
+        between = np.quantile(values, share, axis=0)
+    # NumPy's interpolation makes NaN of two infinities, and of a number next to one.
+    beyond = np.where(np.isinf(below), below, np.inf)
+    exact = below == np.quantile(values, share, axis=0, method="higher")
+    return np.where(exact, below, np.where(np.isnan(between), beyond, between))
+
+
+def _quartiles(values: np.ndarray) -> Quartiles:
+    return Quartiles(*map(float, quantiles(values)))
+
+
+def _versus(found: dict[str, Versus], name: str) -> str:
+    if name not in found:
+        return "-"
+    difference, p = found[name]
+    return f"{difference:+.3g} ({'<0.001' if p < 0.001 else f'{p:.3f}'})"
+
+
+def _reached(evaluations: float, seconds: float, share: float) -> str:
+    if not math.isfinite(evaluations):
+        return "-" if share == 0 else f"- ({100 * share:.0f} %)"
+    return f"{evaluations:.0f} ({seconds:.2g} s)"
+
+
+def _repeat(data: dict[str, Any]) -> Repeat:
+    held_out = data["held_out"]
+    return Repeat(
+        float(data["cost"]),
+        None if held_out is None else float(held_out),
+        [float(x) for x in data["position"]],
+        float(data["seconds"]),
+        float(data["compile_seconds"]),
+        int(data["non_finite"]),
+        [int(n) for n in data["evaluations"]],
+        [float(c) for c in data["best"]],
+        [float(t) for t in data["times"]],
+    )
+
+
+def _plain(value: Any) -> Any:
+    """The same in JSON's types; what is not finite becomes text, which `float` reads back."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    return value

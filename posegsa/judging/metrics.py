@@ -1,0 +1,135 @@
+"""How good a filter is on each of many scenarios: cost, settling, steady state, bias."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from posegsa.model.filter import FilterState
+from posegsa.model.rollout import ErrorTrack, Samples, simulate_errors
+from posegsa.model.schedules import GainSchedule
+from posegsa.search.population import ScenarioBatch
+
+SETTLED_ATTITUDE = 20.0
+"""Attitude error under which the filter has settled if it stays there [deg]; the paper's noise
+alone makes errors of 8 deg RMS."""
+SETTLED_POSITION = 0.5
+"""Position error under which the filter has settled if it stays there [m]."""
+DIVERGED_ATTITUDE = 90.0
+"""Mean attitude error over the last second above which a run counts as diverged [deg]."""
+DIVERGED_POSITION = 5.0
+"""Mean position error over the last second above which a run counts as diverged [m]."""
+BATCH = 250
+"""Scenarios simulated at once, to bound the memory of their error tracks."""
+
+
+class Metrics(NamedTuple):
+    """Each (S,), one entry for each scenario."""
+
+    cost: np.ndarray
+    """C; infinite where it is not finite."""
+    transient: np.ndarray
+    """Its weighted transient part."""
+    steady: np.ndarray
+    """Its weighted steady-state part."""
+    settling_attitude: np.ndarray
+    """Time after which the attitude error stays under SETTLED_ATTITUDE [s]; infinite if never."""
+    settling_position: np.ndarray
+    """Time after which the position error stays under SETTLED_POSITION [s]; infinite if never."""
+    rms_attitude: np.ndarray
+    """Root mean square attitude error in the steady-state window [deg]."""
+    rms_position: np.ndarray
+    """Root mean square position error in the steady-state window [m]."""
+    bias_angular: np.ndarray
+    """Length of the last angular velocity bias error [rad/s]."""
+    bias_linear: np.ndarray
+    """Length of the last linear velocity bias error [m/s]."""
+    diverged: np.ndarray
+    """Whether the cost is not finite, or the last second's mean errors exceed DIVERGED_..."""
+    initial_angle: np.ndarray
+    """Attitude error at the start [deg]."""
+
+
+class Bands(NamedTuple):
+    """Quantiles over scenarios of the errors over time, each (3, N): 5 %, median, 95 %."""
+
+    attitude: np.ndarray
+    """[deg]"""
+    position: np.ndarray
+    """[m]"""
+    gain: np.ndarray
+    """[1/s]"""
+
+
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+@jax.jit
+def _error_tracks(schedule: GainSchedule, batch: ScenarioBatch) -> ErrorTrack:
+    def one(samples: Samples, initial: FilterState) -> ErrorTrack:
+        return simulate_errors(schedule, samples, initial, batch.settings, batch.signal)
+
+    return jax.vmap(one)(batch.samples, batch.initial)
+
+
+def error_tracks(schedule: GainSchedule, batch: ScenarioBatch) -> ErrorTrack:
+    """What a schedule does on all S scenarios of a batch; on the host, leaves (S, ...)."""
+    count = batch.bias.shape[0]
+    if count <= BATCH:
+        return jax.device_get(_error_tracks(schedule, batch))
+    parts = []
+    for first in range(0, count, BATCH):
+        # The last part wraps round, so that all have one shape and are compiled once.
+        index = np.arange(first, first + BATCH) % count
+        parts.append(jax.device_get(_error_tracks(schedule, batch.select(index))))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+
+
+@np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such
+def metrics_of(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[Metrics, Bands]:
+    """Metrics on each of a batch's scenarios, and the bands of its errors over time."""
+    time = np.asarray(batch.samples.time[0], np.float64)
+    distance, position, gain, bias = (np.asarray(leaf, np.float64) for leaf in tracks)
+    angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(distance, 0, 1))))  # NaN stays
+    error = distance + float(batch.weights.position) * position
+    transient, steady = (
+        np.sum(np.asarray(weight, np.float64) * error, axis=1)
+        for weight in (batch.weights.transient, batch.weights.steady)
+    )
+    total = transient + steady
+    finite = np.isfinite(total)
+    window = np.asarray(batch.weights.window)
+    bias_error = bias - np.asarray(batch.bias, np.float64)
+    last = time > time[-1] - 1
+    lost = (np.mean(angle[:, last], axis=1) > DIVERGED_ATTITUDE) | (
+        np.mean(position[:, last], axis=1) > DIVERGED_POSITION
+    )
+    metrics = Metrics(
+        cost=np.where(finite, total, np.inf),
+        transient=transient,
+        steady=steady,
+        settling_attitude=_settling(time, angle, SETTLED_ATTITUDE),
+        settling_position=_settling(time, position, SETTLED_POSITION),
+        rms_attitude=np.sqrt(np.mean(angle[:, window] ** 2, axis=1)),
+        rms_position=np.sqrt(np.mean(position[:, window] ** 2, axis=1)),
+        bias_angular=np.linalg.norm(bias_error[:, :3], axis=1),
+        bias_linear=np.linalg.norm(bias_error[:, 3:], axis=1),
+        diverged=lost | ~finite,
+        initial_angle=angle[:, 0],
+    )
+
+    def band(values: np.ndarray) -> np.ndarray:
+        if not finite.any():
+            return np.full((len(QUANTILES), len(time)), np.nan)
+        return np.quantile(values[finite], QUANTILES, axis=0)
+
+    return metrics, Bands(attitude=band(angle), position=band(position), gain=band(gain))
+
+
+def _settling(time: np.ndarray, error: np.ndarray, threshold: float) -> np.ndarray:
+    """First time (S,) from which on the errors (S, N) stay under a threshold; infinite if never."""
+    outside = ~(error < threshold)  # NaN is outside
+    last = error.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
+    never, always = outside[:, -1], ~outside.any(axis=1)
+    after = time[np.minimum(last + 1, len(time) - 1)]
+    return np.where(never, np.inf, np.where(always, time[0], after))

@@ -1,0 +1,184 @@
+"""The result of a tuning run: what was found, how, and what it is worth."""
+
+import warnings
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_type
+from posegsa.config import Experiment
+from posegsa.errors import PosegsaWarning
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
+from posegsa.judging.trajectory import Trajectory
+from posegsa.judging.trust import Trust
+from posegsa.model.filter import checked_state
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, run_filter
+from posegsa.model.schedules import FuzzyGain
+from posegsa.optimisers import History
+from posegsa.search.build import filter_settings, parameter_space, signal_settings
+from posegsa.search.named_optimisers import size_in_words
+from posegsa.words import counted
+
+VERSION = version("posegsa")
+
+
+@dataclass(frozen=True)
+class TuneResult:
+    """A tuned schedule, how it was found, and what it is worth."""
+
+    experiment: Experiment
+    best_cost: float
+    """Least cost that the search found on the training scenarios."""
+    parameters: np.ndarray
+    """(22,) k1..k22, in order and repaired as configured."""
+    training_costs: np.ndarray
+    """(S,) its cost on each training scenario; infinite where it diverged."""
+    constant_gain: float
+    """The constant gain with the least mean cost on the training scenarios [1/s]."""
+    constant_training_costs: np.ndarray
+    """(S,) what that costs on each of them."""
+    evaluation: Evaluation
+    """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
+    trust: Trust
+    """Numerical sensitivity and use of the rules."""
+    evaluations: int
+    """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
+    as the `gradient_price` of the optimiser that asks for it."""
+    non_finite: int
+    """Number of agents whose cost, or gradient where there is one, was not finite; each counts as
+    one."""
+    compile_seconds: float
+    search_seconds: float
+    history: History
+    """Best, mean and worst cost and the number that was not finite, of each iteration."""
+    trajectory: Trajectory
+    """The tuned filter on the first held-out scenario."""
+    environment: dict[str, str]
+    """Versions and device."""
+    version: str
+    """Version of posegsa."""
+
+    @property
+    def controller(self) -> FuzzyController:
+        """The tuned fuzzy controller, at the experiment's precision."""
+        with jax.enable_x64(self.experiment.run.dtype == "float64"):
+            space = parameter_space(self.experiment)
+            return space.controller(space.checked(self.parameters))
+
+    @property
+    def schedule(self) -> FuzzyGain:
+        """The tuned gain schedule, ready for `run_filter` or `simulate`."""
+        return FuzzyGain(self.controller)
+
+    def estimate(
+        self,
+        measurements: Measurements,
+        rotation: ArrayLike,
+        position: ArrayLike,
+        bias: ArrayLike | None = None,
+    ) -> Estimates:
+        """Run the tuned filter on measurements of one's own, with the experiment's settings.
+
+        Args:
+            measurements: N samples (`Measurements.from_arrays`), brought to its precision.
+            rotation: (3, 3) R_est at the first sample, body to inertial.
+            position: (3,) P_est there [m], inertial frame.
+            bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
+
+        Raises:
+            MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
+            ArgumentError: The schedule was tuned on the signal "pose", which needs the truth.
+        """
+        check_type("measurements", measurements, Measurements)
+        dtype = np.dtype(self.experiment.run.dtype)
+        with jax.enable_x64(dtype == np.float64):
+            start = checked_state(rotation, position, bias, dtype)
+            estimates = run_filter(
+                self.schedule,
+                jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
+                start,
+                filter_settings(self.experiment.filter, dtype),
+                signal_settings(self.experiment.gain, dtype),
+            )
+        asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
+        if used < 0.1 * asked:
+            warnings.warn(
+                f"the gain limit cuts the gain from {asked:.3g} to {used:.3g} 1/s (medians): the "
+                "landmarks are far for their weights, and the bias law may destabilise the filter; "
+                "give landmark_weights of about 1 / (distance in m)^2",
+                PosegsaWarning,
+                stacklevel=2,
+            )
+        return estimates
+
+    def __repr__(self) -> str:
+        return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"
+
+    def summary(self) -> str:
+        """A short text for a person."""
+        run, search = self.experiment.run, self.experiment.search
+        last = self.trajectory
+        settled = last.time >= 0.5 * last.time[-1]
+
+        def row(name: str, label: str, training: np.ndarray) -> str:
+            metrics = self.evaluation.contenders[name].metrics
+            bad = int(np.sum(metrics.diverged))
+            return (
+                f"  {label:<28}{np.mean(training):>10.4g}{np.mean(metrics.cost):>12.4g}"
+                f"{np.max(metrics.cost):>12.4g}" + (f"   diverged on {bad}" if bad else "")
+            )
+
+        return "\n".join(
+            [
+                f"{search.optimiser}: {size_in_words(self.experiment)} on "
+                f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
+                f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
+                f"(+ {self.compile_seconds:.2f} s to compile)",
+                "",
+                f"  {'mean cost':<28}{'training':>10}{'held out':>12}{'worst':>12}"
+                f"   ({counted(self.evaluation.scenarios, 'unseen scenario')})",
+                row(TUNED, TUNED, self.training_costs),
+                row(
+                    CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs
+                ),
+                "",
+                "  On one unseen scenario, second half: attitude error "
+                f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
+                f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
+            ]
+            + [f"  warning: {warning}" for warning in self.warnings()]
+        )
+
+    def warnings(self) -> list[str]:
+        """What a reader of the result must know before trusting it."""
+        found = []
+        t = self.trust
+        if t.sensitive:
+            found.append(
+                f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
+                f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
+                "agree within 1 %. The simulation is chaotic: do not trust this schedule"
+            )
+        if self.experiment.gain.signal == "pose":
+            found.append("signal pose: the gain looks at the true errors, which no vehicle knows")
+        if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
+            found.append(f"the tuned filter diverged on {bad} held-out scenarios")
+        if t.uncovered > 0:
+            found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
+        if not np.isfinite(self.best_cost):
+            found.append(
+                "no agent had a finite cost: the parameters are the middle of the boxes, no result"
+            )
+        if self.non_finite:
+            found.append(f"{self.non_finite} agents of the search had no finite cost")
+        return found
+
+
+def _rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a**2)))

@@ -1,0 +1,145 @@
+"""Whether a tuned result can be trusted: its numerical sensitivity, and how its rules are used."""
+
+import warnings
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from posegsa import config
+from posegsa.errors import PosegsaWarning
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.model.filter import FilterState
+from posegsa.model.fuzzy import FuzzyController, membership
+from posegsa.model.rollout import ErrorTrack
+from posegsa.model.schedules import FuzzyGain
+from posegsa.search.build import parameter_space, scenario, scenario_batch
+from posegsa.search.keys import training_keys
+from posegsa.search.population import ScenarioBatch
+
+PERTURBATION = 1e-6
+"""Change of the initial estimate: about this much of each quaternion component, and [m]."""
+SENSITIVE = 0.01
+"""Relative difference of costs above which a result is marked as sensitive."""
+RESOLUTION = 201
+"""Points along each input for the share where no rule fires."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What was checked of one tuned result, on its training scenarios."""
+
+    cost_float32: float
+    """Mean training cost simulated in float32."""
+    cost_float64: float
+    """The same in float64."""
+    cost_perturbed: float
+    """The same in the experiment's precision from a start changed by PERTURBATION."""
+    sensitive: bool
+    """Whether one of them differs from the experiment's own by more than SENSITIVE."""
+    uncovered: float
+    """Share of all pairs of scaled error and rate for which no rule fires."""
+    rule_weights: np.ndarray
+    """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL."""
+
+
+def check(
+    experiment: config.Experiment,
+    parameters: np.ndarray,
+    everywhere: ScenarioBatch,
+    own: ErrorTrack,
+    error: np.ndarray,
+    rate: np.ndarray,
+) -> Trust:
+    """Check a tuned result.
+
+    Args:
+        experiment: What it was tuned on.
+        parameters: (22,) k1..k22.
+        everywhere: Scenarios at the experiment's precision, the training ones first.
+        own: What the tuned filter did on them.
+        error: (N,) scaled error over a trajectory.
+        rate: (N,) scaled rate over it.
+    """
+    dtype = experiment.run.dtype
+    training = slice(experiment.run.training_scenarios)
+    other = "float64" if dtype == "float32" else "float32"
+    schedule = _schedule(experiment, parameters, dtype)
+    changed = error_tracks(schedule, everywhere._replace(initial=_perturbed(everywhere.initial)))
+    costs = {
+        dtype: _cost(own, everywhere, training),
+        other: _cost_at(experiment, parameters, other),
+    }
+    perturbed = _cost(changed, everywhere, training)
+    differences = [abs(cost - costs[dtype]) for cost in (costs[other], perturbed)]
+    # Not finite is sensitive too: no comparison with NaN or infinity holds.
+    steady = all(d <= SENSITIVE * abs(costs[dtype]) for d in differences)
+    return Trust(
+        cost_float32=costs["float32"],
+        cost_float64=costs["float64"],
+        cost_perturbed=perturbed,
+        sensitive=not steady,
+        uncovered=uncovered(schedule.controller),
+        rule_weights=rule_weights(schedule.controller, error, rate),
+    )
+
+
+def _schedule(experiment: config.Experiment, parameters: np.ndarray, dtype: str) -> FuzzyGain:
+    space = parameter_space(_at(experiment, dtype))
+    return FuzzyGain(space.controller(jnp.asarray(parameters, dtype)))
+
+
+def _at(experiment: config.Experiment, dtype: str) -> config.Experiment:
+    """The experiment at another precision."""
+    return config.override(experiment, [f"run.dtype={dtype}"])
+
+
+def _cost(tracks: ErrorTrack, batch: ScenarioBatch, scenarios: slice) -> float:
+    """Mean cost on some of a batch's scenarios."""
+    metrics, _ = metrics_of(tracks.select(scenarios), batch.select(scenarios))
+    return float(np.mean(metrics.cost))
+
+
+def _cost_at(experiment: config.Experiment, parameters: np.ndarray, dtype: str) -> float:
+    """Mean training cost at a precision."""
+    with jax.enable_x64(dtype == "float64"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)
+        there = _at(experiment, dtype)
+        keys = training_keys(there.run.seed, there.run.training_scenarios)
+        training = scenario_batch(there, scenario(there), keys)
+        tracks = error_tracks(_schedule(experiment, parameters, dtype), training)
+        return _cost(tracks, training, slice(None))
+
+
+def _perturbed(initial: FilterState) -> FilterState:
+    """The initial estimate turned by 2 x PERTURBATION rad about z and moved by PERTURBATION m."""
+    w, x, y, z = initial.attitude
+    p = PERTURBATION
+    # To first order; the filter keeps quaternions at length 1.
+    turned = (w - p * z, x + p * y, y - p * x, z + p * w)
+    px, py, pz = initial.place
+    return initial._replace(attitude=turned, place=(px + p, py + p, pz + p))
+
+
+def uncovered(controller: FuzzyController) -> float:
+    """Share of a grid over all scaled errors and rates on which no rule fires."""
+    axis = jnp.linspace(0.0, 1.0, RESOLUTION, dtype=controller.output_terms.dtype)
+    some = jnp.max(_memberships(controller, axis), axis=0) > 0
+    # A rule is a pair of terms and every pair has one, so it fires where both inputs have a term.
+    return float(1 - jnp.mean(some) ** 2)
+
+
+def rule_weights(controller: FuzzyController, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Mean firing strength (5, 5) of each rule over inputs (N,), [rate, error]."""
+    dtype = controller.output_terms.dtype
+    of_error, of_rate = (
+        np.asarray(_memberships(controller, jnp.asarray(a, dtype)), np.float64)
+        for a in (error, rate)
+    )
+    return np.mean(np.minimum(of_rate[:, None], of_error[None]), axis=-1)
+
+
+def _memberships(controller: FuzzyController, inputs: jax.Array) -> jax.Array:
+    """Memberships (5, N) of inputs (N,) in the input terms."""
+    return jnp.stack([membership(inputs, term) for term in controller.prepare().inputs])

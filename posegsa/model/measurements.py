@@ -1,0 +1,327 @@
+"""What the sensors say: user-facing measurement arrays, and the components that the hot loop reads.
+
+A sequence of N samples is one `Measurements`, time-major. Time steps and weights are per sample:
+uneven sampling is a time step that changes, a missing vector or landmark is a weight of 0 (its
+value may then be anything, NaN included).
+
+`prepare` turns measurements into `Sample`: everything about a sample that does not depend on the
+estimate, computed once for all agents. The body vectors enter the filter and its error signal only
+through Wahba's attitude profile matrix B = sum_i s_i v_i^B (v_i^I)^T (Wahba 1965; Markley and
+Crassidis 2014, Eq. 5.5), so that a step costs the same for 2 vectors and for 200. Landmarks enter
+one by one.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_dtype
+from posegsa.errors import MeasurementError
+from posegsa.model.se3 import Matrix3, Vec3, safe_sqrt, unstack
+
+
+class Measurements(NamedTuple):
+    """N samples of all sensors, with n vectors and m landmarks.
+
+    The first axis is time; without it the same type holds one sample (`measurements.at(k)`).
+    """
+
+    time_step: Array
+    """(N,) time to the next sample [s]."""
+    angular_velocity: Array
+    """(N, 3) Omega_m, body frame [rad/s]."""
+    velocity: Array
+    """(N, 3) V_m, body frame [m/s]."""
+    vectors: Array
+    """(N, n, 3) v_i^B, body frame, as the filter is to use them (normalised or not)."""
+    vector_references: Array
+    """(N, n, 3) v_i^I, the same directions in the inertial frame."""
+    vector_weights: Array
+    """(N, n) s_i^R, 0 where the vector is missing."""
+    landmarks: Array
+    """(N, m, 3) y_i, landmark positions in the body frame [m]."""
+    landmark_references: Array
+    """(N, m, 3) p_i, landmark positions in the inertial frame [m]."""
+    landmark_weights: Array
+    """(N, m) s_i^L, 0 where the landmark is missing."""
+
+    def at(self, k: int | slice) -> "Measurements":
+        """Sample k, without the time axis, or a range of samples with it."""
+        return jax.tree.map(lambda a: a[k], self)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        time_step: ArrayLike,
+        angular_velocity: ArrayLike,
+        velocity: ArrayLike,
+        vectors: ArrayLike | None = None,
+        vector_references: ArrayLike | None = None,
+        vector_weights: ArrayLike | None = None,
+        landmarks: ArrayLike | None = None,
+        landmark_references: ArrayLike | None = None,
+        landmark_weights: ArrayLike | None = None,
+        normalise_vectors: bool = True,
+        dtype: np.dtype | type = np.float32,
+    ) -> "Measurements":
+        """Checked measurements from a user's own arrays (on the host, not inside jit).
+
+        Args:
+            time_step: scalar or (N,), time to the next sample [s], positive.
+            angular_velocity: (N, 3) gyroscope, body frame [rad/s].
+            velocity: (N, 3) linear velocity, body frame [m/s].
+            vectors: (N, n, 3) body-frame vectors; NaN marks a missing one.
+            vector_references: (n, 3) or (N, n, 3), the same vectors in the inertial frame.
+            vector_weights: scalar, (n,) or (N, n), s_i^R, not negative; default 1.
+            landmarks: (N, m, 3) landmark positions in the body frame [m]; NaN marks a missing one.
+            landmark_references: (m, 3) or (N, m, 3), their inertial positions [m].
+            landmark_weights: scalar, (m,) or (N, m), s_i^L [1/m^2], not negative; default 1, which
+                is for landmarks within a few metres: about 1 / distance^2 for those farther away.
+            normalise_vectors: scale vectors and references to unit length (Eq. 3).
+            dtype: floating type of the result.
+
+        Returns:
+            Measurements with all arrays at full shape; what was NaN has weight 0.
+
+        Raises:
+            MeasurementError: an array has the wrong shape, holds NaN or infinity where it may not,
+            a
+                time step is not positive or a weight is negative. The message names the argument.
+        """
+        check_dtype("dtype", dtype)
+        omega = finite_array("angular_velocity", angular_velocity, (None, 3))
+        samples = omega.shape[0]
+        step = finite_array(
+            "time_step",
+            np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step,
+            (samples,),
+        )
+        if samples == 0:
+            raise MeasurementError("angular_velocity: at least one sample is needed, got none")
+        if (step <= 0).any():
+            k = int(np.argmax(step <= 0))
+            raise MeasurementError(f"time_step: must be positive, got {step[k]:g} s at sample {k}")
+        v, v_ref, v_weight = _sightings(
+            "vector", vectors, vector_references, vector_weights, samples
+        )
+        y, y_ref, y_weight = _sightings(
+            "landmark", landmarks, landmark_references, landmark_weights, samples
+        )
+        if normalise_vectors:
+            v, v_ref = (
+                a / np.where(n > 0, n, 1)
+                for a in (v, v_ref)
+                for n in [np.linalg.norm(a, axis=-1, keepdims=True)]
+            )
+        values = (
+            step,
+            omega,
+            finite_array("velocity", velocity, (samples, 3)),
+            v,
+            v_ref,
+            v_weight,
+            y,
+            y_ref,
+            y_weight,
+        )
+        return cls(*(jnp.asarray(a, dtype) for a in values))
+
+    def checked(self) -> "Measurements":
+        """The same, refused where `from_arrays` would refuse it; traced ones pass.
+
+        Raises:
+            MeasurementError: an array has the wrong shape or holds what it may not; names it.
+        """
+        if any(isinstance(a, Tracer) for a in self):
+            return self
+        dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
+        return Measurements.from_arrays(**self._asdict(), normalise_vectors=False, dtype=dtype)
+
+
+class LandmarkSample(NamedTuple):
+    """One landmark in one sample, by components."""
+
+    body: Vec3
+    """y_i [m]."""
+    inertial: Vec3
+    """p_i [m]."""
+    weight: Array
+    """s_i^L."""
+    share: Array
+    """s_i^L / sum_j s_j^L, 0 where no landmark is seen."""
+
+
+class Sample(NamedTuple):
+    """What one sample tells the filter, by components of any common batch shape."""
+
+    time_step: Array
+    """[s]."""
+    angular_velocity: Vec3
+    """[rad/s], body frame."""
+    velocity: Vec3
+    """[m/s], body frame."""
+    profile: Matrix3
+    """B = sum_i s_i^R v_i^B (v_i^I)^T, by rows."""
+    vector_power: Array
+    """sum_i s_i^R (|v_i^B|^2 + |v_i^I|^2)."""
+    vector_curvature: Array
+    """1/2 sum_i s_i^R |v_i^B| |v_i^I|, the vectors' part of the curvature bound L."""
+    attitude_scale: Array
+    """3 / (8 sum_i s_i^R), 0 where no vector is seen."""
+    landmarks: tuple[LandmarkSample, ...]
+
+
+def inverse_or_zero(a: Array) -> Array:
+    """1/a, and 0 where a is 0."""
+    return jnp.where(a > 0, 1 / jnp.where(a > 0, a, 1.0), 0.0)
+
+
+def prepare(measurements: Measurements) -> Sample:
+    """Everything that the filter needs of the measurements, by components (pure, jittable).
+
+    Works with and without the time axis; components have the shape of `time_step`.
+    """
+    weights = measurements.vector_weights
+    # 0 * NaN is NaN: a missing measurement is masked, not only weighted.
+    body = jnp.where(weights[..., None] > 0, measurements.vectors, 0.0)
+    inertial = measurements.vector_references
+    profile = jnp.einsum("...n,...ni,...nj->...ij", weights, body, inertial, precision="highest")
+    body_square = jnp.sum(body * body, axis=-1)
+    inertial_square = jnp.sum(inertial * inertial, axis=-1)
+    lengths = safe_sqrt(body_square) * safe_sqrt(inertial_square)
+
+    landmark_weights = measurements.landmark_weights
+    share = landmark_weights * inverse_or_zero(jnp.sum(landmark_weights, axis=-1))[..., None]
+    seen = jnp.where(landmark_weights[..., None] > 0, measurements.landmarks, 0.0)
+    landmarks = tuple(
+        LandmarkSample(
+            body=_vec3(seen[..., i, :]),
+            inertial=_vec3(measurements.landmark_references[..., i, :]),
+            weight=landmark_weights[..., i],
+            share=share[..., i],
+        )
+        for i in range(landmark_weights.shape[-1])
+    )
+    return Sample(
+        time_step=measurements.time_step,
+        angular_velocity=_vec3(measurements.angular_velocity),
+        velocity=_vec3(measurements.velocity),
+        profile=(_vec3(profile[..., 0, :]), _vec3(profile[..., 1, :]), _vec3(profile[..., 2, :])),
+        vector_power=jnp.sum(weights * (body_square + inertial_square), axis=-1),
+        vector_curvature=0.5 * jnp.sum(weights * lengths, axis=-1),
+        attitude_scale=0.375 * inverse_or_zero(jnp.sum(weights, axis=-1)),
+        landmarks=landmarks,
+    )
+
+
+def _vec3(a: Array) -> Vec3:
+    x, y, z = unstack(a)
+    return x, y, z
+
+
+def normalised(vectors: Array) -> Array:
+    """Vectors (..., 3) of unit length (Eq. 3); a vector of length 0 stays 0."""
+    square = jnp.sum(vectors * vectors, axis=-1, keepdims=True)
+    return vectors * inverse_or_zero(safe_sqrt(square))
+
+
+def with_cross_vector(vectors: Array) -> Array:
+    """Vectors (..., n, 3) with v_1 x v_2 appended, (..., n + 1, 3) (Section V of the paper)."""
+    product = jnp.cross(vectors[..., 0, :], vectors[..., 1, :])
+    return jnp.concatenate([vectors, product[..., None, :]], axis=-2)
+
+
+def finite_array(
+    name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
+) -> np.ndarray:
+    """The argument as a float64 array of the wanted shape (None: any length)."""
+    array = _numbers(name, value)
+    fits = array.ndim == len(shape) and all(
+        w in (None, h) for w, h in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = "(" + ", ".join("N" if s is None else str(s) for s in shape) + ")"
+        raise MeasurementError(f"{name}: must have the shape {wanted}, got {array.shape}")
+    if finite and not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise MeasurementError(f"{name}: must be finite, got {array[where]} at {where}")
+    return array
+
+
+def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> None:
+    """Refuse what is no array of numbers of this shape; traced arrays are welcome."""
+    if value is None:
+        raise MeasurementError(f"{name}: must be an array of numbers, got None")
+    if not isinstance(value, jax.Array):
+        _numbers(name, value)
+        if np.asarray(value).dtype.kind == "O":
+            raise MeasurementError(f"{name}: must be an array of numbers, got one of objects")
+    if np.shape(value) != shape:
+        raise MeasurementError(f"{name}: must have the shape {shape}, got {np.shape(value)}")
+
+
+def _numbers(name: str, value: ArrayLike) -> np.ndarray:
+    """The argument as a float64 array of any shape."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "cSUMm":  # NumPy would make something of them
+            raise TypeError(f"these are {array.dtype}")
+        return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise MeasurementError(f"{name}: must be an array of numbers ({error})") from None
+
+
+def _sightings(
+    name: str,
+    body: ArrayLike | None,
+    references: ArrayLike | None,
+    weights: ArrayLike | None,
+    samples: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Body values, references and weights of vectors or of landmarks, at full shape."""
+    if body is None and references is None:
+        if weights is not None:
+            raise MeasurementError(f"{name}_weights: given without {name}s")
+        return np.zeros((samples, 0, 3)), np.zeros((samples, 0, 3)), np.zeros((samples, 0))
+    if body is None or references is None:
+        raise MeasurementError(f"{name}s and {name}_references: give both or neither")
+    values = finite_array(f"{name}s", body, (samples, None, 3), finite=False)
+    count = values.shape[1]
+    known = _numbers(f"{name}_references", references)
+    known = finite_array(
+        f"{name}_references", known, (count, 3) if known.ndim == 2 else (samples, count, 3)
+    )
+    weight = _numbers(f"{name}_weights", 1.0 if weights is None else weights)
+    if weight.shape not in ((), (count,), (samples, count)):
+        raise MeasurementError(
+            f"{name}_weights: must be a scalar or have the shape ({count},) or "
+            f"({samples}, {count}), got {weight.shape}"
+        )
+    bad = ~(np.isfinite(weight) & (weight >= 0))
+    if bad.any():
+        raise MeasurementError(
+            f"{name}_weights: must be finite and not negative, got {weight[bad][0]}"
+        )
+    weight = np.broadcast_to(weight, (samples, count))
+    infinite = np.isinf(values) & (weight > 0)[..., None]
+    if infinite.any():
+        where = tuple(int(i) for i in np.argwhere(infinite)[0])
+        raise MeasurementError(f"{name}s: must not be infinite, got {values[where]} at {where}")
+    seen = np.isfinite(values).all(axis=-1) & (weight > 0)
+    known = np.broadcast_to(known, (samples, count, 3))
+    if name == "vector":
+        # A direction of no length says nothing: unknown it is refused, measured it is missing.
+        if (~known.any(axis=-1) & (weight > 0)).any():
+            raise MeasurementError("vector_references: must not be zero where the weight is not")
+        seen &= values.any(axis=-1)
+    return (
+        np.where(seen[..., None], values, 0.0),
+        known,
+        np.where(seen, weight, 0.0),
+    )

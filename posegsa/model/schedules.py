@@ -1,0 +1,150 @@
+"""Gain schedules: rules for the observer's gain.
+
+A schedule is any pytree with the two methods of `GainSchedule`. It sees the scaled error and rate,
+the time and its own last gain; it knows nothing of the filter.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from posegsa.errors import ArgumentError
+from posegsa.model.fuzzy import FuzzyController, PreparedController
+
+
+class ScheduleInputs(NamedTuple):
+    """What a schedule is told at a sample."""
+
+    error: Array
+    """Error signal over the error scale, clipped to [0, 1]."""
+    rate: Array
+    """Change of the error signal since the last sample times the rate scale, clipped to [0, 1]."""
+    time: Array
+    """Time since the first sample [s]."""
+    last: Array
+    """The schedule's gain at the last sample [1/s]."""
+
+
+class PreparedSchedule(Protocol):
+    """A schedule ready to be called in a loop."""
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """Gain K [1/s]."""
+        ...
+
+
+class GainSchedule(Protocol):
+    """A rule for the gain."""
+
+    def initial_gain(self) -> Array:
+        """What `ScheduleInputs.last` is at the first sample [1/s]."""
+        ...
+
+    def prepare(self) -> PreparedSchedule:
+        """The schedule with everything computed that does not change from sample to sample."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ConstantGain:
+    """The same gain K [1/s] always: the baseline."""
+
+    gain: Array
+
+    def initial_gain(self) -> Array:
+        """K."""
+        return self.gain
+
+    def prepare(self) -> "ConstantGain":
+        """Nothing to compute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """K, at the inputs' shape."""
+        return jnp.broadcast_to(jnp.asarray(self.gain, inputs.error.dtype), inputs.error.shape)
+
+
+class _PreparedFuzzyGain(NamedTuple):
+    controller: FuzzyController
+    prepared: PreparedController
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        heights = self.controller.heights(inputs.error, inputs.rate, self.prepared)
+        return self.controller.defuzzify(heights, self.prepared, inputs.last)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FuzzyGain:
+    """The paper's schedule: a fuzzy controller on error and rate."""
+
+    controller: FuzzyController
+
+    def initial_gain(self) -> Array:
+        """Mid-range of the controller's output [1/s]."""
+        return self.controller.initial_gain()
+
+    def prepare(self) -> _PreparedFuzzyGain:
+        """Slopes and overlaps of the terms."""
+        return _PreparedFuzzyGain(self.controller, self.controller.prepare())
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SmoothGain:
+    """K(e) = low + (high - low) e^2 / (e^2 + half^2), a smooth schedule with three parameters."""
+
+    low: Array
+    """K where the error is small [1/s]."""
+    high: Array
+    """K where it is large [1/s]."""
+    half: Array
+    """Scaled error half-way between them."""
+
+    def initial_gain(self) -> Array:
+        """K where the error is large."""
+        return self.high
+
+    def prepare(self) -> "SmoothGain":
+        """Nothing to compute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """K of the scaled error."""
+        e2 = inputs.error * inputs.error
+        return self.low + (self.high - self.low) * e2 / (e2 + self.half * self.half)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class KnotGain:
+    """K(t): an open-loop gain sequence, piecewise exponential between knots."""
+
+    time: Array
+    """(n,) times of the knots [s], ascending."""
+    log_gain: Array
+    """(n,) log of K there."""
+
+    def initial_gain(self) -> Array:
+        """K at the first knot [1/s]."""
+        return jnp.exp(self.log_gain[0])
+
+    def prepare(self) -> "KnotGain":
+        """Nothing to compute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Array:
+        """K at the time of the sample."""
+        log_gain = jnp.interp(inputs.time, self.time, self.log_gain)
+        return jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error))
+
+
+def check_schedule(schedule: GainSchedule) -> None:
+    """Raise an ArgumentError unless a value has the methods of a schedule."""
+    if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
+        what = type(schedule).__name__
+        raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")

@@ -1,0 +1,223 @@
+"""One checkpoint, one file: a search, with a checksum over all of it; nothing is ever unpickled.
+
+    line 1: "posegsa checkpoint"
+    line 2: SHA-256 of all that follows, in hexadecimal
+    line 3: JSON: format, about, and of each array its name, dtype and shape
+    the arrays' bytes, one after the other, little-endian
+
+A search is any `Search` that is made of numbers: of all optimisers but pycma, whose state is an
+object of Python's. Its arrays are told apart by their place in it, such as `.state.position`;
+random keys are stored as the numbers that they are made of.
+"""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from posegsa.errors import CheckpointError, DamagedCheckpointError
+from posegsa.optimisers import Search
+from posegsa.saving.files import read_bounded, write_atomically
+
+FORMAT = 1
+"""Number of the layout of a checkpoint; it changes when old ones can't be read any more."""
+
+MAX_BYTES = 2**31
+"""Size up to which a checkpoint is read: 2 GiB."""
+
+_MAGIC = b"posegsa checkpoint\n"
+_DIGEST = 2 * hashlib.sha256().digest_size + 1  # characters, and the end of the line
+_MAX_HEADER = 2**24
+
+
+class Checkpoint(NamedTuple):
+    """A checkpoint as it was read: checked against its checksum, not yet against a search."""
+
+    path: Path
+    about: dict[str, Any]
+    """What was written beside the search."""
+    arrays: dict[str, tuple[str, np.ndarray]]
+    """By their place in the search: the dtype as JAX names it, and the numbers."""
+
+    def search(self, like: Search) -> Search:
+        """The search itself.
+
+        Args:
+            like: A search of the same structure, such as `start` gives; its values don't matter.
+
+        Raises:
+            CheckpointError: An array is missing or of another shape or dtype, or `like` holds
+                something that is no array; names it.
+        """
+        _refuse_objects("like", like)
+        leaves, structure = jax.tree_util.tree_flatten_with_path(like)
+        wanted = {jax.tree_util.keystr(place): leaf for place, leaf in leaves}
+        for name in [*wanted, *self.arrays]:
+            if name not in self.arrays:
+                raise CheckpointError(f"{self.path}: has no {name}, which this optimiser needs")
+            if name not in wanted:
+                raise CheckpointError(f"{self.path}: has {name}, which this optimiser has not")
+        return jax.tree.unflatten(structure, [self._leaf(*item) for item in wanted.items()])
+
+    def _leaf(self, name: str, like: jax.Array) -> jax.Array:
+        dtype, values = self.arrays[name]
+        like = jnp.asarray(like)
+        needed = _data(like)
+        if dtype != str(like.dtype):
+            raise CheckpointError(f"{self.path}: {name} is {dtype}; needed: {like.dtype}")
+        if values.dtype != needed.dtype:
+            raise CheckpointError(
+                f"{self.path}: {name} is stored as {values.dtype}; needed: {needed.dtype}"
+            )
+        if values.shape != needed.shape:
+            raise CheckpointError(
+                f"{self.path}: {name} has shape {values.shape}; needed: {needed.shape}"
+            )
+        if _is_key(like):
+            return jax.random.wrap_key_data(jnp.asarray(values), impl=jax.random.key_impl(like))
+        return jnp.asarray(values)
+
+
+def save_search(path: str | Path, search: Search, about: dict[str, Any] | None = None) -> None:
+    """Write a search to a file, so that the file is whole or as it was.
+
+    Args:
+        path: The file; its folder exists.
+        search: From `start`, `advance` or `minimise`, or as a callback gets it.
+        about: What else to remember, as JSON can hold it.
+
+    Raises:
+        CheckpointError: What was given is not a search, or holds something that is not made of
+            numbers, as pycma's does; or the file can't be written.
+    """
+    if not isinstance(search, Search):
+        raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
+    content = _packed(search, about or {})
+    try:
+        write_atomically(Path(path), content)
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def objects_in(search: Search) -> dict[str, str]:
+    """What keeps a search from being saved: by their place, the types of what are no numbers."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
+    return {
+        jax.tree_util.keystr(place): type(leaf).__name__
+        for place, leaf in leaves
+        if not _is_numbers(leaf)
+    }
+
+
+def load_search(path: str | Path, like: Search) -> Search:
+    """Read a search from a file that `save_search` wrote.
+
+    Args:
+        path: The file.
+        like: A search of the same optimiser, box and dtype: `start(optimiser, box, key)`. Its
+            values do not matter.
+
+    Raises:
+        CheckpointError: The file can't be read, is damaged, or holds a search of another structure,
+            shape or dtype; the message names what differs.
+    """
+    if not isinstance(like, Search):
+        raise CheckpointError(f"like: a {type(like).__name__}; needed: a Search")
+    return read(Path(path)).search(like)
+
+
+def read(path: Path) -> Checkpoint:
+    """Read a checkpoint and see that it is what was written.
+
+    Raises:
+        DamagedCheckpointError: It is cut short, changed, or no checkpoint.
+        CheckpointError: It can't be read, or is of another format.
+    """
+    try:
+        content = read_bounded(path, MAX_BYTES)
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read: {error.strerror or error}") from None
+    start = len(_MAGIC) + _DIGEST
+    if not content.startswith(_MAGIC):
+        raise DamagedCheckpointError(f"{path}: is no checkpoint, or its beginning is damaged")
+    digest, rest = content[len(_MAGIC) : start], memoryview(content)[start:]
+    if digest != hashlib.sha256(rest).hexdigest().encode() + b"\n":
+        raise DamagedCheckpointError(f"{path}: is damaged: its checksum does not fit")
+    try:
+        return _unpacked(path, content, start)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        # The checksum fits, so nobody's disk did this.
+        raise CheckpointError(f"{path}: is not as posegsa writes it: {error}") from None
+
+
+def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
+    """The parts of a checkpoint whose checksum fits."""
+    end = content.index(b"\n", start, start + _MAX_HEADER)
+    header = json.loads(content[start:end])
+    if header["format"] != FORMAT:
+        raise CheckpointError(
+            f"{path}: has format {header['format']}; this version of posegsa reads {FORMAT}"
+        )
+    arrays, offset = {}, end + 1
+    for name, dtype, stored, shape in header["arrays"]:
+        if not stored.isidentifier():  # NumPy would parse it
+            raise ValueError(f"{name} is stored as {stored!r}, which is no dtype's name")
+        numbers = np.dtype(stored).newbyteorder("<")
+        if numbers.hasobject or any(length < 0 for length in shape):
+            raise ValueError(f"{name} does not hold numbers")
+        # A view of what has been read: a shape can't ask for more than the file holds.
+        values = np.ndarray(tuple(shape), numbers, content, offset)
+        arrays[name] = dtype, values.astype(numbers.newbyteorder("="), copy=False)
+        offset += values.nbytes
+    if offset != len(content):
+        raise ValueError(f"{len(content) - offset} bytes belong to no array")
+    return Checkpoint(path, dict(header["about"]), arrays)
+
+
+def _packed(search: Search, about: dict[str, Any]) -> bytes:
+    """A checkpoint's bytes."""
+    _refuse_objects("search", search)
+    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
+    named = [(jax.tree_util.keystr(place), jnp.asarray(leaf)) for place, leaf in leaves]
+    stored = [_data(leaf) for _, leaf in named]
+    if sys.byteorder == "big":
+        stored = [a.byteswap() for a in stored]
+    header = {
+        "format": FORMAT,
+        "about": about,
+        "arrays": [
+            [name, str(leaf.dtype), a.dtype.name, a.shape]
+            for (name, leaf), a in zip(named, stored, strict=True)
+        ],
+    }
+    content = json.dumps(header).encode() + b"\n" + b"".join(a.tobytes() for a in stored)
+    return _MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+
+
+def _refuse_objects(name: str, search: Search) -> None:
+    """Raise where a search holds what no checkpoint can."""
+    for place, kind in objects_in(search).items():
+        raise CheckpointError(
+            f"{name}{place} is a {kind}; needed: an array, so that it can be saved and read"
+        )
+
+
+def _is_numbers(leaf: object) -> bool:
+    if isinstance(leaf, bool | int | float | complex):
+        return True
+    dtype, kinds = getattr(leaf, "dtype", None), (np.number, np.bool_, jax.dtypes.prng_key)
+    return dtype is not None and any(jnp.issubdtype(dtype, kind) for kind in kinds)
+
+
+def _is_key(leaf: jax.Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _data(leaf: jax.Array) -> np.ndarray:
+    """The numbers of an array, or those that a random key is made of; their shape is the file's."""
+    return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)

@@ -1,0 +1,1 @@
+"""From a configuration to a searched parameter vector: scenarios, population, compiled loop."""

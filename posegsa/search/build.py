@@ -1,0 +1,278 @@
+"""Where a configuration becomes arrays: each section as what the model and the search run on."""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import DTypeLike
+
+from posegsa import config
+from posegsa.arguments import check_dtype, check_type
+from posegsa.errors import PosegsaWarning
+from posegsa.model.cost import CostWeights
+from posegsa.model.family import Family, realise
+from posegsa.model.filter import FilterSettings, FilterState, initial_state
+from posegsa.model.fuzzy import Rules
+from posegsa.model.rollout import Samples, samples_of
+from posegsa.model.scenario import Profile, Scenario
+from posegsa.model.se3 import project_rotation
+from posegsa.model.signal import SignalSettings
+from posegsa.optimisers import AnyOptimiser
+from posegsa.search import memory
+from posegsa.search.keys import held_out_keys, training_keys
+from posegsa.search.named_optimisers import make_optimiser
+from posegsa.search.parameters import ParameterSpace
+from posegsa.search.population import ScenarioBatch
+
+
+class TuningProblem(NamedTuple):
+    """One experiment made ready."""
+
+    experiment: config.Experiment
+    scenario: Scenario
+    everywhere: ScenarioBatch
+    """Training scenarios, then held-out ones."""
+    training: ScenarioBatch
+    space: ParameterSpace
+    optimiser: AnyOptimiser
+
+    @property
+    def held_out(self) -> ScenarioBatch:
+        """The scenarios that only judge."""
+        return self.everywhere.select(slice(self.experiment.run.training_scenarios, None))
+
+
+def tuning_problem(experiment: config.Experiment) -> TuningProblem:
+    """An experiment's scenarios, parameter space and optimiser.
+
+    Raises:
+        MemoryLimitError: It would need more memory than there is.
+    """
+    check_type("experiment", experiment, config.Experiment)
+    memory.check([experiment])
+    run = experiment.run
+    one, seed = scenario(experiment), run.seed
+    keys = jnp.concatenate(
+        [training_keys(seed, run.training_scenarios), held_out_keys(seed, run.held_out_scenarios)]
+    )
+    everywhere = scenario_batch(experiment, one, keys)
+    return TuningProblem(
+        experiment=experiment,
+        scenario=one,
+        everywhere=everywhere,
+        training=everywhere.select(slice(run.training_scenarios)),
+        space=parameter_space(experiment),
+        optimiser=make_optimiser(experiment),
+    )
+
+
+def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) -> ScenarioBatch:
+    """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate."""
+    dtype = jnp.dtype(experiment.run.dtype)
+    samples, initial, bias = _drawn(one, family(experiment.family, dtype), keys)
+    return ScenarioBatch(
+        samples=samples,
+        initial=initial,
+        bias=bias,
+        weights=cost_weights(experiment.cost, one.samples, dtype),
+        settings=filter_settings(experiment.filter, dtype),
+        signal=signal_settings(experiment.gain, dtype),
+    )
+
+
+@jax.jit
+def _drawn(scenario: Scenario, family: Family, keys: Array) -> tuple[Samples, FilterState, Array]:
+    def one(key: Array) -> tuple[Samples, FilterState, Array]:
+        drawn, truth, measurements = realise(scenario, family, key)
+        initial = initial_state(
+            drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate
+        )
+        return samples_of(measurements, truth.rotation, truth.position), initial, drawn.bias
+
+    return jax.vmap(one)(keys)
+
+
+def scenario(experiment: config.Experiment) -> Scenario:
+    """The scenario that an experiment configures, at its dtype.
+
+    The initial attitude estimate is projected onto SO(3), with a warning where that moves it: the
+    matrix that the paper prints has determinant 0.943.
+    """
+    c = experiment.scenario
+    dtype = jnp.dtype(experiment.run.dtype)
+
+    def array(values: object, *shape: int) -> Array:
+        return jnp.asarray(np.asarray(values, dtype).reshape(shape))
+
+    def profile(axes: tuple[tuple[config.Sine, ...], ...]) -> Profile:
+        length = max(1, *(len(axis) for axis in axes))
+        table = np.zeros((3, 3, length))
+        for i, axis in enumerate(axes):
+            for j, sine in enumerate(axis):
+                table[:, i, j] = sine.amplitude, sine.frequency, sine.phase
+        return Profile(*(array(t, 3, length) for t in table))
+
+    n, m = len(c.vectors), len(c.landmarks)
+    weights = [v.weight for v in c.vectors] + [c.cross_vector_weight] * c.cross_vector
+    return Scenario(
+        samples=c.samples,
+        cross_vector=c.cross_vector,
+        normalise_vectors=c.normalise_vectors,
+        time_step=array(c.sampling_time),
+        angular_velocity=profile(c.angular_velocity),
+        velocity=profile(c.velocity),
+        bias=array([*c.angular_velocity_bias, *c.velocity_bias], 6),
+        angular_noise=array(c.angular_velocity_noise),
+        linear_noise=array(c.velocity_noise),
+        vectors=array([v.direction for v in c.vectors], n, 3),
+        vector_bias=array([v.bias for v in c.vectors], n, 3),
+        vector_noise=array([v.noise for v in c.vectors], n),
+        vector_weights=array(weights, n + c.cross_vector),
+        landmarks=array([p.position for p in c.landmarks], m, 3),
+        landmark_bias=array([p.bias for p in c.landmarks], m, 3),
+        landmark_noise=array([p.noise for p in c.landmarks], m),
+        landmark_weights=array([p.weight for p in c.landmarks], m),
+        rotation=array(c.initial_rotation, 3, 3),
+        position=array(c.initial_position, 3),
+        rotation_estimate=array(_projected_estimate(c), 3, 3),
+        position_estimate=array(c.initial_position_estimate, 3),
+        bias_estimate=array(c.initial_bias_estimate, 6),
+    )
+
+
+def _projected_estimate(c: config.ScenarioConfig) -> np.ndarray:
+    printed = np.array(c.initial_rotation_estimate)
+    projected = project_rotation(printed)
+    moved = np.abs(projected - printed).max()
+    if moved > 1e-6:
+        warnings.warn(
+            "scenario.initial_rotation_estimate is not a rotation (determinant "
+            f"{np.linalg.det(printed):.3f}); it was projected onto SO(3), which moved its entries "
+            f"by up to {moved:.2g}",
+            PosegsaWarning,
+            stacklevel=3,
+        )
+    return projected
+
+
+def family(section: config.FamilyConfig, dtype: DTypeLike) -> Family:
+    """The family of a configuration's [family] section, at a dtype."""
+
+    def ends(values: tuple[float, float] | str, unit: float = 1.0) -> Array | None:
+        if isinstance(values, str):
+            return None
+        return jnp.asarray([unit * v for v in values], dtype)
+
+    return Family(
+        attitude_error=ends(section.attitude_error, math.pi / 180),
+        position_error=ends(section.position_error),
+        bias_scale=ends(section.bias_scale),
+        noise_scale=ends(section.noise_scale),
+        landmark_spread=jnp.asarray(section.landmark_spread, dtype),
+        motion_scale=ends(section.motion_scale),
+        random_phase=section.random_phase,
+    )
+
+
+def filter_settings(section: config.FilterConfig, dtype: DTypeLike) -> FilterSettings:
+    """The filter of a configuration's [filter] section, at a dtype.
+
+    Raises:
+        ArgumentError: not such a section, or not a floating dtype.
+    """
+    check_type("section", section, config.FilterConfig)
+    check_dtype("dtype", dtype)
+    angular, linear = section.gamma if isinstance(section.gamma, tuple) else (section.gamma,) * 2
+    limit = math.inf if section.gain_limit == "off" else section.gain_limit
+    return FilterSettings(
+        law=section.law,
+        substeps=section.substeps,
+        gamma_angular=jnp.asarray(angular, dtype),
+        gamma_linear=jnp.asarray(linear, dtype),
+        gain_limit=jnp.asarray(limit, dtype),
+    )
+
+
+def signal_settings(section: config.GainConfig, dtype: DTypeLike) -> SignalSettings:
+    """The error signal of a configuration's [gain] section, at a dtype.
+
+    Raises:
+        ArgumentError: not such a section, or not a floating dtype.
+    """
+    check_type("section", section, config.GainConfig)
+    check_dtype("dtype", dtype)
+    return SignalSettings(
+        signal=section.signal,
+        position_weight=jnp.asarray(section.position_weight, dtype),
+        smoothing=jnp.asarray(section.smoothing, dtype),
+        error_scale=jnp.asarray(section.error_scale, dtype),
+        rate_scale=jnp.asarray(section.rate_scale, dtype),
+    )
+
+
+def cost_weights(cost: config.CostConfig, samples: int, dtype: jnp.dtype) -> CostWeights:
+    """Weights of the configured cost for N = `samples` samples; windows include both ends."""
+    k = np.arange(samples)
+
+    def inside(ends: tuple[int, int]) -> np.ndarray:
+        return (k >= ends[0]) & (k <= ends[1])
+
+    transient, steady = inside(cost.transient_window), inside(cost.steady_window)
+    return CostWeights(
+        transient=jnp.asarray(np.where(transient, cost.transient_weight, 0.0).astype(dtype)),
+        steady=jnp.asarray(np.where(steady, cost.steady_weight, 0.0).astype(dtype)),
+        window=jnp.asarray(steady),
+        position=jnp.asarray(cost.position_weight, dtype),
+    )
+
+
+def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
+    """Rules by term index, from small to large, of a table printed from VL to VS both ways."""
+    return tuple(
+        tuple(config.TERMS.index(name) for name in reversed(row)) for row in reversed(table)
+    )
+
+
+def parameter_space(experiment: config.Experiment) -> ParameterSpace:
+    """The space that an experiment configures, at its dtype.
+
+    Raises:
+        ArgumentError: not an experiment.
+    """
+    check_type("experiment", experiment, config.Experiment)
+    fuzzy, parameters = experiment.fuzzy, experiment.parameters
+    dtype = jnp.dtype(experiment.run.dtype)
+    return ParameterSpace(
+        lower=jnp.asarray(parameters.lower, dtype),
+        upper=jnp.asarray(parameters.upper, dtype),
+        overlap=jnp.asarray(fuzzy.overlap, dtype),
+        ordering=fuzzy.ordering,
+        coverage=fuzzy.coverage,
+        rules=rule_indices(fuzzy.rules),
+        gain_range=parameters.gain_range,
+        centroid=fuzzy.centroid,
+        points=fuzzy.sampled_points,
+        sampled_rule=fuzzy.sampled_rule,
+        no_rule=fuzzy.no_rule,
+        reach=_reach(parameters),
+    )
+
+
+def _reach(parameters: config.ParametersConfig) -> int:
+    """How far apart output terms in order may overlap: 2 in the paper's boxes.
+
+    Sorted, numbers stay between their sorted lower and their sorted upper bounds.
+    """
+    half = len(config.PARAMETERS) // 2
+    lower, upper = (
+        np.sort(
+            np.sort(config.triangles(tuple(bounds[half:]), *parameters.gain_range), axis=1), axis=0
+        )
+        for bounds in (parameters.lower, parameters.upper)
+    )
+    last_feet, first_feet = upper[:, 2], lower[:, 0]
+    return max(int(np.sum(first_feet < foot)) - 1 - i for i, foot in enumerate(last_feet))

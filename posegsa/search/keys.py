@@ -1,0 +1,66 @@
+"""Random keys, named by use."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, random
+
+from posegsa.arguments import check_whole
+
+
+class Keys(NamedTuple):
+    """The random keys of an experiment; all come from its seed, each by its own number."""
+
+    search: Array
+    """The optimiser's."""
+    training: Array
+    """Of the scenarios that the search sees."""
+    held_out: Array
+    """Of the scenarios that only judge."""
+    validation: Array
+    """Of the scenarios that choices between configurations are made on."""
+    oracle: Array
+    """Of the scenarios that the oracle is fitted to."""
+    baselines: Array
+    """Of the searches for the baselines."""
+
+
+def keys(seed: int) -> Keys:
+    """The keys of a seed. A use added at the end changes none of those before it."""
+    return _for_uses(random.key(seed))
+
+
+@jax.jit
+def _for_uses(root: Array) -> Keys:
+    return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
+
+
+@partial(jax.jit, static_argnums=1)
+def scenario_keys(key: Array, count: int) -> Array:
+    """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
+    return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))
+
+
+def training_keys(seed: int, count: int) -> Array:
+    """Keys (count,) of the training scenarios of a seed."""
+    return scenario_keys(keys(seed).training, count)
+
+
+def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
+    """Keys (count,) of the held-out scenarios of a seed: its own, or another set by number.
+
+    Raises:
+        ArgumentError: The number is not one from 0 to 2^31 - 1.
+    """
+    key = keys(seed).held_out
+    if another is not None:
+        check_whole("seed", another, 0, 2**31 - 1)
+        key = random.fold_in(key, 2**31 + another)  # no scenario has so large a number
+    return scenario_keys(key, count)
+
+
+def oracle_keys(seed: int, count: int) -> Array:
+    """Keys (count,) of the scenarios that the open-loop reference is fitted to."""
+    return scenario_keys(keys(seed).oracle, count)

@@ -1,0 +1,123 @@
+"""What an experiment needs of memory, estimated before anything is allocated."""
+
+import contextlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from posegsa import config
+from posegsa.config.violations import Violation, report
+from posegsa.errors import MemoryLimitError
+
+COMPILER = 2**29
+"""What JAX and its compiler take, whatever the experiment [bytes]."""
+PER_AGENT = 100
+"""Numbers that one agent's simulation keeps on one scenario; measured: 92."""
+
+_MEMORY = Path("/proc/meminfo")
+_GROUP = Path("/sys/fs/cgroup")
+
+
+def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[str, int]:
+    """Estimated bytes, by the values that cause them.
+
+    Args:
+        experiment: The experiment.
+        held_out: Number of held-out scenarios, if not its own.
+    """
+    run, scenario, search = experiment.run, experiment.scenario, experiment.search
+    size = np.dtype(run.dtype).itemsize
+    held_out = run.held_out_scenarios if held_out is None else held_out
+    training, samples = run.training_scenarios, scenario.samples
+    vectors = len(scenario.vectors) + scenario.cross_vector
+    landmarks = len(scenario.landmarks)
+    # Truth, measurements and what the loop reads of them; once more, at both precisions, of the
+    # training scenarios, on which the result's sensitivity is checked.
+    prepared = 27 + 8 * landmarks
+    numbers = prepared + 25 + 7 * (vectors + landmarks)
+    per_scenario = samples * numbers
+    points = experiment.fuzzy.sampled_points if experiment.fuzzy.centroid == "sampled" else 0
+    agents = search.agents * training * (PER_AGENT + points) * size
+    return {
+        "run.held_out_scenarios": held_out * per_scenario * size,
+        "run.training_scenarios": training
+        * (per_scenario * (size + 8) + samples * prepared * size),
+        "search.agents": agents + search.agents * 22 * size * 10,
+        "search.iterations": search.iterations * (3 * size + 4 + 3 * 8),
+    }
+
+
+def check(experiments: Iterable[config.Experiment], held_out: int | None = None) -> None:
+    """Refuse experiments that would need more memory than there is.
+
+    Args:
+        experiments: All that are to be held at once.
+        held_out: Number of held-out scenarios, if not their own.
+
+    Raises:
+        MemoryLimitError: They would; it names the values and their share.
+    """
+    many = list(experiments)
+    shares: dict[str, int] = {}
+    for one in many:
+        for key, share in needs(one, held_out).items():
+            shares[key] = shares.get(key, 0) + share
+    total, there = COMPILER + sum(shares.values()), available()
+    if there is None or total <= there:
+        return
+    problems = []
+    for key, share in sorted(shares.items(), key=lambda item: -item[1]):
+        if share > total / 20:
+            section, name = key.split(".")
+            value = getattr(getattr(many[0], section), name)
+            if key == "run.held_out_scenarios" and held_out is not None:
+                key, value = "scenarios", held_out
+            reason = f"takes {_gib(share)}"
+            if "scenarios" in key:
+                reason += f", with {many[0].scenario.samples} samples (scenario.duration) in each"
+            problems.append(Violation(key, reason, value))
+    several = f"{len(many)} experiments" if len(many) > 1 else "the experiment"
+    title = (
+        f"{several} would need about {_gib(total)} of memory; allowed: {_gib(there)}, what is free"
+    )
+    raise MemoryLimitError(str(report(title, problems)))
+
+
+def available() -> int | None:
+    """Bytes that are free where simulations run; None where the system doesn't say."""
+    device = jax.local_devices()[0]
+    if device.platform != "cpu":
+        stats = device.memory_stats() or {}
+        if "bytes_limit" in stats:
+            return int(stats["bytes_limit"]) - int(stats.get("bytes_in_use", 0))
+    found = []
+    with contextlib.suppress(OSError, ValueError):
+        found.append(1024 * _entry(_MEMORY, "MemAvailable:"))
+    with contextlib.suppress(OSError, ValueError):  # "max" is no number: no limit
+        limit = int((_GROUP / "memory.max").read_text("ascii"))
+        used = int((_GROUP / "memory.current").read_text("ascii"))
+        with contextlib.suppress(OSError, ValueError):
+            # Files that nobody has read for a while: the system drops them where memory is short.
+            used -= _entry(_GROUP / "memory.stat", "inactive_file")
+        found.append(limit - used)
+    return min(found, default=None)
+
+
+def _entry(path: Path, name: str) -> int:
+    """A number from a file of the system's with a name and a number in each line.
+
+    Raises:
+        OSError: It can't be read.
+        ValueError: It has no such number.
+    """
+    for line in path.read_text("ascii").splitlines():
+        words = line.split()
+        if len(words) > 1 and words[0] == name:
+            return int(words[1])
+    raise ValueError(f"{path}: has no {name}")
+
+
+def _gib(size: int) -> str:
+    return f"{size / 2**30:.3g} GiB"

@@ -1,0 +1,171 @@
+"""The searched parameters k1..k22: their boxes, their repair, and the controller they make.
+
+The vector k fills the feet and peaks of the paper's terms (its two constraint equations):
+    input terms   [0, 0, k1]  [k2, k3, k4]     [k5, k6, k7]     [k8, k9, k10]    [k11, 1, 1]
+    output terms  [0, 0, k12] [k13, k14, k15]  [k16, k17, k18]  [k19, k20, k21]  [k22, 100, 100]
+Inside their boxes the k's need not be in order: 93 % of random draws have a triangle out of order,
+and 73 % leave gaps in which no rule fires. Two repairs, each of which can be switched off, mend
+that; both keep every value inside its own box and leave a vector that is in order, and covers, as
+it is.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from posegsa.config import (
+    INPUT_RANGE,
+    PARAMETERS,
+    triangles,
+)
+from posegsa.errors import FuzzyError
+from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
+
+_SEARCHED = slice(2, 13)
+"""Where the searched values stand among the 15 entries of five triangles; the other four are
+fixed."""
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["lower", "upper", "overlap"],
+    meta_fields=[
+        "ordering",
+        "coverage",
+        "rules",
+        "gain_range",
+        "centroid",
+        "points",
+        "sampled_rule",
+        "no_rule",
+        "reach",
+    ],
+)
+@dataclass(frozen=True)
+class ParameterSpace:
+    """Boxes and repairs of the vector k, and the controller's choices that are not searched."""
+
+    lower: Array
+    """(22,)"""
+    upper: Array
+    """(22,)"""
+    overlap: Array
+    """Least overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
+    ordering: bool
+    coverage: bool
+    rules: Rules
+    gain_range: tuple[float, float]
+    """Ends of the output universe [1/s]."""
+    centroid: Centroid
+    points: int
+    sampled_rule: SampledRule
+    no_rule: NoRule
+    reach: int
+    """How far apart in their order output terms may overlap anywhere in the boxes."""
+
+    @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
+    def terms(self, k: Array) -> tuple[Array, Array]:
+        """Input and output terms (5, 3) of a vector k (22,), repaired as configured."""
+        inputs, outputs = self.raw_terms(k)
+        if self.ordering:
+            inputs, outputs = ordered(inputs), ordered(outputs)
+        if self.coverage:
+            lower_inputs, _ = self.raw_terms(self.lower)
+            inputs = covering(inputs, lower_inputs[:, 0], self.overlap)
+        return inputs, outputs
+
+    def raw_terms(self, k: Array) -> tuple[Array, Array]:
+        """Input and output terms (5, 3) of a vector k (22,) as it stands, without any repair."""
+
+        def terms(searched: Array, ends: tuple[float, float]) -> Array:
+            low, high = (jnp.asarray(end, k.dtype) for end in ends)
+            return jnp.stack([jnp.stack(t) for t in triangles(tuple(searched), low, high)])
+
+        half = len(PARAMETERS) // 2
+        return terms(k[:half], INPUT_RANGE), terms(k[half:], self.gain_range)
+
+    def controller(self, k: Array) -> FuzzyController:
+        """The controller of a vector k (22,)."""
+        inputs, outputs = self.terms(k)
+        return FuzzyController(
+            inputs,
+            outputs,
+            self.rules,
+            self.gain_range,
+            self.centroid,
+            self.points,
+            self.sampled_rule,
+            self.no_rule,
+            self.reach,
+        )
+
+    def vector(self, controller: FuzzyController) -> Array:
+        """The vector k (22,) of a controller, the inverse of `controller` on repaired vectors."""
+        inputs, outputs = (
+            jnp.reshape(t, 15) for t in (controller.input_terms, controller.output_terms)
+        )
+        return jnp.concatenate([inputs[_SEARCHED], outputs[_SEARCHED]])
+
+    def valid(self, k: Array) -> Array:
+        """Whether a vector k (22,) has a cost: with ordering off, only if it is in order."""
+        if self.ordering:
+            return jnp.asarray(True)
+        return jnp.all(jnp.stack([in_order(t) for t in self.raw_terms(k)]))
+
+    def checked(self, k: ArrayLike) -> Array:
+        """A vector k from a user, as an array (22,) of the space's dtype.
+
+        Raises:
+            FuzzyError: wrong length, not finite, or outside the boxes.
+        """
+        try:
+            values = np.asarray(k, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise FuzzyError(f"k: must be 22 numbers, k1 to k22 ({error})") from None
+        if values.shape != (len(PARAMETERS),):
+            raise FuzzyError(
+                f"k: must have the shape ({len(PARAMETERS)},), k1 to k22, got {values.shape}"
+            )
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        slack = 1e-6 * np.maximum(1.0, np.abs(upper))  # rounding of float32 results written as text
+        for i, value in enumerate(values):
+            if not lower[i] - slack[i] <= value <= upper[i] + slack[i]:
+                raise FuzzyError(
+                    f"{PARAMETERS[i]}: must lie in [{lower[i]:g}, {upper[i]:g}], got {value:g}"
+                )
+        return jnp.asarray(np.clip(values, lower, upper), self.lower.dtype)
+
+
+def ordered(terms: Array) -> Array:
+    """Terms (5, 3) with each triangle sorted, then the a's, the b's and the c's across terms.
+
+    The second sort keeps the first: sorting the columns of a matrix with ascending rows keeps the
+    rows ascending.
+    """
+    return jnp.sort(jnp.sort(terms, axis=1), axis=0)
+
+
+def covering(terms: Array, lower_feet: Array, overlap: Array) -> Array:
+    """Input terms (5, 3) without gaps: a_{i+1} <- max(low, a_i, min(a_{i+1}, c_i - overlap)).
+
+    Args:
+        terms: ordered terms.
+        lower_feet: (5,) lower bounds of the a's.
+        overlap: least overlap wanted. A bound `low` above c_i - overlap wins: the result stays in
+        its box.
+    """
+    feet = [terms[0, 0]]
+    for i in range(terms.shape[0] - 1):
+        moved = jnp.minimum(terms[i + 1, 0], terms[i, 2] - overlap)
+        feet.append(jnp.maximum(jnp.maximum(lower_feet[i + 1], feet[i]), moved))
+    return terms.at[:, 0].set(jnp.stack(feet))
+
+
+def in_order(terms: Array) -> Array:
+    """Whether each triangle ascends and the a's, b's and c's ascend from term to term."""
+    return jnp.all(jnp.diff(terms, axis=1) >= 0) & jnp.all(jnp.diff(terms, axis=0) >= 0)

@@ -1,0 +1,194 @@
+"""Agents x scenarios -> costs, in one compiled call."""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from posegsa.config import ObjectiveConfig
+from posegsa.model.cost import CostWeights
+from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.model.rollout import Samples, simulate_cost
+from posegsa.model.schedules import FuzzyGain, GainSchedule
+from posegsa.model.signal import SignalSettings
+from posegsa.search.parameters import ParameterSpace
+
+MEAN = ObjectiveConfig(name="mean")
+
+PIECE = 128
+"""Agents simulated at once on a CPU: some 60 numbers each, they fit a core's first-level cache."""
+SMALL = 64
+"""So few agents share a piece with other scenarios'."""
+LANES = 16
+"""Numbers of 32 bits in the widest vectors of a CPU."""
+
+
+class ScenarioBatch(NamedTuple):
+    """All that the cost of a schedule depends on, for S scenarios."""
+
+    samples: Samples
+    """Leaves (S, N)."""
+    initial: FilterState
+    """Leaves (S,)."""
+    bias: Array
+    """(S, 6) true velocity bias [rad/s, m/s]; only for judging the bias estimate."""
+    weights: CostWeights
+    settings: FilterSettings
+    signal: SignalSettings
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Floating type of the simulation."""
+        return self.samples.time.dtype
+
+    def select(self, index: np.ndarray | slice) -> "ScenarioBatch":
+        """Some of the scenarios."""
+        scenarios = (self.samples, self.initial, self.bias)
+        samples, initial, bias = jax.tree.map(lambda a: a[index], scenarios)
+        return self._replace(samples=samples, initial=initial, bias=bias)
+
+
+class Partition(NamedTuple):
+    """How S scenarios x A agents are cut into pieces that are simulated one after the other."""
+
+    groups: int
+    """Pieces along the scenarios."""
+    scenarios: int
+    """Scenarios in a piece."""
+    chunks: int
+    """Pieces along the agents."""
+    agents: int
+    """Agents in a piece."""
+
+
+def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool = True) -> Partition:
+    """Cut S scenarios x A agents into pieces, as many for each shard.
+
+    On a CPU (`piecewise`) a piece's state stays in the core's own cache, so that an agent's price
+    does not depend on how many there are: with 10 000 agents at once it doubles. An accelerator
+    wants all it can get at once. Whatever the cut, each simulation is, bit for bit, the same.
+    """
+    together = min(scenarios, max(1, PIECE // agents)) if agents < SMALL else 1
+    if not piecewise:
+        together = scenarios
+    for_each_shard = _divided(scenarios, shards)
+    groups = _divided(scenarios, min(together, for_each_shard))
+    # All shards get as many pieces if the chunks are a multiple of this.
+    step = shards // math.gcd(groups, shards)
+    chunks = step * _divided(_divided(agents, PIECE) if piecewise else 1, step)
+    chunk = _divided(agents, chunks)
+    # What does not fill a vector runs number by number, which costs more than one more vector.
+    if piecewise and chunk > LANES:
+        chunk = LANES * _divided(chunk, LANES)
+    return Partition(
+        groups=groups, scenarios=_divided(scenarios, groups), chunks=chunks, agents=chunk
+    )
+
+
+def _divided(count: int, size: int) -> int:
+    """How many parts of a size hold so many, the last one filled up."""
+    return math.ceil(count / size)
+
+
+def agent_costs(schedules: GainSchedule, batch: ScenarioBatch, axis: str | None = None) -> Array:
+    """Cost (S, A) of A schedules on S scenarios (pure, jittable).
+
+    All agents meet the same noise (common random numbers), so that their differences are their
+    own. The agents are the innermost batch axis: one time step of all agents of a piece is a few
+    fused kernels.
+
+    Args:
+        schedules: One kind of schedule whose leaves have a leading axis of agents.
+        batch: Scenarios and settings.
+        axis: Inside `jax.shard_map`, the mesh axis over which the work is divided. Schedules and
+            scenarios are the same on all its devices, and so are the costs: only they travel.
+    """
+    count = batch.samples.time.shape[0], jax.tree.leaves(schedules)[0].shape[0]
+    shards = 1 if axis is None else lax.axis_size(axis)
+    on_cpu = jax.default_backend() == "cpu"
+    cut = partition(*count, shards=shards, piecewise=on_cpu)
+
+    def piece(part: Array) -> Array:
+        group, chunk = part // cut.chunks, part % cut.chunks
+        samples, initial = _part((batch.samples, batch.initial), group, cut.scenarios, count[0])
+        some = _part(schedules, chunk, cut.agents, count[1])
+
+        def on_scenario(samples: Samples, initial: FilterState) -> Array:
+            def agent(schedule: GainSchedule) -> Array:
+                return simulate_cost(
+                    schedule, samples, initial, batch.weights, batch.settings, batch.signal
+                ).total
+
+            return jax.vmap(agent)(some)
+
+        return jax.vmap(on_scenario)(samples, initial)
+
+    mine = jnp.arange(cut.groups * cut.chunks // shards)
+    if axis is not None:
+        mine = mine + lax.axis_index(axis) * mine.size
+    costs = lax.map(piece, mine) if on_cpu else jax.vmap(piece)(mine)
+    if axis is not None:
+        costs = lax.all_gather(costs, axis, tiled=True)
+    costs = costs.reshape(cut.groups, cut.chunks, cut.scenarios, cut.agents)
+    costs = costs.transpose(0, 2, 1, 3).reshape(cut.groups * cut.scenarios, -1)
+    return costs[: count[0], : count[1]]
+
+
+def _part(tree: Any, index: Array, size: int, count: int) -> Any:
+    """Piece `index` of `size` along the first axis of `count`; the last piece repeats the last."""
+    if size == count:
+        return tree
+    chosen = jnp.minimum(index * size + jnp.arange(size), count - 1)
+    return jax.tree.map(lambda leaf: leaf[chosen], tree)
+
+
+def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:
+    """One cost for each agent from its costs on S scenarios.
+
+    Args:
+        costs: (S, ...) costs; a NaN or infinity on any scenario makes the result not finite.
+        objective: "mean", "median", "worst"; "cvar": the mean of the ceil((1 - level) S) worst
+            (Rockafellar and Uryasev 2000, on equally likely scenarios); "mean_std": the mean plus
+            factor times the standard deviation.
+
+    Returns:
+        Costs (...).
+    """
+    mean = jnp.mean(costs, axis=0)
+    match objective.name:
+        case "mean":
+            return mean
+        case "median":
+            # A median would forgive scenarios that diverge: the objective may not.
+            return jnp.where(jnp.isfinite(mean), jnp.median(costs, axis=0), mean)
+        case "worst":
+            return jnp.max(costs, axis=0)
+        case "cvar":
+            worst = max(1, math.ceil((1 - objective.level) * costs.shape[0] - 1e-9))
+            return jnp.mean(jnp.sort(costs, axis=0)[-worst:], axis=0)
+        case "mean_std":
+            return mean + objective.factor * jnp.std(costs, axis=0)
+
+
+def population_costs(
+    vectors: Array,
+    batch: ScenarioBatch,
+    space: ParameterSpace,
+    objective: ObjectiveConfig = MEAN,
+    axis: str | None = None,
+) -> Array:
+    """Cost (A,) of A parameter vectors (A, 22), by default the mean over scenarios (jittable).
+
+    An agent that diverges costs infinity or NaN, one that is out of order where that is not
+    repaired infinity; the search sees to it that neither is ever best. `axis` is `agent_costs`'.
+    """
+    schedules = FuzzyGain(jax.vmap(space.controller)(vectors))
+    costs = over_scenarios(agent_costs(schedules, batch, axis), objective)
+    return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
+
+
+costs_by_scenario = jax.jit(agent_costs, static_argnames="axis")
+evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis"))
