@@ -7,7 +7,6 @@ from typing import Any
 import jax
 
 from posegsa.arguments import check_callable, check_type, check_whole
-from posegsa.config.fields import MOST
 from posegsa.judging.baselines import baselines
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -24,6 +23,7 @@ from posegsa.model.schedules import GainSchedule
 from posegsa.search import memory
 from posegsa.search.build import scenario, scenario_batch
 from posegsa.search.keys import held_out_keys
+from posegsa.settings.fields import MOST
 
 
 def evaluate(

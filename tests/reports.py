@@ -4,8 +4,8 @@ import re
 from html.parser import HTMLParser
 
 import numpy as np
-from test_plots import history, trajectory
-from test_plots_evaluation import evaluation, trust
+from evaluations import evaluation, trust
+from pictures import history, trajectory
 
 from posegsa import config
 from posegsa.judging.result import TuneResult

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.fields import Count, Index, NonNegative, Positive, Section
 from posegsa.config.optimisers import (
     AdamConfig,
     DeConfig,
@@ -18,7 +17,8 @@ from posegsa.config.optimisers import (
 )
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.config.violations import Violation
+from posegsa.settings.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.settings.violations import Violation
 
 Window = tuple[Index, Index]
 """First and last sample, both included."""

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from posegsa.config.fields import Flag, NonNegative, Section
-from posegsa.config.violations import Violation
+from posegsa.settings.fields import Flag, NonNegative, Section
+from posegsa.settings.violations import Violation
 
 Angle = Annotated[float, Field(strict=True, ge=0, le=180)]
 Range = tuple[NonNegative, NonNegative]

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from posegsa.arguments import check_type
 from posegsa.config.experiment import Experiment
-from posegsa.config.violations import Violation, config_error, report
 from posegsa.errors import ArgumentError, ConfigError
+from posegsa.settings.violations import Violation, config_error, report
 
 MAX_BYTES = 2**20
 """Size up to which a configuration file is read: 1 MiB."""

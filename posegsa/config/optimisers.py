@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from posegsa.config.fields import MOST, Count, NonNegative, Positive, Section
 from posegsa.optimisers.particle_swarm import INERTIA, PULL
+from posegsa.settings.fields import MOST, Count, NonNegative, Positive, Section
 
 OptimiserName = Literal[
     "gsa", "random_search", "pso", "de", "adam", "gsa+adam", "cma_es", "evosax", "pycma"

@@ -7,7 +7,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from posegsa.config.fields import (
+from posegsa.errors import ScenarioError
+from posegsa.model.observability import are_collinear, check_observability
+from posegsa.settings.fields import (
     MOST_SAMPLES,
     Flag,
     Matrix3,
@@ -18,9 +20,7 @@ from posegsa.config.fields import (
     Vector3,
     Vector6,
 )
-from posegsa.config.violations import Violation, refuse
-from posegsa.errors import ScenarioError
-from posegsa.model.observability import are_collinear, check_observability
+from posegsa.settings.violations import Violation, refuse
 
 _ZERO_LENGTH = 1e-12
 """Length, in its own unit, up to which a direction counts as a zero vector."""

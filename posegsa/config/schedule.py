@@ -6,8 +6,8 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import Field
 
-from posegsa.config.fields import Flag, NonNegative, Number, Positive, Section
-from posegsa.config.violations import Violation
+from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section
+from posegsa.settings.violations import Violation
 
 Term = Literal["VS", "S", "M", "L", "VL"]
 """A linguistic term, from very small to very large. The paper's table writes V for L."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.config import PARAMETERS, TERMS, ScenarioConfig
-from posegsa.config.fields import Section
 from posegsa.export.c_source import (
     CENTROIDS,
     DECLARATIONS,
@@ -26,6 +25,7 @@ from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.search.named_optimisers import size_in_words
+from posegsa.settings.fields import Section
 
 _WIDTH = 96
 """Columns of the comment's text."""

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Self
 import jax
 
 from posegsa import config
-from posegsa.config.violations import Violation, report
 from posegsa.errors import (
     CheckpointError,
     DamagedCheckpointError,
@@ -25,6 +24,7 @@ from posegsa.saving.checkpoint import Checkpoint, read, save_search
 from posegsa.saving.files import PART
 from posegsa.saving.folder import CHECKPOINTS, SUFFIX, writing
 from posegsa.saving.interrupt import Asked
+from posegsa.settings.violations import Violation, report
 
 COMPARED = ("posegsa", "jax", "numpy", "platform", "device")
 """What of the machine may change the last bits of a result."""

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from posegsa import config
-from posegsa.config.violations import Violation, report
 from posegsa.errors import MemoryLimitError
+from posegsa.settings.violations import Violation, report
 
 COMPILER = 2**29
 """What JAX and its compiler take, whatever the experiment [bytes]."""

@@ -1,15 +1,17 @@
 """The box, the loop and its record: what holds for every optimiser."""
 
-from dataclasses import FrozenInstanceError, dataclass
-from typing import Any, NamedTuple
+from dataclasses import FrozenInstanceError
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bits import assert_same
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
+from searches import Fixed, fixed_search, sphere
 
 from posegsa.optimisers import (
     GSA,
@@ -34,51 +36,6 @@ OPTIMISERS = [
     ParticleSwarm(agents=6, iterations=7),
     DifferentialEvolution(agents=6, iterations=7),
 ]
-
-
-def sphere(x: Array) -> Array:
-    """Sum of squares of each row."""
-    return jnp.sum(x**2, axis=1)
-
-
-def same(a: Any, b: Any) -> None:
-    """Check that two trees of arrays are equal to the last bit; NaN equals NaN."""
-
-    def check(x: Array, y: Array) -> None:
-        if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
-            x, y = jax.random.key_data(x), jax.random.key_data(y)
-        np.testing.assert_array_equal(x, y)
-
-    jax.tree.map(check, a, b)
-
-
-class FixedState(NamedTuple):
-    """The positions that `Fixed` asks for and what it was told of them."""
-
-    position: Array
-    told: Array
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """Asks for the same positions 0, 1/4, ..., 1 on a line, and remembers the costs it is told."""
-
-    agents: int = 5
-    iterations: int = 3
-
-    def init(self, key: Array, dimensions: int, dtype: Any) -> FixedState:
-        """Lay out the positions."""
-        del key, dimensions
-        line = jnp.linspace(0, 1, self.agents, dtype=dtype)
-        return FixedState(line[:, None], jnp.zeros(self.agents, dtype))
-
-    def ask(self, state: FixedState) -> Array:
-        """Return the positions."""
-        return state.position
-
-    def tell(self, state: FixedState, costs: Array) -> FixedState:
-        """Remember the costs."""
-        return state._replace(told=costs)
 
 
 # The box
@@ -156,9 +113,11 @@ def test_chunks_do_not_change_a_bit(optimiser: Optimiser) -> None:
     whole = minimise(sphere, target, optimiser, key)
     for chunk, stops in ((1, [1, 2, 3, 4, 5, 6, 7]), (3, [3, 6, 7]), (100, [7])):
         seen: list[Search] = []
-        same(minimise(sphere, target, optimiser, key, chunk=chunk, callback=seen.append), whole)
+        assert_same(
+            minimise(sphere, target, optimiser, key, chunk=chunk, callback=seen.append), whole
+        )
         assert [int(s.iteration) for s in seen] == stops
-        same(seen[-1], whole)
+        assert_same(seen[-1], whole)
 
 
 @pytest.mark.parametrize("optimiser", OPTIMISERS[:3:2])
@@ -193,7 +152,7 @@ def test_same_key_same_search() -> None:
     one, again, other = (
         minimise(sphere, target, OPTIMISERS[0], jax.random.key(seed)) for seed in (4, 4, 5)
     )
-    same(one, again)
+    assert_same(one, again)
     assert not jnp.array_equal(one.best_position, other.best_position)
 
 
@@ -226,21 +185,6 @@ def test_the_record_against_plain_numpy() -> None:
     best = np.unravel_index(np.argmin(costs), (6, 5))
     assert search.best_position.tolist() == positions[best[0]][best[1]].tolist()
     assert search.best_cost == search.history.best[-1]
-
-
-FIXED_BOX = box([0], [4])
-
-
-@jax.jit
-def fixed_advance(search: Search, costs: Array) -> Search:
-    """Give these costs to `Fixed` for one iteration."""
-    return advance(Fixed(), lambda x: costs, FIXED_BOX, search, search.iteration + 1)
-
-
-def fixed_search(costs: list[float], before: Search | None = None) -> Search:
-    """Give these costs to `Fixed` for one iteration, after `before` or as the first."""
-    search = start(Fixed(), FIXED_BOX, jax.random.key(0)) if before is None else before
-    return fixed_advance(search, jnp.asarray(costs, jnp.float32))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -5,8 +5,8 @@ import signal
 
 import numpy as np
 import pytest
-from test_checkpoint import same
-from test_tuning import tiny
+from bits import assert_same
+from experiments import tiny
 
 import posegsa
 from posegsa import config
@@ -62,7 +62,7 @@ def names(folder) -> list[int]:
 
 
 def test_checkpoints_come_at_their_intervals_and_the_last_two_stay(task, whole, tmp_path):
-    assert same(search_in(tmp_path, task), whole)
+    assert_same(search_in(tmp_path, task), whole)
     assert names(tmp_path) == [6, 8]
     about = read(tmp_path / "checkpoints" / "000000008.checkpoint").about
     assert config.from_dict(about["experiment"]) == LONG
@@ -74,7 +74,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
     times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
     hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
     with resume.Saver(tmp_path, hasty, Asked(), clock=lambda: next(times)) as keep:
-        assert same(run_search(task, keep=keep).search, whole)
+        assert_same(run_search(task, keep=keep).search, whole)
     assert names(tmp_path)[-1] == 8
 
 
@@ -88,7 +88,7 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         begun = resume.begun(tmp_path)
         # The signal is seen when the running chunk, here an iteration, is done.
         assert int(begun.checkpoint.arrays[".iteration"][1]) == at + 1
-    assert same(search_in(tmp_path, task, begun=begun), whole)
+    assert_same(search_in(tmp_path, task, begun=begun), whole)
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
@@ -100,7 +100,7 @@ def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
     with resume.Saver(tmp_path, LONG, Asked()) as keep:
         search = begun.checkpoint.search(first_search(task))
         found = run_search(task, told.append, search=search, keep=keep).search
-    assert same(found, whole)
+    assert_same(found, whole)
     assert [p.iteration for p in told] == [8], "nothing is left to search"
 
 
@@ -126,7 +126,7 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tm
     newest.write_bytes(newest.read_bytes()[:-5])
     with pytest.warns(PosegsaWarning, match=r"000000008.*damaged.*going on from 000000006"):
         begun = resume.begun(tmp_path)
-    assert same(search_in(tmp_path, task, begun=begun), whole)
+    assert_same(search_in(tmp_path, task, begun=begun), whole)
     for path in (tmp_path / "checkpoints").iterdir():
         path.write_bytes(b"")
     with pytest.raises(CheckpointError, match=r"000000008(.|\n)*000000006(.|\n)*no checkpoint"):
@@ -191,11 +191,11 @@ def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
             pytest.warns(PosegsaWarning, match=r"File too large; the search goes on, .* 2"),
             resume.Saver(tmp_path, often, Asked()) as keep,
         ):
-            assert same(run_search(task, fill_and_clear, keep=keep).search, whole)
+            assert_same(run_search(task, fill_and_clear, keep=keep).search, whole)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path)[-1] == 8
-    assert same(resume.begun(tmp_path).checkpoint.search(first_search(task)), whole)
+    assert_same(resume.begun(tmp_path).checkpoint.search(first_search(task)), whole)
 
 
 def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
@@ -221,7 +221,7 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
         resume.Saver(tmp_path, LONG, Asked()) as keep,
     ):
         run_search(task, fail, keep=keep)
-    assert same(search_in(tmp_path, task, begun=resume.begun(tmp_path)), whole)
+    assert_same(search_in(tmp_path, task, begun=resume.begun(tmp_path)), whole)
 
 
 def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
@@ -232,7 +232,7 @@ def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, t
     longer = task._replace(experiment=more, optimiser=make_optimiser(more))
     going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
     extended = run_search(longer, search=going_on).search
-    assert same(extended, run_search(longer).search)
+    assert_same(extended, run_search(longer).search)
     assert (extended.history.best[:8] == whole.history.best).all()
     held, longest = (o.schedule()[0] for o in (longer.optimiser, GSA(6, 11)))
     assert (held[:8] < longest[:8]).all(), "it is not the longer run"

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bits import assert_same
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import GSA, RandomSearch, advance, box, lengthened, minimise, start
@@ -19,20 +20,6 @@ KEY = jax.random.key(1)
 
 def sphere(x):
     return jnp.sum(x**2, axis=1)
-
-
-def same(a, b) -> bool:
-    """Whether two searches are equal, bit for bit; random keys by their numbers."""
-
-    def bits(leaf) -> bytes:
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        return np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes()
-
-    leaves = [jax.tree.leaves(s) for s in (a, b)]
-    return jax.tree.structure(a) == jax.tree.structure(b) and all(
-        x.dtype == y.dtype and x.shape == y.shape and bits(x) == bits(y)
-        for x, y in zip(*leaves, strict=True)
-    )
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +37,7 @@ def saved(whole, tmp_path):
 
 
 def test_a_search_comes_back_bit_for_bit(whole, saved):
-    assert same(load_search(saved, start(SMALL, BOX, KEY)), whole[1][2])
+    assert_same(load_search(saved, start(SMALL, BOX, KEY)), whole[1][2])
     assert read(saved).about == {"note": "third"}
     assert not list(saved.parent.glob("*.part"))
 
@@ -61,7 +48,7 @@ def test_going_on_from_a_file_is_never_having_stopped(whole, tmp_path, interrupt
     path = tmp_path / "search"
     save_search(path, seen[interrupted_at])
     loaded = load_search(path, start(SMALL, BOX, jax.random.key(99)))
-    assert same(minimise(sphere, BOX, SMALL, KEY, chunk=3, search=loaded), finished)
+    assert_same(minimise(sphere, BOX, SMALL, KEY, chunk=3, search=loaded), finished)
 
 
 def test_a_search_without_any_finite_cost_is_kept_as_that(tmp_path):
@@ -72,7 +59,7 @@ def test_a_search_without_any_finite_cost_is_kept_as_that(tmp_path):
     finished = minimise(nowhere, BOX, SMALL, KEY, chunk=4, callback=seen.append)
     save_search(tmp_path / "search", seen[0])
     loaded = load_search(tmp_path / "search", finished)
-    assert same(minimise(nowhere, BOX, SMALL, KEY, search=loaded), finished)
+    assert_same(minimise(nowhere, BOX, SMALL, KEY, search=loaded), finished)
     assert finished.best_cost == np.inf
     assert int(finished.non_finite) == 35
     assert finished.best_position.tolist() == [0.0, 0.5], "the middle of the box"
@@ -85,7 +72,7 @@ def test_random_search_and_float64_likewise(tmp_path, x64):
     save_search(path, half)
     loaded = load_search(path, start(optimiser, wide, KEY))
     assert loaded.best_position.dtype == np.float64
-    assert same(loaded, half)
+    assert_same(loaded, half)
 
 
 def test_an_optimiser_with_old_style_keys_and_a_state_of_its_own(tmp_path):
@@ -93,16 +80,16 @@ def test_an_optimiser_with_old_style_keys_and_a_state_of_its_own(tmp_path):
         state={"key": jax.random.PRNGKey(3), "memory": [jnp.arange(4), jnp.zeros(0)]}
     )
     save_search(tmp_path / "search", like)
-    assert same(load_search(tmp_path / "search", like), like)
+    assert_same(load_search(tmp_path / "search", like), like)
 
 
 def test_more_iterations_are_room_in_the_history(whole):
     finished, seen = whole
     longer = GSA(agents=5, iterations=9, decay_iterations=7)
     extended = minimise(sphere, BOX, longer, KEY, search=lengthened(finished, 9))
-    assert same(extended, minimise(sphere, BOX, longer, KEY, search=lengthened(seen[3], 9)))
+    assert_same(extended, minimise(sphere, BOX, longer, KEY, search=lengthened(seen[3], 9)))
     assert (extended.history.best[:7] == finished.history.best).all()
-    assert same(extended, minimise(sphere, BOX, longer, KEY)), "as if it had been so from the start"
+    assert_same(extended, minimise(sphere, BOX, longer, KEY))  # as if it had been so from the start
     gravity, k_best = longer.schedule()
     assert (gravity[6:] == SMALL.schedule()[0][-1]).all()
     assert (k_best[6:] == SMALL.schedule()[1][-1]).all()

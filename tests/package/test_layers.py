@@ -6,8 +6,8 @@ from pathlib import Path
 import posegsa
 
 LAYERS = (
-    "errors arguments words runtime | optimisers model | config | search | judging | figures"
-    " | report export | saving | tuning evaluating comparing | __init__ | cli | __main__"
+    "errors arguments words runtime settings | optimisers model | config | search | judging"
+    " | figures | report export | saving | tuning evaluating comparing | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may
 use those before them in the first group."""
@@ -100,7 +100,14 @@ def test_the_checks_see_a_backward_arrow_and_a_circle():
 
 
 def test_the_model_loads_neither_pydantic_nor_matplotlib_nor_an_optimiser():
-    foreign = ("pydantic", "matplotlib", "optax", "posegsa.optimisers", "posegsa.config")
+    foreign = (
+        "pydantic",
+        "posegsa.settings",
+        "matplotlib",
+        "optax",
+        "posegsa.optimisers",
+        "posegsa.config",
+    )
     for path in (PACKAGE / "model").glob("*.py"):
         assert not [name for name in imported(path) if name.startswith(foreign)], path
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bits import assert_same
+from experiments import tiny
 from jax import Array, random
-from test_optimisers_base import same
-from test_tuning import tiny
 
 from posegsa.optimisers import (
     GSA,
@@ -108,7 +108,7 @@ def test_polish_descends_from_the_best_and_chunks_do_not_change_a_bit() -> None:
     assert whole.best_cost < first.best_cost
     assert evaluations_spent(polish).tolist()[5:8] == [30, 30 + 46, 30 + 92]
     for chunk in (1, 6, 4):
-        same(minimise(bowl, TARGET, polish, random.key(3), chunk=chunk), whole)
+        assert_same(minimise(bowl, TARGET, polish, random.key(3), chunk=chunk), whole)
 
 
 @pytest.mark.parametrize(

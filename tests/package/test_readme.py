@@ -4,12 +4,12 @@ import re
 from pathlib import Path
 
 import pytest
-from test_tuning import tiny
+from experiments import tiny
 
 from posegsa import config
 from posegsa.cli.command import _parser
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
-from posegsa.config.violations import Refused, Violation, config_error
+from posegsa.settings.violations import Refused, Violation, config_error
 
 LARGEST, SMALLEST = 1e9, 1e-9
 """What numbers may be, so that float32 holds them, and products of some of them, with room."""

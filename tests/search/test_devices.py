@@ -9,9 +9,9 @@ import warnings
 import jax
 import numpy as np
 import pytest
+from experiments import TINY, tiny
 from hypothesis import given
 from hypothesis import strategies as st
-from test_tuning import TINY, tiny
 
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, PosegsaWarning

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from experiments import tiny
 from generated import configuration, not_numbers, structure
 
 import posegsa
@@ -26,19 +27,6 @@ from posegsa.search.population import evaluate_population
 from posegsa.search.run import Progress
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-
-TINY = [
-    "scenario.duration=2.0",
-    "cost.steady_window=[150, 199]",
-    "search.agents=6",
-    "search.iterations=4",
-    "run.training_scenarios=2",
-    "run.held_out_scenarios=3",
-]
-
-
-def tiny(*settings: str) -> config.Experiment:
-    return config.override(config.Experiment(), [*TINY, *settings])
 
 
 @pytest.fixture(scope="module")

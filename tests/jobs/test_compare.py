@@ -7,8 +7,8 @@ import sys
 import jax
 import numpy as np
 import pytest
+from experiments import tiny
 from scipy import stats
-from test_tuning import tiny
 
 import posegsa
 from posegsa.cli.command import main

@@ -12,7 +12,7 @@ from optimisers import FILTER, FUNCTIONS, ON_FUNCTIONS, SPENT, VARIANTS
 from posegsa.cli.command import _parser
 from posegsa.config import OptimiserName
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 TEXT = (ROOT / "docs" / "optimisers.md").read_text(encoding="utf-8")
 
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from experiments import TINY, tiny
 from generated import call, configuration
-from test_tuning import TINY, tiny
 
 import posegsa
 from posegsa import config

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_optimisers_base import same
-from test_tuning import tiny
+from bits import assert_same
+from experiments import tiny
 
 import posegsa
 from posegsa.errors import ArgumentError, CheckpointError, ConfigError, PosegsaWarning
@@ -40,7 +40,7 @@ def test_a_population_of_evosax_begins_with_its_own_costs() -> None:
     swarm = Evosax("PSO", 6, 5)
     search = minimise(FUNCTION, FUNCTION.box, swarm, KEY)
     again = minimise(FUNCTION, FUNCTION.box, swarm, KEY, chunk=2)
-    same(search, again)
+    assert_same(search, again)
     assert isinstance(search.state, EvosaxState)
     best = search.history.best
     assert best[-1] < best[0]

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bits import assert_same
 from jax import Array
-from test_optimisers_base import same
 
 from posegsa.optimisers import (
     Adam,
@@ -103,7 +103,7 @@ def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
         sphere, TARGET, SWARM, keys, chunk=20, callback=lambda s: seen.append(s.iteration.tolist())
     )
     assert seen == [[20, 20], [40, 40]]
-    same(jax.tree.map(lambda a: a[0], many._replace(state=None)), whole._replace(state=None))
+    assert_same(jax.tree.map(lambda a: a[0], many._replace(state=None)), whole._replace(state=None))
     assert many.best_cost[0] != many.best_cost[1]
     until = minimise(sphere, TARGET, SWARM, keys, target=float(whole.history.best[12]))
     assert (until.iteration < 40).any()

@@ -11,7 +11,7 @@ import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override, to_toml
 from posegsa.errors import ConfigError, PosegsaError, RunFolderError
 
-CONFIGS = Path(__file__).parent.parent / "configs"
+CONFIGS = Path(__file__).parent.parent.parent / "configs"
 FILES = sorted(CONFIGS.glob("*.toml"))
 WHOLE = ("paper", "paper_literal", "recommended")
 PI = 3.141592653589793

@@ -3,7 +3,7 @@
 from typing import Any, get_args
 
 import pytest
-from test_tuning import tiny
+from experiments import tiny
 
 from posegsa.config import OptimiserName
 from posegsa.errors import ConfigError

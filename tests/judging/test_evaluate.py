@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from builders import quietly
-from test_tuning import tiny
+from experiments import tiny
 
 import posegsa
 from posegsa.config import ObjectiveConfig, override

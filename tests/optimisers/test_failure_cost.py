@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
-from test_optimisers_base import fixed_search, sphere
+from searches import fixed_search, sphere
 
 from posegsa.optimisers import (
     GSA,

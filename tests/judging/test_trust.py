@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from test_tuning import tiny
+from experiments import tiny
 
 import posegsa
 from posegsa.judging.trust import rule_weights, uncovered

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evaluations import ANGLES, SCHEDULES, changed, evaluation, trust
 from reports import PARAMETERS, PICTURE, Page, page, result, values
-from test_plots_evaluation import ANGLES, SCHEDULES, changed, evaluation, trust
 
 import posegsa
 from posegsa import config

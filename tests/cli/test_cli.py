@@ -15,7 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from test_tuning import TINY
+from experiments import TINY
 
 from posegsa.cli.command import main
 

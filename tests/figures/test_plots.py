@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from pictures import history, legend, lines, trajectory
 
 from posegsa.figures import result as plots
-from posegsa.judging.trajectory import Trajectory
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.optimisers import History
 
@@ -30,21 +30,6 @@ def controller(inputs=COVERED, outputs=OUTPUTS, **choices):
     return FuzzyController(*terms, RULES, (0.0, 100.0), **choices)
 
 
-def history(iterations=40, non_finite=0):
-    cost = 40 + 20 / np.arange(1.0, iterations + 1)
-    return History(cost, cost + 5, cost + 9, np.full(iterations, non_finite))
-
-
-def trajectory(samples=301, **values):
-    rng = np.random.default_rng(0)
-    shapes = {"euler": 3, "euler_est": 3, "position": 3, "position_est": 3, "bias_est": 6}
-    names = Trajectory.__dataclass_fields__
-    drawn = {
-        n: rng.uniform(0.1, 80, (samples, shapes[n]) if n in shapes else samples) for n in names
-    }
-    return Trajectory(**{**drawn, "time": 0.01 * np.arange(samples), **values})
-
-
 FIGURES = {
     "input_terms": partial(plots.plot_input_terms, controller(GAPPED)),
     "output_terms": partial(plots.plot_output_terms, controller()),
@@ -55,14 +40,6 @@ FIGURES = {
     "errors": partial(plots.plot_errors, trajectory()),
     "gain": partial(plots.plot_gain, trajectory()),
 }
-
-
-def lines(ax):
-    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in ax.lines]
-
-
-def legend(figure):
-    return [text.get_text() for found in figure.legends for text in found.get_texts()]
 
 
 def assert_drawn(ax, *curves):

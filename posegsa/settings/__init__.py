@@ -1,0 +1,1 @@
+"""What every settings type is made of: checked fields, and refusals in words."""
