@@ -84,8 +84,7 @@ def slopes(a: Array, b: Array, c: Array) -> Slopes:
     """A term from its feet a, c and its peak b."""
     huge = 1 / jnp.finfo(b.dtype).tiny
     rise, fall = b - a, c - b
-    # The larger of a width and tiny would still give the derivative through the width; where() cuts
-    # it.
+    # The larger of a width and tiny would still let the derivative through the width pass.
     return Slopes(
         b,
         choose(rise > 0, 1 / choose(rise > 0, rise, 1.0), huge),
@@ -101,8 +100,8 @@ def firing_heights(
     for output in range(outputs):
         fired = []
         for r, row in enumerate(rules):
-            # min distributes over max: the row's error terms that lead to this output are joined
-            # first.
+            # min distributes over max: of a row, the error terms that lead to this output are
+            # joined first.
             errors = [error[e] for e, target in enumerate(row) if target == output]
             if errors:
                 fired.append(minimum(rate[r], reduce(maximum, errors)))
@@ -185,8 +184,8 @@ class FuzzyController:
         input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
         output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
         rules: n rows (rate) of n output term indices (error), both from small to large.
-        output_range: ends of the output universe [1/s]; the sampled centroid's grid and the
-            mid-range.
+        output_range: ends of the output universe [1/s], for the sampled centroid's grid and for
+            the mid-range.
         centroid: "exact" (closed form; needs ordered terms) or "sampled".
         points: number of sample points of the sampled centroid, ends included.
         sampled_rule: "sum" (MATLAB's) or "trapezoid".

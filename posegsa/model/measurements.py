@@ -91,17 +91,13 @@ class Measurements(NamedTuple):
 
         Raises:
             MeasurementError: an array has the wrong shape, holds NaN or infinity where it may not,
-            a
-                time step is not positive or a weight is negative. The message names the argument.
+                a time step is not positive or a weight is negative. The message names the argument.
         """
         check_dtype("dtype", dtype)
         omega = finite_array("angular_velocity", angular_velocity, (None, 3))
         samples = omega.shape[0]
-        step = finite_array(
-            "time_step",
-            np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step,
-            (samples,),
-        )
+        steps = np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step
+        step = finite_array("time_step", steps, (samples,))
         if samples == 0:
             raise MeasurementError("angular_velocity: at least one sample is needed, got none")
         if (step <= 0).any():
@@ -114,23 +110,19 @@ class Measurements(NamedTuple):
             "landmark", landmarks, landmark_references, landmark_weights, samples
         )
         if normalise_vectors:
-            v, v_ref = (
-                a / np.where(n > 0, n, 1)
-                for a in (v, v_ref)
-                for n in [np.linalg.norm(a, axis=-1, keepdims=True)]
-            )
-        values = (
-            step,
-            omega,
-            finite_array("velocity", velocity, (samples, 3)),
-            v,
-            v_ref,
-            v_weight,
-            y,
-            y_ref,
-            y_weight,
-        )
-        return cls(*(jnp.asarray(a, dtype) for a in values))
+            v, v_ref = _unit(v), _unit(v_ref)
+        values = {
+            "time_step": step,
+            "angular_velocity": omega,
+            "velocity": finite_array("velocity", velocity, (samples, 3)),
+            "vectors": v,
+            "vector_references": v_ref,
+            "vector_weights": v_weight,
+            "landmarks": y,
+            "landmark_references": y_ref,
+            "landmark_weights": y_weight,
+        }
+        return cls(**{name: jnp.asarray(a, dtype) for name, a in values.items()})
 
     def checked(self) -> "Measurements":
         """The same, refused where `from_arrays` would refuse it; traced ones pass.
@@ -237,6 +229,12 @@ def with_cross_vector(vectors: Array) -> Array:
     return jnp.concatenate([vectors, product[..., None, :]], axis=-2)
 
 
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) at length one, on the host; a vector of length 0 stays 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
+
+
 def finite_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
 ) -> np.ndarray:
@@ -320,8 +318,4 @@ def _sightings(
         if (~known.any(axis=-1) & (weight > 0)).any():
             raise MeasurementError("vector_references: must not be zero where the weight is not")
         seen &= values.any(axis=-1)
-    return (
-        np.where(seen[..., None], values, 0.0),
-        known,
-        np.where(seen, weight, 0.0),
-    )
+    return np.where(seen[..., None], values, 0.0), known, np.where(seen, weight, 0.0)

@@ -1,6 +1,6 @@
 """The searched parameters k1..k22: their boxes, their repair, and the controller they make.
 
-The vector k fills the feet and peaks of the paper's terms (its two constraint equations):
+The vector k fills the feet and peaks of the paper's terms (Eqs. 18 and 19):
     input terms   [0, 0, k1]  [k2, k3, k4]     [k5, k6, k7]     [k8, k9, k10]    [k11, 1, 1]
     output terms  [0, 0, k12] [k13, k14, k15]  [k16, k17, k18]  [k19, k20, k21]  [k22, 100, 100]
 Inside their boxes the k's need not be in order: 93 % of random draws have a triangle out of order,
@@ -93,15 +93,15 @@ class ParameterSpace:
         """The controller of a vector k (22,)."""
         inputs, outputs = self.terms(k)
         return FuzzyController(
-            inputs,
-            outputs,
-            self.rules,
-            self.gain_range,
-            self.centroid,
-            self.points,
-            self.sampled_rule,
-            self.no_rule,
-            self.reach,
+            input_terms=inputs,
+            output_terms=outputs,
+            rules=self.rules,
+            output_range=self.gain_range,
+            centroid=self.centroid,
+            points=self.points,
+            sampled_rule=self.sampled_rule,
+            no_rule=self.no_rule,
+            reach=self.reach,
         )
 
     def vector(self, controller: FuzzyController) -> Array:
