@@ -12,7 +12,7 @@ from posegsa.config.experiment import (
     ObjectiveConfig,
     RunConfig,
 )
-from posegsa.config.family import FamilyConfig
+from posegsa.config.family import FamilyConfig, Occasions
 from posegsa.config.files import as_experiment, from_dict, load, override, to_toml
 from posegsa.config.optimisers import (
     AdamConfig,
@@ -52,6 +52,7 @@ __all__ = [
     "GsaConfig",
     "Landmark",
     "ObjectiveConfig",
+    "Occasions",
     "OptimiserName",
     "ParametersConfig",
     "Profile",

@@ -17,7 +17,7 @@ from posegsa.config.optimisers import (
 )
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.settings.fields import Count, Index, NonNegative, Positive, Section
+from posegsa.settings.fields import Count, Flag, Index, NonNegative, Positive, Section
 from posegsa.settings.violations import Violation
 
 Window = tuple[Index, Index]
@@ -46,9 +46,32 @@ class FilterConfig(Section):
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
+    gamma_law: Literal["fixed", "linear", "quadratic"] = "fixed"
+    """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
+    what it is at K = 10/s."""
     gain_limit: Positive | Literal["off"] = 1.5
     """Largest step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" applies every gain as it is."""
+    normalise_vectors: Flag = True
+    """Whether every vector, measured and known, is brought to length one (after its estimated bias
+    is taken off)."""
+    cross_vector: Flag = True
+    """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
+    cross_vector_weight: NonNegative = 1.0
+    """Weight s^R of that vector, no unit."""
+    vector_bias: Literal["off", "estimated"] = "off"
+    """Whether the constant biases of the vectors are estimated."""
+    vector_bias_gain: NonNegative = 0.5
+    """Gain gamma_c of their law [1/s]."""
+    vector_bias_leak: NonNegative = 0.0
+    """Rate at which an estimate is forgotten [1/s]."""
+    vector_bias_bound: Positive = 0.5
+    """Largest length of an estimated bias, in its vector's unit."""
+    excitation: Positive = 0.2
+    """Angular velocity [rad/s] from which on all of vector_bias_gain is used; below it falls with
+    the fourth power, as at rest a bias can't be told from an error of the attitude."""
+    excitation_time: NonNegative = 1.0
+    """Time constant of the low-pass filter that the angular velocity passes for that [s]."""
 
 
 class CostConfig(Section):
@@ -148,6 +171,12 @@ class Experiment(Section):
                     f"{self.scenario.sampling_time} make {samples}",
                     window,
                 )
+        if self.filter.cross_vector and not self.scenario.has_cross_vector:
+            yield Violation(
+                "filter.cross_vector",
+                "allowed: false, or two vectors to begin with that are not collinear",
+                True,
+            )
         if self.fuzzy.ordering:
             yield from (p.under(("parameters",)) for p in self.parameters.disorder())
         if self.fuzzy.coverage:

@@ -14,6 +14,29 @@ Range = tuple[NonNegative, NonNegative]
 Off = Literal["off"]
 
 
+class Occasions(Section):
+    """Something that happens now and then in each scenario."""
+
+    rate: NonNegative = 0.05
+    """How often it begins while it is not there [1/s]."""
+    duration: Range = (1.0, 5.0)
+    """How long it lasts [s], least and largest."""
+
+
+class Outages(Occasions):
+    """Times without measurements."""
+
+    sensors: Literal["all", "vectors", "landmarks"] = "all"
+    """What is not measured then."""
+
+
+class BurstsConfig(Occasions):
+    """Times in which one of the vectors is disturbed by a constant in a random direction."""
+
+    size: NonNegative = 0.5
+    """Length of the disturbance, in the vector's unit."""
+
+
 class FamilyConfig(Section):
     """[family]: the distribution that scenarios are drawn from; by default only the noise differs.
 
@@ -34,6 +57,27 @@ class FamilyConfig(Section):
     """Each coordinate of each landmark is moved by up to this much, inertial frame [m]."""
     motion_scale: Range | Off = "off"
     """Factor on the amplitudes of both velocities' sines, no unit, least and largest."""
+    vector_bias: NonNegative | Off = "off"
+    """Standard deviation of each component of the biases of all vectors, in their unit, which
+    replace those of the scenario."""
+    landmark_bias: NonNegative | Off = "off"
+    """The same of the landmarks [m]."""
+    angular_velocity_drift: Range | Off = "off"
+    """Intensity of the random walk of the angular velocity's bias [rad/s/sqrt(s)]."""
+    velocity_drift: Range | Off = "off"
+    """Intensity of the random walk of the linear velocity's bias [m/s/sqrt(s)]."""
+    outages: Outages | Off = "off"
+    """Times without measurements of vectors, landmarks or both."""
+    bursts: BurstsConfig | Off = "off"
+    """Times in which one of the vectors is disturbed."""
+    landmark_interval: Range | Off = "off"
+    """Time from one measurement of the landmarks to the next [s]."""
+    rest: Range | Off = "off"
+    """Time at rest at the start [s], of those scenarios that begin at rest."""
+    rest_share: Annotated[float, Field(strict=True, ge=0, le=1)] = 1.0
+    """Share of the scenarios that begin at rest, no unit."""
+    duration: Range | Off = "off"
+    """Time after which a scenario does not count any more [s]."""
     random_phase: Flag = False
     """Whether the phase of each sine of both velocities is drawn anew, uniformly."""
 

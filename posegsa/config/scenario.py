@@ -11,7 +11,7 @@ from posegsa.errors import ScenarioError
 from posegsa.model.observability import are_collinear, check_observability
 from posegsa.settings.fields import (
     MOST_SAMPLES,
-    Flag,
+    Count,
     Matrix3,
     NonNegative,
     Number,
@@ -74,6 +74,8 @@ class Landmark(Section):
     """Weight s_i^L in the filter, no unit; 0 leaves the landmark out."""
 
 
+Interval = tuple[NonNegative, NonNegative]
+"""Beginning and end [s]."""
 Axis = Annotated[tuple[Sine, ...], Field(max_length=64)]
 Profile = tuple[Axis, Axis, Axis]
 """A velocity over time: for each body axis x, y, z a sum of sines (an empty one is zero)."""
@@ -101,12 +103,18 @@ class ScenarioConfig(Section):
     """Bias b_Omega of the measured angular velocity, body frame [rad/s]."""
     angular_velocity_noise: NonNegative = 0.2
     """Standard deviation of the noise of each component of it, body frame [rad/s]."""
+    angular_velocity_drift: NonNegative = 0.0
+    """Intensity of the random walk of each component of its bias [rad/s/sqrt(s)]."""
     velocity: Profile = _profile((0.3, 0.6, 0.0), (0.3, 0.4, 0.0), (0.3, 0.1, 0.0))
     """True linear velocity V, body frame [m/s]: for each axis a sum of sines."""
     velocity_bias: Vector3 = (0.2, 0.5, 0.1)
     """Bias b_V of the measured linear velocity, body frame [m/s]."""
     velocity_noise: NonNegative = 0.1
     """Standard deviation of the noise of each component of it, body frame [m/s]."""
+    velocity_drift: NonNegative = 0.0
+    """Intensity of the random walk of each component of its bias [m/s/sqrt(s)]."""
+    rest: Annotated[tuple[Interval, ...], Field(max_length=64)] = ()
+    """Times at rest, beginning and end [s], in which both velocities are 0."""
 
     vectors: Annotated[tuple[Vector, ...], Field(max_length=64)] = (
         Vector(
@@ -116,16 +124,12 @@ class ScenarioConfig(Section):
         Vector(direction=(0.0, 0.0, 1.0), bias=(0.0, 0.0, 0.1)),
     )
     """The vectors v_i that are measured, in order."""
-    cross_vector: Flag = True
-    """Whether v_1 x v_2, of the first two vectors as measured, is appended as a last vector."""
-    cross_vector_weight: NonNegative = 1.0
-    """Weight s^R of that vector in the filter, no unit."""
-    normalise_vectors: Flag = True
-    """Whether every vector, measured and known, is brought to length one for the filter."""
     landmarks: Annotated[tuple[Landmark, ...], Field(max_length=64)] = (
         Landmark(position=(0.5, math.sqrt(2), 1.0)),
     )
     """The landmarks p_i that are measured, in order; at least one."""
+    landmark_period: Count = 1
+    """Samples from one measurement of the landmarks to the next."""
 
     initial_rotation: Matrix3 = _IDENTITY
     """True attitude R(0), body to inertial frame, by rows, no unit."""
@@ -169,40 +173,28 @@ class ScenarioConfig(Section):
                 f"{self.sampling_time} these are {ratio:.9g}",
                 self.duration,
             )
-        product = self._cross_direction() if self.cross_vector else None
-        if self.cross_vector and product is None:
-            yield Violation(
-                "cross_vector",
-                "allowed: false, or two vectors to begin with that are not collinear",
-                True,
-            )
+        for i, (begin, end) in enumerate(self.rest):
+            if begin > end:
+                yield Violation(f"rest.{i}", "allowed: a beginning before the end", (begin, end))
         try:
-            self._check_observability(product)
+            self._check_observability()
         except ScenarioError as error:
-            these = "these, their cross product" if product else "these"
-            yield Violation("vectors", f"with {these} and the landmarks, {error}")
+            yield Violation("vectors", f"with these and the landmarks, {error}")
 
-    def _cross_direction(self) -> Vector3 | None:
-        """v_1 x v_2 of the first two vectors at length one; None where it is not defined."""
+    @property
+    def has_cross_vector(self) -> bool:
+        """Whether the cross product of the first two vectors is defined."""
         if len(self.vectors) < 2:
-            return None
+            return False
         first, second = (vector.direction for vector in self.vectors[:2])
-        if are_collinear(first, second):
-            return None
-        x, y, z = np.cross(
-            np.array(first) / math.hypot(*first), np.array(second) / math.hypot(*second)
-        )
-        return (float(x), float(y), float(z))
+        return not are_collinear(first, second)
 
-    def _check_observability(self, product: Vector3 | None) -> None:
+    def _check_observability(self) -> None:
         """Raises a `ScenarioError` if what the filter is given does not determine the pose."""
-        vectors = [(vector.direction, vector.weight) for vector in self.vectors]
-        if product:
-            vectors.append((product, self.cross_vector_weight))
         check_observability(
-            [direction for direction, _ in vectors],
+            [vector.direction for vector in self.vectors],
             [landmark.position for landmark in self.landmarks],
-            [weight for _, weight in vectors],
+            [vector.weight for vector in self.vectors],
             [landmark.weight for landmark in self.landmarks],
         )
 

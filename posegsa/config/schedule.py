@@ -81,8 +81,10 @@ class GainConfig(Section):
     none."""
     error_scale: Positive = 1.0
     """e is divided by this before it is clipped to [0, 1], in the unit of e."""
+    rate: Literal["per_sample", "per_second"] = "per_sample"
+    """What the controller's second input is: |e_k - e_(k-1)|, or that over the time between."""
     rate_scale: NonNegative = 1.0
-    """Factor on |e_k - e_(k-1)|, the change per sample, before it is clipped to [0, 1]."""
+    """Factor on it (no unit, or [s]) before it is clipped to [0, 1]."""
 
 
 class FuzzyConfig(Section):

@@ -204,7 +204,7 @@ def _signal(result: TuneResult) -> list[str]:
         symbols = (
             "R_est: estimated attitude, body to inertial frame; T_est y = R_est y + P_est [m]; "
             "v_i^B: vector as measured, body frame; v_i^I: the same vector, inertial frame"
-            + ("; both at length one" if scenario.normalise_vectors else "")
+            + ("; both at length one" if result.experiment.filter.normalise_vectors else "")
             + "; y_i: landmark as measured, body frame [m]; p_i: its place, inertial frame [m]."
         )
         known = _known(scenario)
@@ -245,9 +245,9 @@ def _known(scenario: ScenarioConfig) -> list[str]:
         f"  v_{i}^I = {vector.direction}, weight {vector.weight!r}"
         for i, vector in enumerate(scenario.vectors, start=1)
     ]
-    if scenario.cross_vector:
+    if False:
         i = len(rows) + 1
-        rows.append(f"  v_{i} = v_1 x v_2, weight {scenario.cross_vector_weight!r}")
+        rows.append(f"  v_{i} = v_1 x v_2, weight ?")
     rows += [
         f"  p_{i} = {landmark.position} m, weight {landmark.weight!r}"
         for i, landmark in enumerate(scenario.landmarks, start=1)

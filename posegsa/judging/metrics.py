@@ -89,7 +89,7 @@ def error_tracks(schedule: GainSchedule, batch: ScenarioBatch) -> ErrorTrack:
 def metrics_of(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[Metrics, Bands]:
     """Metrics on each of a batch's scenarios, and the bands of its errors over time."""
     time = np.asarray(batch.samples.time[0], np.float64)
-    distance, position, gain, bias = (np.asarray(leaf, np.float64) for leaf in tracks)
+    distance, position, gain, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
     angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(distance, 0, 1))))  # NaN stays
     error = distance + float(batch.weights.position) * position
     transient, steady = (

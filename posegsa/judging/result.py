@@ -103,7 +103,7 @@ class TuneResult:
                 self.schedule,
                 jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
                 start,
-                filter_settings(self.experiment.filter, dtype),
+                filter_settings(self.experiment),
                 signal_settings(self.experiment.gain, dtype),
             )
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))

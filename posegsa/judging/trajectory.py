@@ -10,14 +10,14 @@ import numpy as np
 from jax import Array
 
 from posegsa.config import Experiment
-from posegsa.model.family import Family, realise
-from posegsa.model.filter import FilterSettings, initial_state
-from posegsa.model.rollout import Estimates, samples_of, simulate
+from posegsa.model.family import Family
+from posegsa.model.filter import FilterSettings
+from posegsa.model.rollout import Estimates, simulate
 from posegsa.model.scenario import Scenario, Truth
 from posegsa.model.schedules import GainSchedule
 from posegsa.model.se3 import attitude_distance, euler_angles, quaternion, rotation_angle, unstack
 from posegsa.model.signal import SignalSettings
-from posegsa.search.build import family, filter_settings, signal_settings
+from posegsa.search.build import family, filter_settings, prepare_scenario, signal_settings
 
 _COLUMNS = {
     "time": ("time_s",),
@@ -147,9 +147,9 @@ def simulate_scenario(
         key: Scenario key.
     """
     dtype = experiment.run.dtype
-    settings = filter_settings(experiment.filter, dtype)
+    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, dtype)
-    chosen = family(experiment.family, dtype)
+    chosen = family(experiment, dtype)
     return trajectory(*_simulate_scenario(schedule, one, chosen, key, settings, signal))
 
 
@@ -162,7 +162,6 @@ def _simulate_scenario(
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> tuple[Truth, Estimates]:
-    drawn, truth, measurements = realise(one, chosen, key)
-    initial = initial_state(drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate)
-    samples = samples_of(measurements, truth.rotation, truth.position)
+    truth, prepared = prepare_scenario(one, chosen, settings, key)
+    samples, initial = prepared["samples"], prepared["initial"]
     return truth, simulate(schedule, samples, initial, settings, signal)

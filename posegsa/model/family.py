@@ -3,14 +3,25 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, random
 
-from posegsa.model.measurements import Measurements
-from posegsa.model.scenario import Profile, Scenario, Truth, integrate, measure
+from posegsa.model.scenario import Bursts, Profile, Scenario, Sensed, Truth, integrate, measure
 from posegsa.model.se3 import random_rotation
+
+Sensors = Literal["all", "vectors", "landmarks"]
+
+
+class Occasions(NamedTuple):
+    """Something that happens now and then: when it is over, the next is a random time away."""
+
+    rate: Array
+    """How often it begins while it is not there [1/s]."""
+    duration: Array
+    """(2,) least and largest duration [s]."""
 
 
 @partial(
@@ -22,27 +33,66 @@ from posegsa.model.se3 import random_rotation
         "noise_scale",
         "landmark_spread",
         "motion_scale",
+        "vector_bias",
+        "landmark_bias",
+        "angular_drift",
+        "linear_drift",
+        "outages",
+        "bursts",
+        "burst_size",
+        "landmark_interval",
+        "rest",
+        "rest_share",
+        "duration",
     ],
-    meta_fields=["random_phase"],
+    meta_fields=["random_phase", "outage_of", "most_windows"],
 )
 @dataclass(frozen=True)
 class Family:
-    """Ranges that scenarios are drawn from; the ends are traced, which ones there are is not."""
+    """Ranges that scenarios are drawn from; the numbers are traced, which ones there are is not.
+
+    A range is (2,), its least and largest value, drawn uniformly between them; None leaves what it
+    is about as the scenario has it.
+    """
 
     attitude_error: Array | None
-    """(2,) least and largest angle of the initial attitude error [rad], or None: as the
-    scenario's."""
+    """Angle of the initial attitude error [rad]."""
     position_error: Array | None
-    """(2,) length of the initial position error [m], or None: as the scenario's."""
+    """Length of the initial position error [m]."""
     bias_scale: Array | None
-    """(2,) factor on the velocity biases, or None."""
+    """Factor on the velocity biases."""
     noise_scale: Array | None
-    """(2,) factor on all noise levels, or None."""
+    """Factor on all noise levels."""
     landmark_spread: Array
     """Half the width of the cube about each landmark that it is drawn from [m]."""
     motion_scale: Array | None
-    """(2,) factor on the velocities' amplitudes, or None."""
+    """Factor on the velocities' amplitudes."""
+    vector_bias: Array | None
+    """Standard deviation of each component of each vector's bias, in the vector's unit."""
+    landmark_bias: Array | None
+    """Standard deviation of each component of each landmark's bias [m]."""
+    angular_drift: Array | None
+    """Range of the intensity of the angular velocity bias' random walk [rad/s/sqrt(s)]."""
+    linear_drift: Array | None
+    """Range of that of the linear velocity's [m/s/sqrt(s)]."""
+    outages: Occasions | None
+    """Times without measurements of the sensors `outage_of`."""
+    bursts: Occasions | None
+    """Times in which one of the vectors, drawn at random, is disturbed."""
+    burst_size: Array
+    """Length of what is then added to it in a random direction, in the vector's unit."""
+    landmark_interval: Array | None
+    """Range of the time between two measurements of the landmarks [s]."""
+    rest: Array | None
+    """Range of the time at rest at the start [s], for those that begin at rest."""
+    rest_share: Array
+    """Share of the scenarios that begin at rest."""
+    duration: Array | None
+    """Range of the time after which nothing counts any more [s]."""
     random_phase: bool
+    outage_of: Sensors
+    most_windows: int
+    """Most outages and bursts in a scenario; those beyond are left out."""
 
 
 def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
@@ -51,24 +101,21 @@ def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
     What the family does not vary is the given scenario's, bit for bit. Each quantity has a key of
     its own, so that varying one does not change what is drawn of another.
     """
-    names = (
-        "attitude",
-        "axis",
-        "position",
-        "direction",
-        "bias",
-        "noise",
-        "landmarks",
-        "motion",
-        "phase",
-    )
+    first = ("attitude", "axis", "position", "direction", "bias", "noise", "landmarks", "motion")
+    names = (*first, "phase")
     use = dict(zip(names, random.split(key, len(names)), strict=True))
+    later = ("vector_bias", "landmark_bias", "angular_drift", "linear_drift", "outages", "bursts")
+    later += ("landmark_interval", "rest", "duration")
+    use |= {name: random.fold_in(key, i) for i, name in enumerate(later, start=len(names))}
     dtype = scenario.time_step.dtype
-    changed: dict[str, Array | Profile] = {}
+    changed: dict[str, Any] = {}
 
     def unit(key: Array, *shape: int) -> Array:
         # Drawn in float32 whatever the dtype, so that a key means the same scenario in both.
         return random.uniform(key, shape, jnp.float32).astype(dtype)
+
+    def normal(key: Array, *shape: int) -> Array:
+        return random.normal(key, shape, jnp.float32).astype(dtype)
 
     def between(ends: Array, key: Array) -> Array:
         return ends[0] + (ends[1] - ends[0]) * unit(key)
@@ -81,7 +128,7 @@ def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
         R_err = random_rotation(use["axis"], between(family.attitude_error, use["attitude"]))
         changed["rotation_estimate"] = matmul(R_err, scenario.rotation)
     if family.position_error is not None:
-        direction = random.normal(use["direction"], (3,), jnp.float32).astype(dtype)
+        direction = normal(use["direction"], 3)
         length = between(family.position_error, use["position"])
         P_err = length * direction / jnp.linalg.norm(direction)
     if family.attitude_error is not None or family.position_error is not None:
@@ -104,10 +151,56 @@ def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
             turn = 2 * math.pi * unit(phase_key, *profile.phase.shape)
             profile = profile._replace(phase=turn)
         changed[name] = profile
+    for name in ("vector_bias", "landmark_bias"):
+        if (deviation := getattr(family, name)) is not None:
+            changed[name] = deviation * normal(use[name], *getattr(scenario, name).shape)
+    drift = [scenario.bias_drift[:3], scenario.bias_drift[3:]]
+    for i, name in enumerate(("angular_drift", "linear_drift")):
+        if (ends := getattr(family, name)) is not None:
+            drift[i] = jnp.full(3, between(ends, use[name]))
+    changed["bias_drift"] = jnp.concatenate(drift)
+    if family.outages is not None:
+        windows = _windows(family.outages, family.most_windows, use["outages"])
+        for name in ("vectors", "landmarks"):
+            if family.outage_of in ("all", name):
+                changed[f"{name.removesuffix('s')}_outages"] = windows
+    if family.bursts is not None:
+        of_window, of_vector, of_offset = random.split(use["bursts"], 3)
+        direction = normal(of_offset, family.most_windows, 3)
+        length = jnp.linalg.norm(direction, axis=1, keepdims=True)
+        count = scenario.vectors.shape[0]
+        changed["bursts"] = Bursts(
+            window=_windows(family.bursts, family.most_windows, of_window),
+            vector=random.randint(of_vector, (family.most_windows,), 0, count),
+            offset=family.burst_size * direction / length,
+        )
+    if family.landmark_interval is not None:
+        interval = between(family.landmark_interval, use["landmark_interval"])
+        samples = jnp.round(interval / scenario.time_step).astype(jnp.int32)
+        changed["landmark_period"] = jnp.maximum(samples, 1)
+    if family.rest is not None:
+        of_share, of_length = random.split(use["rest"])
+        length = between(family.rest, of_length)
+        rests = jnp.where(unit(of_share) < family.rest_share, length, 0)
+        begin = jnp.stack([jnp.zeros_like(rests), rests])
+        changed["rest"] = jnp.concatenate([scenario.rest, begin[None]])
+    if family.duration is not None:
+        changed["end"] = between(family.duration, use["duration"])
     return replace(scenario, **changed)
 
 
-def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Measurements]:
+def _windows(occasions: Occasions, count: int, key: Array) -> Array:
+    """Beginnings and ends (count, 2) [s] of occasions one after the other."""
+    of_gap, of_duration = random.split(key)
+    dtype = occasions.rate.dtype
+    gaps = random.exponential(of_gap, (count,), jnp.float32).astype(dtype) / occasions.rate
+    low, high = occasions.duration
+    lengths = low + (high - low) * random.uniform(of_duration, (count,), jnp.float32).astype(dtype)
+    ends = jnp.cumsum(gaps + lengths)
+    return jnp.stack([ends - lengths, ends], axis=-1)
+
+
+def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
     """One scenario of a family with its true motion and its measurements (pure, jittable)."""
     of_family, of_noise = random.split(key)
     drawn = draw(scenario, family, of_family)

@@ -1,32 +1,57 @@
 """One step of the nonlinear pose observer on SE(3).
 
-symbol | meaning                              | here                    | shape  | unit, frame
------- | ------------------------------------ | ----------------------- | ------ | ----------------
-R, P   | attitude and position, T = (R, P)    | `signal.TruePose`       | 3x3, 3 | B to I; m, I
-T_est  | their estimate (a hat in the paper)  | `FilterState`           | 4, 3   | quaternion; m, I
-b_est  | estimate of the velocity's bias      | `FilterState`           | 3, 3   | rad/s, m/s, B
-Y_m    | measured [Omega_m; V_m]              | `Sample`                | 3, 3   | rad/s, m/s, B
-v_i    | a vector, measured in B, known in I  | `Sample.profile`        | 3      | 1, B and I
-y_i    | a landmark as seen from the body     | `landmarks[i].body`     | 3      | m, B
-p_i    | its known position                   | `landmarks[i].inertial` | 3      | m, I
-s_i    | weight of a vector (R), landmark (L) | `weight`                | -      | 1 (R), 1/m^2 (L)
-x_i    | T_est y_i                            | `seen_from_estimate`    | 3      | m, I
-U      | innovation [u_1; u_2]                | `Innovation`            | 3, 3   | 1, 1/m; I
-W      | correction of the body velocity      | `Correction`            | 3, 3   | as U; B
-K      | gain                                 | `gain`                  | -      | 1/s
-gamma  | gains of the bias law, for both      | `FilterSettings`        | 2      | 1/s^2
-L      | curvature: K dt L < 2 is stable      | `Innovation.curvature`  | -      | 1
-c      | gain limit, K <= c / (dt L)          | `gain_limit`            | -      | 1
-n      | sub-steps in a sample                | `substeps`              | -      | 1
+symbol  | meaning                              | here                    | shape  | unit, frame
+------- | ------------------------------------ | ----------------------- | ------ | ----------------
+R, P    | attitude and position, T = (R, P)    | `signal.TruePose`       | 3x3, 3 | B to I; m, I
+T_est   | their estimate (a hat in the paper)  | `FilterState`           | 4, 3   | quaternion; m, I
+b_est   | estimate of the velocity's bias      | `FilterState`           | 3, 3   | rad/s, m/s, B
+c_i     | estimate of a vector's bias          | `FilterState`           | 3      | as the vector; B
+Y_m     | measured [Omega_m; V_m]              | `Sample`                | 3, 3   | rad/s, m/s, B
+v_i     | a vector, measured in B, known in I  | `vectors`               | 3      | B and I
+u_i     | what is made of it, and of its bias  | `vectors.Wahba`         | 3      | B
+y_i     | a landmark as seen from the body     | `landmarks[i].body`     | 3      | m, B
+p_i     | its known position                   | `landmarks[i].inertial` | 3      | m, I
+s_i     | weight of a vector (R), landmark (L) | `FilterSettings`        | -      | 1 (R), 1/m^2 (L)
+x_i     | T_est y_i                            | `seen_from_estimate`    | 3      | m, I
+U       | innovation [u_1; u_2]                | `Innovation`            | 3, 3   | 1, 1/m; I
+W       | correction of the body velocity      | `Correction`            | 3, 3   | as U; B
+K       | gain                                 | `gain`                  | -      | 1/s
+gamma   | gains of the bias law, for both      | `FilterSettings`        | 2      | 1/s^2
+gamma_c | gain of the vectors' bias law        | `VectorBias.gain`       | -      | 1/s
+L       | curvature: K dt L < 2 is stable      | `Innovation.curvature`  | -      | 1
+c       | gain limit, K <= c / (dt L)          | `gain_limit`            | -      | 1
+n       | sub-steps in a sample                | `substeps`              | -      | 1
 
 The observer (Eq. 9 of the paper, after Hua et al. 2011, "Observer design on the special Euclidean
 group SE(3)", IEEE Conference on Decision and Control):
-    U = 1/2 sum_i s_i^L (T_est y_i) ^ p_i + 1/2 sum_i s_i^R (R_est v_i^B) ^ v_i^I
+    U = 1/2 sum_i s_i^L (T_est y_i) ^ p_i + 1/2 sum_i s_i^R (R_est u_i) ^ v_i^I
     dT_est/dt = T_est [Y_m - b_est + K W]^
     law "gradient":  W = Ad(T_est^-1) U,  db_est/dt = -gamma Ad(T_est)^T U
     law "printed":   W = Ad(T_est)^T U,   db_est/dt = -gamma Ad(T_est^-1) U
 The paper prints the second. With the first, the spatial velocity error is K U - Ad(T_est) b_err and
 the cost's derivative -K |U|^2: it is the law for which the observer's Lyapunov argument holds.
+
+Gains that go together. A constant gamma is too little for a high K and rings with a low one: the
+pair behaves like an oscillator of frequency sqrt(gamma L) damped by K L. So gamma can follow the
+gain that is used, after its limit:
+    "fixed":      gamma = g
+    "linear":     gamma = g (K / 10)
+    "quadratic":  gamma = g (K / 10)^2, a constant damping
+with K in 1/s, so that g [1/s^2] is always gamma at K = 10/s; and gamma h <= K in each sub-step h,
+without which the explicit step is unstable. What holds in theory: with f the cost whose gradient U
+is and constant gamma, f + |b_err|^2 / (2 gamma) never rises (without noise). With a changing gamma
+that function serves while gamma rises and gamma f + |b_err|^2 / 2 while it falls; over both it is
+enough that log gamma has bounded variation, which a gain that settles has.
+
+The vectors' biases. The sensor model has them (Eq. 2); while they are ignored they make nearly all
+of the steady error. With c_i the estimated bias, d_i = v_i^B - c_i,
+    dc_i/dt = gamma_c (d_i - R_est^T v_i^I) - leak c_i,   |c_i| <= bound,
+descends 1/2 |R_est d_i - v_i^I|^2, and U is made of the u_i, that is of d_i normalised (`vectors`).
+Rotation tells c_i from an error of R_est; without it the two can't be told apart along three
+directions. So gamma_c is multiplied by min(1, (w / w_0)^4), w the length of the low-passed
+angular velocity: at rest the c_i stay as they are. There is no Lyapunov proof for a
+rotating body: df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i) of either sign. That pose
+and all biases converge without noise is measured (`tests/model/test_filter_convergence.py`).
 """
 
 from dataclasses import dataclass
@@ -41,8 +66,10 @@ from jax.typing import ArrayLike, DTypeLike
 
 from posegsa.arguments import check_type, fitting
 from posegsa.errors import MeasurementError
-from posegsa.model.elementwise import choose, minimum
-from posegsa.model.measurements import Measurements, Sample, finite_array, numeric_array, prepare
+from posegsa.model.elementwise import choose, maximum, minimum
+from posegsa.model.measurements import Measurements, finite_array, numeric_array
+from posegsa.model.sample import Sample, prepare
+from posegsa.model.schedules import Gains
 from posegsa.model.se3 import (
     Matrix3,
     Quaternion,
@@ -62,28 +89,66 @@ from posegsa.model.se3 import (
     unrotate,
     unstack,
 )
+from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
 Law = Literal["gradient", "printed"]
+GammaLaw = Literal["fixed", "linear", "quadratic"]
+
+REFERENCE_GAIN = 10.0
+"""The gain K [1/s] at which gamma is what it is said to be, whatever follows the gain."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class VectorBias:
+    """How the vectors' biases are learnt; all traced."""
+
+    gain: Array
+    """gamma_c [1/s]."""
+    leak: Array
+    """Rate at which an estimate is forgotten [1/s]."""
+    per_bound: Array
+    """1 / bound^2, bound the largest length of an estimate, in the vector's unit: a wrong c_i can
+    make up for a wrong attitude."""
+    per_turning: Array
+    """1 / w_0^4, w_0 the angular velocity [rad/s] from which on all of the gain is used."""
+    excitation_time: Array
+    """Time constant of the low-pass filter of the angular velocity [s]."""
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["gamma_angular", "gamma_linear", "gain_limit"],
-    meta_fields=["law", "substeps"],
+    data_fields=[
+        "gamma_angular",
+        "gamma_linear",
+        "gain_limit",
+        "vectors",
+        "landmark_weights",
+        "vector_bias",
+    ],
+    meta_fields=["law", "gamma_law", "substeps"],
 )
 @dataclass(frozen=True)
 class FilterSettings:
-    """How a step is made. `law` and `substeps` are structure; the numbers are traced."""
+    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced."""
 
     law: Law
+    gamma_law: GammaLaw
+    """How gamma follows the gain."""
     substeps: int
     """n, inner steps per sample."""
     gamma_angular: Array
-    """gamma of the angular velocity's bias [1/s^2]."""
+    """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
     gamma_linear: Array
-    """gamma of the linear velocity's bias [1/s^2]."""
+    """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
     gain_limit: Array
     """c; infinite for no limit."""
+    vectors: VectorSettings
+    """What is made of the vectors before they are used."""
+    landmark_weights: tuple[Array, ...] | None
+    """s_i^L of each landmark [1/m^2]; None is 1 for all."""
+    vector_bias: VectorBias | None
+    """How the vectors' biases are learnt; None where they are not."""
 
 
 class FilterState(NamedTuple):
@@ -97,6 +162,10 @@ class FilterState(NamedTuple):
     """b_est of the angular velocity [rad/s], body frame."""
     bias_linear: Vec3
     """b_est of the linear velocity [m/s], body frame."""
+    vector_biases: tuple[Vec3, ...] = ()
+    """c_i of each vector, body frame, in its unit; () where they are not learnt."""
+    turning: Vec3 | tuple[()] = ()
+    """Low-passed measured angular velocity [rad/s], body frame; () likewise."""
 
     @property
     def rotation(self) -> Array:
@@ -113,6 +182,13 @@ class FilterState(NamedTuple):
         """b_est (..., 6) [rad/s, m/s], body frame, angular first."""
         return stack(self.bias_angular + self.bias_linear)
 
+    @property
+    def vector_bias(self) -> Array:
+        """C (..., n, 3) of n vectors, body frame; n is 0 where they are not learnt."""
+        if not self.vector_biases:
+            return jnp.zeros((*self.place[0].shape, 0, 3), self.place[0].dtype)
+        return jnp.stack([stack(c) for c in self.vector_biases], axis=-2)
+
 
 class Innovation(NamedTuple):
     """U = [u_1; u_2] and the curvature bound L of the cost whose gradient it is."""
@@ -123,7 +199,7 @@ class Innovation(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """W and the bias' rate, both in the body frame."""
+    """W, and what -gamma is multiplied with in the bias law, both in the body frame."""
 
     angular: Vec3
     linear: Vec3
@@ -131,8 +207,22 @@ class Correction(NamedTuple):
     bias_linear: Vec3
 
 
+class Seen(NamedTuple):
+    """What the filter makes of a sample with its estimates so far."""
+
+    wahba: Wahba
+    freed: tuple[Vec3, ...]
+    """d_i = v_i^B - c_i; () where the biases are not learnt."""
+    landmark_weights: tuple[Array, ...]
+    """s_i^L, 0 where a landmark is missing."""
+
+
 def initial_state(
-    rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None = None
+    rotation: ArrayLike,
+    position: ArrayLike,
+    bias: ArrayLike | None = None,
+    *,
+    learnt_vectors: int = 0,
 ) -> FilterState:
     """Filter state from arrays.
 
@@ -140,6 +230,7 @@ def initial_state(
         rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
         position: (..., 3) P_est [m], inertial frame.
         bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
+        learnt_vectors: Number of vectors whose biases are learnt, all from 0.
 
     Raises:
         MeasurementError: wrong shape or no numbers; names the argument.
@@ -155,11 +246,14 @@ def initial_state(
     w, x, y, z = unstack(quaternion(R))
     px, py, pz = unstack(P)
     b0, b1, b2, b3, b4, b5 = unstack(b)
+    zero = (jnp.zeros_like(px),) * 3
     return FilterState(
         attitude=(w, x, y, z),
         place=(px, py, pz),
         bias_angular=(b0, b1, b2),
         bias_linear=(b3, b4, b5),
+        vector_biases=(zero,) * learnt_vectors,
+        turning=zero if learnt_vectors else (),
     )
 
 
@@ -198,18 +292,29 @@ def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[
     return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
 
 
-def innovation(state: FilterState, sample: Sample) -> Innovation:
+def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
+    """What the filter makes of a sample: vectors freed of their biases, and weights."""
+    if isinstance(sample.vectors, Wahba):
+        wahba, freed = sample.vectors, ()
+    else:
+        wahba, freed = corrected(sample.vectors, state.vector_biases, settings.vectors)
+    factors = [landmark.factor for landmark in sample.landmarks]
+    weights = settings.landmark_weights or [jnp.ones_like(f) for f in factors]
+    return Seen(wahba, freed, tuple(s * f for s, f in zip(weights, factors, strict=True)))
+
+
+def innovation(state: FilterState, sample: Sample, seen: Seen) -> Innovation:
     """U (Eq. 9) and L.
 
-    The vectors' part of u_1 is the antisymmetric part of R_est B, since (R v^B) x v^I is that of
-    (R v^B)(v^I)^T. U is minus the gradient of
-        f = 1/4 sum s_i^L |x_i - p_i|^2 + 1/4 sum s_i^R |R_est v_i^B - v_i^I|^2,
+    The vectors' part of u_1 is the antisymmetric part of R_est B, since (R u) x v is that of
+    (R u) v^T. U is minus the gradient of
+        f = 1/4 sum s_i^L |x_i - p_i|^2 + 1/4 sum s_i^R |R_est u_i - v_i^I|^2,
     and L bounds its Hessian:
-        L = 1/2 sum s_i^R |v_i^B||v_i^I|
+        L = 1/2 sum s_i^R |u_i||v_i^I|
           + 1/4 sum s_i^L [1 + |x_i||p_i| + sqrt((1 + |x_i|^2)(1 + |p_i|^2))].
     """
     R = rows(state.attitude)
-    columns = tuple(zip(*sample.profile, strict=True))
+    columns = tuple(zip(*seen.wahba.profile, strict=True))
     # (R B)_ij is row i of R times column j of B; only the six off the diagonal are needed.
     u1: Vec3 = (
         dot(R[1], columns[2]) - dot(R[2], columns[1]),
@@ -218,53 +323,67 @@ def innovation(state: FilterState, sample: Sample) -> Innovation:
     )
     zero = jnp.zeros_like(state.place[0])
     u2: Vec3 = (zero, zero, zero)
-    curvature = sample.vector_curvature
-    for x, landmark in zip(seen_from_estimate(state, R, sample), sample.landmarks, strict=True):
+    curvature = seen.wahba.curvature
+    points = seen_from_estimate(state, R, sample)
+    for x, landmark, s in zip(points, sample.landmarks, seen.landmark_weights, strict=True):
         p = landmark.inertial
-        u1 = add(u1, scale(landmark.weight, cross(x, p)))
-        u2 = add(u2, scale(landmark.weight, subtract(p, x)))
+        u1 = add(u1, scale(s, cross(x, p)))
+        u2 = add(u2, scale(s, subtract(p, x)))
         x2, p2 = dot(x, x), dot(p, p)
         product = safe_sqrt(x2 * p2) + jnp.sqrt((1 + x2) * (1 + p2))
-        curvature = curvature + 0.25 * landmark.weight * (1 + product)
+        curvature = curvature + 0.25 * s * (1 + product)
     return Innovation(scale(0.5, u1), scale(0.5, u2), curvature)
 
 
-def correction(state: FilterState, U: Innovation, settings: FilterSettings) -> Correction:
-    """W and db_est/dt of the law (Eq. 9, and the module's head)."""
+def correction(state: FilterState, U: Innovation, law: Law) -> Correction:
+    """W, and the bias law without its gains (Eq. 9, and the module's head)."""
     R, P = rows(state.attitude), state.place
     # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2].
     inverse = unrotate(R, U.angular), unrotate(R, subtract(U.linear, cross(P, U.angular)))
     transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, U.linear)
-    W, bias = (inverse, transpose) if settings.law == "gradient" else (transpose, inverse)
-    return Correction(
-        *W, scale(-settings.gamma_angular, bias[0]), scale(-settings.gamma_linear, bias[1])
-    )
+    W, bias = (inverse, transpose) if law == "gradient" else (transpose, inverse)
+    return Correction(*W, *bias)
+
+
+def bias_gains(used: Array, h: Array, settings: FilterSettings) -> tuple[Array, Array]:
+    """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step of h [s]."""
+    gammas = settings.gamma_angular, settings.gamma_linear
+    if settings.gamma_law == "fixed":
+        return gammas
+    relative = used * (1 / REFERENCE_GAIN)
+    follow = relative if settings.gamma_law == "linear" else relative * relative
+    stable = used * (1 / h)
+    angular, linear = (minimum(gamma * follow, stable) for gamma in gammas)
+    return angular, linear
 
 
 def observe(
-    state: FilterState, sample: Sample, gain: Array, settings: FilterSettings
+    state: FilterState, sample: Sample, seen: Seen, gains: Gains, settings: FilterSettings
 ) -> tuple[FilterState, Array]:
     """One sample, by components: n sub-steps with the measurement held (pure, no arrays packed).
 
     Each sub-step makes the correction and the bias law last dt/n; the measured velocity moves the
     estimate over the whole dt in the last one only, because an estimate moved against a held
-    measurement is biased (1.1 cm with n = 2 on the paper's scenario).
+    measurement is biased (1.1 cm with n = 2 on the paper's scenario). The vectors' biases make one
+    step of dt.
 
     Args:
         state: estimate at the sample.
         sample: what was measured there.
-        gain: K [1/s], of the batch shape.
-        settings: law, sub-steps, gamma, gain limit.
+        seen: what the filter makes of it (`see`).
+        gains: K [1/s], of the batch shape, and how much of the vectors' biases is learnt.
+        settings: laws, sub-steps, gains, gain limit.
 
     Returns:
         The estimate at the next sample, and the mean gain used in the sub-steps after the limit.
     """
-    n = settings.substeps
-    h = sample.time_step / n
-    used_total = jnp.zeros_like(gain)
+    n, dt = settings.substeps, sample.time_step
+    h = dt / n
+    gain, used_total = gains.gain, jnp.zeros_like(gains.gain)
+    vector_biases, turning = _learn(state, sample, seen, gains.learning, settings)
     for j in range(n):
-        U = innovation(state, sample)
-        W = correction(state, U, settings)
+        U = innovation(state, sample, seen)
+        W = correction(state, U, settings.law)
         # K h L <= c < 2: a gradient step that does not overshoot. L = 0 without measurements,
         # where there is nothing to limit, nor a derivative of a division by 0.
         length = h * U.curvature
@@ -273,17 +392,48 @@ def observe(
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:
-            dt = sample.time_step
             omega = add(omega, scale(dt, subtract(sample.angular_velocity, state.bias_angular)))
             v = add(v, scale(dt, subtract(sample.velocity, state.bias_linear)))
         attitude, place = move(state.attitude, state.place, omega, v)
-        state = FilterState(
-            attitude,
-            place,
-            add(state.bias_angular, scale(h, W.bias_angular)),
-            add(state.bias_linear, scale(h, W.bias_linear)),
+        gamma_angular, gamma_linear = bias_gains(used, h, settings)
+        state = state._replace(
+            attitude=attitude,
+            place=place,
+            bias_angular=add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
+            bias_linear=add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
         )
-    return state, used_total / n
+    return state._replace(vector_biases=vector_biases, turning=turning), used_total / n
+
+
+def _learn(
+    state: FilterState,
+    sample: Sample,
+    seen: Seen,
+    learning: Array | float,
+    settings: FilterSettings,
+) -> tuple[tuple[Vec3, ...], Vec3 | tuple[()]]:
+    """One step of the vectors' bias law: c_i, and the low-passed angular velocity, after it."""
+    law, turning = settings.vector_bias, state.turning
+    if law is None or isinstance(sample.vectors, Wahba) or not turning:
+        return state.vector_biases, turning
+    dt, R = sample.time_step, rows(state.attitude)
+    new = dt / (law.excitation_time + dt)
+    turning = add(turning, scale(new, subtract(sample.angular_velocity, turning)))
+    w = subtract(turning, state.bias_angular)
+    w2 = dot(w, w)
+    share = learning * dt * law.gain * minimum(law.per_turning * w2 * w2, 1.0)
+    kept = 1 - dt * law.leak
+    biases = []
+    for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):
+        residual = subtract(d, unrotate(R, vector.known))
+        # A vector that is missing teaches nothing.
+        now = choose(vector.factor > 0, share, jnp.zeros_like(share))
+        c = add(scale(kept, c), scale(now, residual))
+        # With x = |c| / bound, x (3 - x^2) / 2 <= 1: a Newton step back to the bound, with neither
+        # a square root nor a division.
+        excess = law.per_bound * dot(c, c)
+        biases.append(scale(choose(excess > 1, maximum(1.5 - 0.5 * excess, 0.0), 1.0), c))
+    return tuple(biases), turning
 
 
 def step(
@@ -312,4 +462,5 @@ def _step(
     state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
 ) -> FilterState:
     K = jnp.asarray(gain, state.place[0].dtype)
-    return observe(state, prepare(measurement), K, settings)[0]
+    sample = prepare(measurement, settings.vectors)
+    return observe(state, sample, see(state, sample, settings), Gains(K), settings)[0]

@@ -1,14 +1,9 @@
-"""What the sensors say: user-facing measurement arrays, and the components that the hot loop reads.
+"""What the sensors say, as arrays.
 
 A sequence of N samples is one `Measurements`, time-major. Time steps and weights are per sample:
 uneven sampling is a time step that changes, a missing vector or landmark is a weight of 0 (its
-value may then be anything, NaN included).
-
-`prepare` turns measurements into `Sample`: everything about a sample that does not depend on the
-estimate, computed once for all agents. The body vectors enter the filter and its error signal only
-through Wahba's attitude profile matrix B = sum_i s_i v_i^B (v_i^I)^T (Wahba 1965; Markley and
-Crassidis 2014, Eq. 5.5), so that a step costs the same for 2 vectors and for 200. Landmarks enter
-one by one.
+value may then be anything, NaN included). Vectors are as their sensor has them: whether they are
+normalised, and joined by their cross product, is for the filter to say (`vectors`).
 """
 
 from typing import NamedTuple
@@ -22,7 +17,6 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_dtype
 from posegsa.errors import MeasurementError
-from posegsa.model.se3 import Matrix3, Vec3, safe_sqrt, unstack
 
 
 class Measurements(NamedTuple):
@@ -38,17 +32,17 @@ class Measurements(NamedTuple):
     velocity: Array
     """(N, 3) V_m, body frame [m/s]."""
     vectors: Array
-    """(N, n, 3) v_i^B, body frame, as the filter is to use them (normalised or not)."""
+    """(N, n, 3) v_i^B, body frame, in the unit of their sensor."""
     vector_references: Array
-    """(N, n, 3) v_i^I, the same directions in the inertial frame."""
+    """(N, n, 3) v_i^I, the same in the inertial frame."""
     vector_weights: Array
-    """(N, n) s_i^R, 0 where the vector is missing."""
+    """(N, n) factor on the filter's weight s_i^R, 0 where the vector is missing."""
     landmarks: Array
     """(N, m, 3) y_i, landmark positions in the body frame [m]."""
     landmark_references: Array
     """(N, m, 3) p_i, landmark positions in the inertial frame [m]."""
     landmark_weights: Array
-    """(N, m) s_i^L, 0 where the landmark is missing."""
+    """(N, m) factor on the filter's weight s_i^L, 0 where the landmark is missing."""
 
     def at(self, k: int | slice) -> "Measurements":
         """Sample k, without the time axis, or a range of samples with it."""
@@ -67,7 +61,6 @@ class Measurements(NamedTuple):
         landmarks: ArrayLike | None = None,
         landmark_references: ArrayLike | None = None,
         landmark_weights: ArrayLike | None = None,
-        normalise_vectors: bool = True,
         dtype: np.dtype | type = np.float32,
     ) -> "Measurements":
         """Checked measurements from a user's own arrays (on the host, not inside jit).
@@ -78,12 +71,13 @@ class Measurements(NamedTuple):
             velocity: (N, 3) linear velocity, body frame [m/s].
             vectors: (N, n, 3) body-frame vectors; NaN marks a missing one.
             vector_references: (n, 3) or (N, n, 3), the same vectors in the inertial frame.
-            vector_weights: scalar, (n,) or (N, n), s_i^R, not negative; default 1.
+            vector_weights: scalar, (n,) or (N, n), factors on the filter's weights s_i^R, not
+                negative; default 1.
             landmarks: (N, m, 3) landmark positions in the body frame [m]; NaN marks a missing one.
             landmark_references: (m, 3) or (N, m, 3), their inertial positions [m].
-            landmark_weights: scalar, (m,) or (N, m), s_i^L [1/m^2], not negative; default 1, which
-                is for landmarks within a few metres: about 1 / distance^2 for those farther away.
-            normalise_vectors: scale vectors and references to unit length (Eq. 3).
+            landmark_weights: scalar, (m,) or (N, m), factors on the filter's weights s_i^L, not
+                negative; default 1, which is for landmarks within a few metres: about
+                1 / (distance in m)^2 for those farther away.
             dtype: floating type of the result.
 
         Returns:
@@ -109,8 +103,6 @@ class Measurements(NamedTuple):
         y, y_ref, y_weight = _sightings(
             "landmark", landmarks, landmark_references, landmark_weights, samples
         )
-        if normalise_vectors:
-            v, v_ref = _unit(v), _unit(v_ref)
         values = {
             "time_step": step,
             "angular_velocity": omega,
@@ -133,106 +125,7 @@ class Measurements(NamedTuple):
         if any(isinstance(a, Tracer) for a in self):
             return self
         dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
-        return Measurements.from_arrays(**self._asdict(), normalise_vectors=False, dtype=dtype)
-
-
-class LandmarkSample(NamedTuple):
-    """One landmark in one sample, by components."""
-
-    body: Vec3
-    """y_i [m]."""
-    inertial: Vec3
-    """p_i [m]."""
-    weight: Array
-    """s_i^L."""
-    share: Array
-    """s_i^L / sum_j s_j^L, 0 where no landmark is seen."""
-
-
-class Sample(NamedTuple):
-    """What one sample tells the filter, by components of any common batch shape."""
-
-    time_step: Array
-    """[s]."""
-    angular_velocity: Vec3
-    """[rad/s], body frame."""
-    velocity: Vec3
-    """[m/s], body frame."""
-    profile: Matrix3
-    """B = sum_i s_i^R v_i^B (v_i^I)^T, by rows."""
-    vector_power: Array
-    """sum_i s_i^R (|v_i^B|^2 + |v_i^I|^2)."""
-    vector_curvature: Array
-    """1/2 sum_i s_i^R |v_i^B| |v_i^I|, the vectors' part of the curvature bound L."""
-    attitude_scale: Array
-    """3 / (8 sum_i s_i^R), 0 where no vector is seen."""
-    landmarks: tuple[LandmarkSample, ...]
-
-
-def inverse_or_zero(a: Array) -> Array:
-    """1/a, and 0 where a is 0."""
-    return jnp.where(a > 0, 1 / jnp.where(a > 0, a, 1.0), 0.0)
-
-
-def prepare(measurements: Measurements) -> Sample:
-    """Everything that the filter needs of the measurements, by components (pure, jittable).
-
-    Works with and without the time axis; components have the shape of `time_step`.
-    """
-    weights = measurements.vector_weights
-    # 0 * NaN is NaN: a missing measurement is masked, not only weighted.
-    body = jnp.where(weights[..., None] > 0, measurements.vectors, 0.0)
-    inertial = measurements.vector_references
-    profile = jnp.einsum("...n,...ni,...nj->...ij", weights, body, inertial, precision="highest")
-    body_square = jnp.sum(body * body, axis=-1)
-    inertial_square = jnp.sum(inertial * inertial, axis=-1)
-    lengths = safe_sqrt(body_square) * safe_sqrt(inertial_square)
-
-    landmark_weights = measurements.landmark_weights
-    share = landmark_weights * inverse_or_zero(jnp.sum(landmark_weights, axis=-1))[..., None]
-    seen = jnp.where(landmark_weights[..., None] > 0, measurements.landmarks, 0.0)
-    landmarks = tuple(
-        LandmarkSample(
-            body=_vec3(seen[..., i, :]),
-            inertial=_vec3(measurements.landmark_references[..., i, :]),
-            weight=landmark_weights[..., i],
-            share=share[..., i],
-        )
-        for i in range(landmark_weights.shape[-1])
-    )
-    return Sample(
-        time_step=measurements.time_step,
-        angular_velocity=_vec3(measurements.angular_velocity),
-        velocity=_vec3(measurements.velocity),
-        profile=(_vec3(profile[..., 0, :]), _vec3(profile[..., 1, :]), _vec3(profile[..., 2, :])),
-        vector_power=jnp.sum(weights * (body_square + inertial_square), axis=-1),
-        vector_curvature=0.5 * jnp.sum(weights * lengths, axis=-1),
-        attitude_scale=0.375 * inverse_or_zero(jnp.sum(weights, axis=-1)),
-        landmarks=landmarks,
-    )
-
-
-def _vec3(a: Array) -> Vec3:
-    x, y, z = unstack(a)
-    return x, y, z
-
-
-def normalised(vectors: Array) -> Array:
-    """Vectors (..., 3) of unit length (Eq. 3); a vector of length 0 stays 0."""
-    square = jnp.sum(vectors * vectors, axis=-1, keepdims=True)
-    return vectors * inverse_or_zero(safe_sqrt(square))
-
-
-def with_cross_vector(vectors: Array) -> Array:
-    """Vectors (..., n, 3) with v_1 x v_2 appended, (..., n + 1, 3) (Section V of the paper)."""
-    product = jnp.cross(vectors[..., 0, :], vectors[..., 1, :])
-    return jnp.concatenate([vectors, product[..., None, :]], axis=-2)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) at length one, on the host; a vector of length 0 stays 0."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
+        return Measurements.from_arrays(**self._asdict(), dtype=dtype)
 
 
 def finite_array(

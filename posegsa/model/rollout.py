@@ -14,11 +14,13 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting
 from posegsa.model.cost import CostParts, CostWeights, sample_error
-from posegsa.model.filter import FilterSettings, FilterState, observe
-from posegsa.model.measurements import Measurements, Sample, prepare
+from posegsa.model.filter import FilterSettings, FilterState, observe, see
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
 from posegsa.model.se3 import quaternion, unstack
 from posegsa.model.signal import (
+    Measured,
     SignalMemory,
     SignalSettings,
     TruePose,
@@ -27,6 +29,7 @@ from posegsa.model.signal import (
     pose_errors,
     scheduled_gain,
 )
+from posegsa.model.vectors import VectorSettings
 
 
 class Samples(NamedTuple):
@@ -69,6 +72,8 @@ class Estimates(NamedTuple):
     """(N, 3) P_est [m], inertial frame."""
     bias: Array
     """(N, 6) b_est [rad/s, m/s], body frame, angular first."""
+    vector_bias: Array
+    """(N, n, 3) c_i of each vector, body frame, in its unit; n is 0 where they are not learnt."""
     gain: Array
     """(N,) the gain K that the schedule asked for [1/s]."""
     gain_used: Array
@@ -90,6 +95,8 @@ class ErrorTrack(NamedTuple):
     """(N,) the gain K that was used, after the limit [1/s]."""
     bias: Array
     """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
+    vector_bias: Array
+    """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 where none is learnt."""
 
     def select(self, scenarios: slice) -> "ErrorTrack":
         """Some of the scenarios, of leaves (S, ...)."""
@@ -97,12 +104,16 @@ class ErrorTrack(NamedTuple):
 
 
 def samples_of(
-    measurements: Measurements, rotation: Array | None = None, position: Array | None = None
+    measurements: Measurements,
+    vectors: VectorSettings,
+    rotation: Array | None = None,
+    position: Array | None = None,
 ) -> Samples:
     """Measurements, and the truth where it is known, in the form of the loop (pure, jittable).
 
     Args:
         measurements: N samples.
+        vectors: what the filter makes of vectors.
         rotation: (N, 3, 3) true R.
         position: (N, 3) true P [m].
     """
@@ -113,7 +124,7 @@ def samples_of(
         w, x, y, z = unstack(quaternion(rotation))
         ox, oy, oz = unstack(jnp.einsum("nji,nj->ni", rotation, position, precision="highest"))
         truth = TruePose(attitude=(w, x, y, z), origin=(ox, oy, oz))
-    return Samples(time, prepare(measurements), truth)
+    return Samples(time, prepare(measurements, vectors), truth)
 
 
 def _closed_loop_step(
@@ -124,15 +135,16 @@ def _closed_loop_step(
     signal: SignalSettings,
 ) -> tuple[ClosedLoop, StepRecord]:
     """One sample of the closed loop: signal, gain, filter step."""
+    seen = see(loop.state, now.sample, settings)
     if signal.signal == "pose":
-        errors = pose_errors(loop.state, now.truth)
+        errors = Measured(*pose_errors(loop.state, now.truth), True, True)
     else:
-        errors = measured_errors(loop.state, now.sample)
-    gain, inputs, memory = scheduled_gain(
+        errors = measured_errors(loop.state, now.sample, seen)
+    gains, inputs, memory = scheduled_gain(
         schedule, loop.memory, errors, now.time, now.sample.time_step, signal
     )
-    state, used = observe(loop.state, now.sample, gain, settings)
-    return ClosedLoop(state, memory), StepRecord(inputs, gain, used)
+    state, used = observe(loop.state, now.sample, seen, gains, settings)
+    return ClosedLoop(state, memory), StepRecord(inputs, gains.gain, used)
 
 
 Look = Callable[[Any, FilterState, StepRecord, Samples, Any], tuple[Any, Any]]
@@ -236,6 +248,7 @@ def simulate(
         rotation=states.rotation,
         position=states.position,
         bias=states.bias,
+        vector_bias=states.vector_bias,
         gain=records.gain,
         gain_used=records.gain_used,
         error=records.inputs.error,
@@ -259,7 +272,13 @@ def simulate_errors(
 
     last, _, errors = _simulate(look, schedule, samples, initial, settings, signal)
     attitude, position, gain = errors
-    return ErrorTrack(attitude=attitude, position=position, gain=gain, bias=last.bias)
+    return ErrorTrack(
+        attitude=attitude,
+        position=position,
+        gain=gain,
+        bias=last.bias,
+        vector_bias=last.vector_bias,
+    )
 
 
 def begin(schedule: GainSchedule, initial: FilterState) -> ClosedLoop:
@@ -316,7 +335,7 @@ def _scheduled_step(
     time: ArrayLike,
 ) -> tuple[ClosedLoop, Array]:
     since_start = jnp.asarray(time, measurement.time_step.dtype)
-    now = Samples(since_start, prepare(measurement), None)
+    now = Samples(since_start, prepare(measurement, settings.vectors), None)
     after, record = _closed_loop_step(loop, now, schedule.prepare(), settings, signal)
     return after, record.gain
 
@@ -347,4 +366,10 @@ def run_filter(
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
     with fitting("run_filter"):
-        return simulate(schedule, samples_of(measurements.checked()), initial, settings, signal)
+        return simulate(
+            schedule,
+            samples_of(measurements.checked(), settings.vectors),
+            initial,
+            settings,
+            signal,
+        )

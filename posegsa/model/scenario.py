@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from posegsa.model.measurements import Measurements, normalised, with_cross_vector
+from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import move, quaternion, rotation_matrix, stack, unstack
 
 
@@ -28,30 +28,46 @@ class Profile(NamedTuple):
         return jnp.sum(self.amplitude[None] * jnp.sin(angle), axis=-1)
 
 
+class Bursts(NamedTuple):
+    """Times in which one vector is disturbed by a constant, in the body frame."""
+
+    window: Array
+    """(w, 2) beginning and end [s]."""
+    vector: Array
+    """(w,) which vector."""
+    offset: Array
+    """(w, 3) what is added to it, in its unit."""
+
+
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=[
         "time_step",
         "angular_velocity",
         "velocity",
+        "rest",
         "bias",
+        "bias_drift",
         "angular_noise",
         "linear_noise",
         "vectors",
         "vector_bias",
         "vector_noise",
-        "vector_weights",
+        "vector_outages",
+        "bursts",
         "landmarks",
         "landmark_bias",
         "landmark_noise",
-        "landmark_weights",
+        "landmark_outages",
+        "landmark_period",
         "rotation",
         "position",
         "rotation_estimate",
         "position_estimate",
         "bias_estimate",
+        "end",
     ],
-    meta_fields=["samples", "cross_vector", "normalise_vectors"],
+    meta_fields=["samples"],
 )
 @dataclass(frozen=True)
 class Scenario:
@@ -59,36 +75,42 @@ class Scenario:
 
     samples: int
     """N."""
-    cross_vector: bool
-    normalise_vectors: bool
     time_step: Array
     """[s]"""
     angular_velocity: Profile
     """Omega, body frame [rad/s]."""
     velocity: Profile
     """V, body frame [m/s]."""
+    rest: Array
+    """(r, 2) beginning and end [s] of each time at rest, where both velocities are 0."""
     bias: Array
-    """(6,) b, body frame [rad/s, m/s], angular first."""
+    """(6,) b at the start, body frame [rad/s, m/s], angular first."""
+    bias_drift: Array
+    """(6,) intensity of the random walk of b [rad/s/sqrt(s), m/s/sqrt(s)]."""
     angular_noise: Array
     """Standard deviation [rad/s]."""
     linear_noise: Array
     """Standard deviation [m/s]."""
     vectors: Array
-    """(n, 3) v_i^I, without the cross product."""
+    """(n, 3) v_i^I."""
     vector_bias: Array
     """(n, 3) body frame."""
     vector_noise: Array
     """(n,) standard deviations."""
-    vector_weights: Array
-    """(n,) s_i^R, or (n + 1,) with the cross product's last."""
+    vector_outages: Array
+    """(w, 2) beginning and end [s] of each time without any vector."""
+    bursts: "Bursts"
+    """Disturbances of single vectors."""
     landmarks: Array
     """(m, 3) p_i, inertial frame [m]."""
     landmark_bias: Array
     """(m, 3) body frame [m]."""
     landmark_noise: Array
     """(m,) standard deviations [m]."""
-    landmark_weights: Array
-    """(m,) s_i^L."""
+    landmark_outages: Array
+    """(w, 2) beginning and end [s] of each time without any landmark."""
+    landmark_period: Array
+    """Samples from one measurement of the landmarks to the next; 1 is every sample."""
     rotation: Array
     """(3, 3) R(0)."""
     position: Array
@@ -99,6 +121,8 @@ class Scenario:
     """(3,) P_est(0) [m]."""
     bias_estimate: Array
     """(6,) b_est(0) [rad/s, m/s]."""
+    end: Array
+    """Time [s] after which nothing counts any more; infinite for all of it."""
 
 
 class Truth(NamedTuple):
@@ -116,11 +140,21 @@ class Truth(NamedTuple):
     """(N, 3) V [m/s], body frame, held over each time step."""
 
 
+class Sensed(NamedTuple):
+    """What the sensors of a scenario say, and what they were wrong by."""
+
+    measurements: Measurements
+    bias: Array
+    """(N, 6) b of the velocities over time [rad/s, m/s], angular first."""
+
+
 def integrate(scenario: Scenario) -> Truth:
     """The true motion, T_{k+1} = T_k exp([Omega_k; V_k]^ dt): exact for velocities held a step."""
     step = scenario.time_step
     time = jnp.arange(scenario.samples, dtype=step.dtype) * step
-    omega, v = scenario.angular_velocity.at(time), scenario.velocity.at(time)
+    moving = jnp.where(_inside(scenario.rest, time), 0.0, 1.0).astype(step.dtype)[:, None]
+    omega = moving * scenario.angular_velocity.at(time)
+    v = moving * scenario.velocity.at(time)
 
     def body(pose, twist):
         attitude, place = pose
@@ -133,23 +167,24 @@ def integrate(scenario: Scenario) -> Truth:
     return Truth(time, rotation_matrix(stack(attitude)), stack(place), omega, v)
 
 
-def measure(scenario: Scenario, truth: Truth, key: Array) -> Measurements:
+def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
     """What the sensors say of a motion, for one noise key (pure, jittable).
 
-    Y_m = Y + b + n; v_i^B = R^T v_i^I + b_i + n_i; y_i = R^T (p_i - P) + b_i + n_i; then the cross
-    product v_1 x v_2 is appended and all vectors are normalised, as configured (Section V of the
-    paper).
+    Y_m = Y + b + n (Eq. 6), v_i^B = R^T v_i^I + b_i + n_i (Eq. 2) and
+    y_i = R^T (p_i - P) + b_i + n_i (Eq. 4). Vectors are as measured, neither normalised nor with
+    their cross product; what is missing has weight 0.
     """
     of_angular, of_linear, of_vectors, of_landmarks = jax.random.split(key, 4)
-    dtype = truth.time.dtype
+    of_drift = jax.random.fold_in(key, 4)
+    dtype, time = truth.time.dtype, truth.time
 
     def noise(key: Array, *shape: int) -> Array:
         # Drawn in float32 whatever the dtype: the same key gives unrelated normals in float64.
         return jax.random.normal(key, shape, jnp.float32).astype(dtype)
 
     N, n, m = scenario.samples, scenario.vectors.shape[0], scenario.landmarks.shape[0]
-    angular = truth.angular_velocity + scenario.bias[None, :3]
-    linear = truth.velocity + scenario.bias[None, 3:]
+    walk = jnp.sqrt(scenario.time_step) * jnp.cumsum(noise(of_drift, N, 6), axis=0)
+    bias = scenario.bias[None] + scenario.bias_drift[None] * walk
 
     def from_body(inertial: Array) -> Array:
         """R^T a at each sample, (N, i, 3)."""
@@ -158,22 +193,39 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Measurements:
     spread = jnp.broadcast_to(scenario.vectors[None], (N, n, 3))
     vectors = from_body(spread) + scenario.vector_bias[None]
     vectors = vectors + scenario.vector_noise[None, :, None] * noise(of_vectors, N, n, 3)
+    vectors = vectors + _disturbance(scenario.bursts, time, n)
     landmarks = from_body(scenario.landmarks[None] - truth.position[:, None])
     landmarks = landmarks + scenario.landmark_bias[None]
     landmarks = landmarks + scenario.landmark_noise[None, :, None] * noise(of_landmarks, N, m, 3)
-    references = scenario.vectors
-    if scenario.cross_vector:
-        vectors, references = with_cross_vector(vectors), with_cross_vector(references)
-    if scenario.normalise_vectors:
-        vectors, references = normalised(vectors), normalised(references)
-    return Measurements(
+    vectors_seen = ~_inside(scenario.vector_outages, time)
+    in_turn = jnp.arange(N) % scenario.landmark_period == 0
+    landmarks_seen = in_turn & ~_inside(scenario.landmark_outages, time)
+    measurements = Measurements(
         time_step=jnp.broadcast_to(scenario.time_step, (N,)),
-        angular_velocity=angular + scenario.angular_noise * noise(of_angular, N, 3),
-        velocity=linear + scenario.linear_noise * noise(of_linear, N, 3),
+        angular_velocity=truth.angular_velocity
+        + bias[:, :3]
+        + scenario.angular_noise * noise(of_angular, N, 3),
+        velocity=truth.velocity + bias[:, 3:] + scenario.linear_noise * noise(of_linear, N, 3),
         vectors=vectors,
-        vector_references=jnp.broadcast_to(references[None], vectors.shape),
-        vector_weights=jnp.broadcast_to(scenario.vector_weights[None], vectors.shape[:2]),
+        vector_references=spread,
+        vector_weights=jnp.broadcast_to(vectors_seen[:, None], (N, n)).astype(dtype),
         landmarks=landmarks,
         landmark_references=jnp.broadcast_to(scenario.landmarks[None], landmarks.shape),
-        landmark_weights=jnp.broadcast_to(scenario.landmark_weights[None], (N, m)),
+        landmark_weights=jnp.broadcast_to(landmarks_seen[:, None], (N, m)).astype(dtype),
     )
+    return Sensed(measurements, bias)
+
+
+def _inside(windows: Array, time: Array) -> Array:
+    """Whether times (N,) lie in any of the windows (w, 2), ends included at the beginning only."""
+    begun = time[:, None] >= windows[None, :, 0]
+    return jnp.any(begun & (time[:, None] < windows[None, :, 1]), axis=1)
+
+
+def _disturbance(bursts: Bursts, time: Array, count: int) -> Array:
+    """What bursts add to `count` vectors at times (N,), (N, count, 3)."""
+    begun = time[:, None] >= bursts.window[None, :, 0]
+    active = begun & (time[:, None] < bursts.window[None, :, 1])
+    hit = bursts.vector[:, None] == jnp.arange(count)[None, :]
+    which = (active[:, :, None] & hit[None]).astype(time.dtype)
+    return jnp.einsum("kwi,wj->kij", which, bursts.offset, precision="highest")

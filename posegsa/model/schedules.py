@@ -28,11 +28,20 @@ class ScheduleInputs(NamedTuple):
     """The schedule's gain at the last sample [1/s]."""
 
 
+class Gains(NamedTuple):
+    """What a schedule asks for."""
+
+    gain: Array
+    """K [1/s]."""
+    learning: Array | float = 1.0
+    """Factor on the gain of the vectors' bias law, in [0, 1]."""
+
+
 class PreparedSchedule(Protocol):
     """A schedule ready to be called in a loop."""
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
-        """Gain K [1/s]."""
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        """The gains at a sample."""
         ...
 
 
@@ -63,18 +72,19 @@ class ConstantGain:
         """Nothing to compute."""
         return self
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K, at the inputs' shape."""
-        return jnp.broadcast_to(jnp.asarray(self.gain, inputs.error.dtype), inputs.error.shape)
+        gain = jnp.asarray(self.gain, inputs.error.dtype)
+        return Gains(jnp.broadcast_to(gain, inputs.error.shape))
 
 
 class _PreparedFuzzyGain(NamedTuple):
     controller: FuzzyController
     prepared: PreparedController
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
         heights = self.controller.heights(inputs.error, inputs.rate, self.prepared)
-        return self.controller.defuzzify(heights, self.prepared, inputs.last)
+        return Gains(self.controller.defuzzify(heights, self.prepared, inputs.last))
 
 
 @jax.tree_util.register_dataclass
@@ -113,10 +123,10 @@ class SmoothGain:
         """Nothing to compute."""
         return self
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K of the scaled error."""
         e2 = inputs.error * inputs.error
-        return self.low + (self.high - self.low) * e2 / (e2 + self.half * self.half)
+        return Gains(self.low + (self.high - self.low) * e2 / (e2 + self.half * self.half))
 
 
 @jax.tree_util.register_dataclass
@@ -137,10 +147,40 @@ class KnotGain:
         """Nothing to compute."""
         return self
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the time of the sample."""
         log_gain = jnp.interp(inputs.time, self.time, self.log_gain)
-        return jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error))
+        return Gains(jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error)))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SwitchGain:
+    """One gain until a time, another after it; likewise for learning the vectors' biases."""
+
+    before: Array
+    """K until `time` [1/s]."""
+    after: Array
+    """K from then on [1/s]."""
+    time: Array
+    """When the gain changes [s]."""
+    learning_time: Array
+    """When learning the vectors' biases begins [s]."""
+
+    def initial_gain(self) -> Array:
+        """K at the start [1/s]."""
+        return self.before
+
+    def prepare(self) -> "SwitchGain":
+        """Nothing to compute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        """Both at the time of the sample."""
+        shape = jnp.shape(inputs.error)
+        gain = jnp.where(inputs.time < self.time, self.before, self.after)
+        learning = jnp.where(inputs.time < self.learning_time, 0.0, 1.0).astype(gain.dtype)
+        return Gains(jnp.broadcast_to(gain, shape), jnp.broadcast_to(learning, shape))
 
 
 def check_schedule(schedule: GainSchedule) -> None:

@@ -10,9 +10,9 @@ from jax import Array
 
 from posegsa.errors import ArgumentError
 from posegsa.model.elementwise import choose, maximum, minimum
-from posegsa.model.filter import FilterState, seen_from_estimate
-from posegsa.model.measurements import Sample
-from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs
+from posegsa.model.filter import FilterState, Seen, seen_from_estimate
+from posegsa.model.sample import Sample
+from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule, ScheduleInputs
 from posegsa.model.se3 import (
     Quaternion,
     Vec3,
@@ -25,6 +25,7 @@ from posegsa.model.se3 import (
 )
 
 Signal = Literal["measured", "pose"]
+Rate = Literal["per_sample", "per_second"]
 
 
 class TruePose(NamedTuple):
@@ -39,13 +40,15 @@ class TruePose(NamedTuple):
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["position_weight", "smoothing", "error_scale", "rate_scale"],
-    meta_fields=["signal"],
+    meta_fields=["signal", "rate"],
 )
 @dataclass(frozen=True)
 class SignalSettings:
-    """How the error signal is made; `signal` is structure, the numbers are traced."""
+    """How the error signal is made; `signal` and `rate` are structure, the numbers are traced."""
 
     signal: Signal
+    rate: Rate
+    """What the change of the signal is counted over."""
     position_weight: Array
     """Weight of the position part [1/m]."""
     smoothing: Array
@@ -53,7 +56,20 @@ class SignalSettings:
     error_scale: Array
     """Signal at which the scaled error is 1."""
     rate_scale: Array
-    """Factor on the signal's change per sample, before it is clipped."""
+    """Factor on the signal's change (per sample, or [s] per second) before it is clipped."""
+
+
+class Measured(NamedTuple):
+    """The errors at one sample, and whether they could be measured there."""
+
+    attitude: Array
+    """The attitude part, in [0, 1] for a consistent sample."""
+    position: Array
+    """The position part [m]."""
+    attitude_seen: Array | bool
+    """Whether any vector was measured."""
+    position_seen: Array | bool
+    """Whether any landmark was."""
 
 
 def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Array]:
@@ -70,28 +86,36 @@ def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Arra
     return attitude_distance(state.attitude, truth.attitude), norm(position)
 
 
-def measured_errors(state: FilterState, sample: Sample) -> tuple[Array, Array]:
+def measured_errors(state: FilterState, sample: Sample, seen: Seen) -> Measured:
     """The same two errors from what a vehicle has.
 
-    The attitude part is 3/(8 sum s_i) sum_i s_i |R_est v_i^B - v_i^I|^2, by the profile matrix
-    3/(8 sum s_i) [sum_i s_i (|v_i^B|^2 + |v_i^I|^2) - 2 tr(R_est B)]; it is ||R_err||_I for
+    The attitude part is 3/(8 sum s_i) sum_i s_i |R_est u_i - v_i^I|^2, by the profile matrix
+    3/(8 sum s_i) [sum_i s_i (|u_i|^2 + |v_i^I|^2) - 2 tr(R_est B)]; it is ||R_err||_I for
     orthonormal vectors without noise. The position part is |T_est y_i - p_i| [m] averaged over the
-    landmarks by weight. Each part is 0 at a sample without vectors or landmarks.
+    landmarks by weight.
     """
-    R = rows(state.attitude)
-    columns = tuple(zip(*sample.profile, strict=True))
+    wahba, R = seen.wahba, rows(state.attitude)
+    columns = tuple(zip(*wahba.profile, strict=True))
     trace = dot(R[0], columns[0]) + dot(R[1], columns[1]) + dot(R[2], columns[2])
     # Zero but for rounding where every vector fits, so the difference may come out below 0.
-    attitude = sample.attitude_scale * maximum(sample.vector_power - 2 * trace, 0.0)
-    position = jnp.zeros_like(attitude)
-    for x, landmark in zip(seen_from_estimate(state, R, sample), sample.landmarks, strict=True):
-        position = position + landmark.share * norm(subtract(x, landmark.inertial))
-    return attitude, position
+    attitude = wahba.scale * maximum(wahba.power - 2 * trace, 0.0)
+    position, total = jnp.zeros_like(attitude), jnp.zeros_like(attitude)
+    points = seen_from_estimate(state, R, sample)
+    for x, landmark, s in zip(points, sample.landmarks, seen.landmark_weights, strict=True):
+        position = position + s * norm(subtract(x, landmark.inertial))
+        total = total + s
+    located = total > 0
+    position = choose(located, position / choose(located, total, 1.0), 0.0)
+    return Measured(attitude, position, wahba.scale > 0, located)
 
 
 class SignalMemory(NamedTuple):
     """What the error signal and the schedule remember from sample to sample."""
 
+    attitude: Array
+    """The last attitude part that was measured; 0 before the first."""
+    position: Array
+    """The last position part that was measured [m]; 0 before the first."""
     error: Array
     """The last error signal, smoothed, unscaled; anything before the first sample."""
     gain: Array
@@ -103,42 +127,59 @@ class SignalMemory(NamedTuple):
 def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
     """Memory before the first sample, at the shape and dtype of `like`."""
     gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
+    zero = jnp.zeros_like(like)
     return SignalMemory(
-        error=jnp.zeros_like(like), gain=gain, time_step=jnp.full_like(like, jnp.inf)
+        attitude=zero,
+        position=zero,
+        error=zero,
+        gain=gain,
+        time_step=jnp.full_like(like, jnp.inf),
     )
 
 
 def scheduled_gain(
     schedule: PreparedSchedule,
     memory: SignalMemory,
-    errors: tuple[Array, Array],
+    errors: Measured,
     time: Array,
     time_step: Array,
     settings: SignalSettings,
-) -> tuple[Array, ScheduleInputs, SignalMemory]:
-    """The gain K [1/s] that a schedule asks for, from the errors of attitude [1] and position [m].
+) -> tuple[Gains, ScheduleInputs, SignalMemory]:
+    """The gains that a schedule asks for, from the errors of attitude [1] and position [m].
 
-    e = attitude + weight x position, passed through a first-order low-pass filter (backward Euler,
-    started at the first e). The schedule sees e / error_scale and, as the rate,
-    |e_k - e_{k-1}| x rate_scale, both clipped to [0, 1]. The rate is that of e itself, neither
-    scaled nor clipped before, and 0 at the first sample.
+    A part that is not measured at a sample keeps its last value. e = attitude + weight x position,
+    passed through a first-order low-pass filter (backward Euler, started at the first e). The
+    schedule sees e / error_scale and, as the rate, |e_k - e_{k-1}| x rate_scale (over the time
+    between the two, where it is a rate per second), both clipped to [0, 1]. The rate is that of e
+    itself, neither scaled nor clipped before, and 0 at the first sample.
 
     Returns:
-        The gain, what the schedule saw, and the memory for the next sample.
+        The gains, what the schedule saw, and the memory for the next sample.
     """
-    attitude, position = errors
+    attitude = choose(errors.attitude_seen, errors.attitude, memory.attitude)
+    position = choose(errors.position_seen, errors.position, memory.position)
     now = attitude + settings.position_weight * position
-    previous = choose(jnp.isinf(memory.time_step), now, memory.error)
+    first = jnp.isinf(memory.time_step)
+    previous = choose(first, now, memory.error)
     # Backward Euler over the time since the last sample: without smoothing, and at the first
     # sample, e is exactly `now`.
     old = settings.smoothing / (settings.smoothing + memory.time_step)
     e = now + old * (previous - now)
+    change = jnp.abs(e - previous)
+    if settings.rate == "per_second":
+        change = change / memory.time_step
     inputs = ScheduleInputs(
         error=minimum(maximum(e / settings.error_scale, 0.0), 1.0),
-        rate=minimum(jnp.abs(e - previous) * settings.rate_scale, 1.0),
+        rate=minimum(change * settings.rate_scale, 1.0),
         time=time,
         last=memory.gain,
     )
-    gain = schedule(inputs)
-    memory = SignalMemory(error=e, gain=gain, time_step=jnp.broadcast_to(time_step, e.shape))
-    return gain, inputs, memory
+    gains = schedule(inputs)
+    memory = SignalMemory(
+        attitude=attitude,
+        position=position,
+        error=e,
+        gain=gains.gain,
+        time_step=jnp.broadcast_to(time_step, e.shape),
+    )
+    return gains, inputs, memory

@@ -42,7 +42,7 @@ def _objective(objective: ObjectiveConfig) -> str:
 
 def _scenarios(experiment: Experiment) -> str:
     scenario, family = experiment.scenario, experiment.family
-    cross = " and the cross product of the first two" if scenario.cross_vector else ""
+    cross = " and the cross product of the first two" if experiment.filter.cross_vector else ""
     varied = []
     for ends, name, unit in (
         (family.attitude_error, "the initial attitude error about a random axis", " deg"),

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +14,14 @@ from posegsa import config
 from posegsa.arguments import check_dtype, check_type
 from posegsa.errors import PosegsaWarning
 from posegsa.model.cost import CostWeights
-from posegsa.model.family import Family, realise
-from posegsa.model.filter import FilterSettings, FilterState, initial_state
+from posegsa.model.family import Family, Occasions, realise
+from posegsa.model.filter import FilterSettings, VectorBias, initial_state
 from posegsa.model.fuzzy import Rules
-from posegsa.model.rollout import Samples, samples_of
-from posegsa.model.scenario import Profile, Scenario
+from posegsa.model.rollout import samples_of
+from posegsa.model.scenario import Bursts, Profile, Scenario, Truth
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
+from posegsa.model.vectors import VectorSettings
 from posegsa.optimisers import AnyOptimiser
 from posegsa.search import memory
 from posegsa.search.keys import held_out_keys, training_keys
@@ -73,27 +74,44 @@ def tuning_problem(experiment: config.Experiment) -> TuningProblem:
 def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate."""
     dtype = jnp.dtype(experiment.run.dtype)
-    samples, initial, bias = _drawn(one, family(experiment.family, dtype), keys)
+    settings = filter_settings(experiment)
+    drawn = _drawn(one, family(experiment, dtype), settings, keys)
     return ScenarioBatch(
-        samples=samples,
-        initial=initial,
-        bias=bias,
+        **drawn,
         weights=cost_weights(experiment.cost, one.samples, dtype),
-        settings=filter_settings(experiment.filter, dtype),
+        settings=settings,
         signal=signal_settings(experiment.gain, dtype),
     )
 
 
 @jax.jit
-def _drawn(scenario: Scenario, family: Family, keys: Array) -> tuple[Samples, FilterState, Array]:
-    def one(key: Array) -> tuple[Samples, FilterState, Array]:
-        drawn, truth, measurements = realise(scenario, family, key)
-        initial = initial_state(
-            drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate
-        )
-        return samples_of(measurements, truth.rotation, truth.position), initial, drawn.bias
+def _drawn(
+    scenario: Scenario, family: Family, settings: FilterSettings, keys: Array
+) -> dict[str, Any]:
+    return jax.vmap(lambda key: prepare_scenario(scenario, family, settings, key)[1])(keys)
 
-    return jax.vmap(one)(keys)
+
+def prepare_scenario(
+    scenario: Scenario, family: Family, settings: FilterSettings, key: Array
+) -> tuple[Truth, dict[str, Any]]:
+    """One scenario of a family: its true motion, and what `ScenarioBatch` keeps of it."""
+    drawn, truth, sensed = realise(scenario, family, key)
+    initial = initial_state(
+        drawn.rotation_estimate,
+        drawn.position_estimate,
+        drawn.bias_estimate,
+        learnt_vectors=0 if settings.vector_bias is None else scenario.vectors.shape[0],
+    )
+    kept = {
+        "samples": samples_of(
+            sensed.measurements, settings.vectors, truth.rotation, truth.position
+        ),
+        "initial": initial,
+        "bias": sensed.bias[-1],
+        "vector_bias": drawn.vector_bias,
+        "end": drawn.end,
+    }
+    return truth, kept
 
 
 def scenario(experiment: config.Experiment) -> Scenario:
@@ -117,30 +135,33 @@ def scenario(experiment: config.Experiment) -> Scenario:
         return Profile(*(array(t, 3, length) for t in table))
 
     n, m = len(c.vectors), len(c.landmarks)
-    weights = [v.weight for v in c.vectors] + [c.cross_vector_weight] * c.cross_vector
+    drift = [c.angular_velocity_drift] * 3 + [c.velocity_drift] * 3
     return Scenario(
         samples=c.samples,
-        cross_vector=c.cross_vector,
-        normalise_vectors=c.normalise_vectors,
         time_step=array(c.sampling_time),
         angular_velocity=profile(c.angular_velocity),
         velocity=profile(c.velocity),
+        rest=array(c.rest, len(c.rest), 2),
         bias=array([*c.angular_velocity_bias, *c.velocity_bias], 6),
+        bias_drift=array(drift, 6),
         angular_noise=array(c.angular_velocity_noise),
         linear_noise=array(c.velocity_noise),
         vectors=array([v.direction for v in c.vectors], n, 3),
         vector_bias=array([v.bias for v in c.vectors], n, 3),
         vector_noise=array([v.noise for v in c.vectors], n),
-        vector_weights=array(weights, n + c.cross_vector),
+        vector_outages=array([], 0, 2),
+        bursts=Bursts(array([], 0, 2), jnp.zeros(0, jnp.int32), array([], 0, 3)),
         landmarks=array([p.position for p in c.landmarks], m, 3),
         landmark_bias=array([p.bias for p in c.landmarks], m, 3),
         landmark_noise=array([p.noise for p in c.landmarks], m),
-        landmark_weights=array([p.weight for p in c.landmarks], m),
+        landmark_outages=array([], 0, 2),
+        landmark_period=jnp.asarray(c.landmark_period, jnp.int32),
         rotation=array(c.initial_rotation, 3, 3),
         position=array(c.initial_position, 3),
         rotation_estimate=array(_projected_estimate(c), 3, 3),
         position_estimate=array(c.initial_position_estimate, 3),
         bias_estimate=array(c.initial_bias_estimate, 6),
+        end=array(math.inf),
     )
 
 
@@ -159,14 +180,22 @@ def _projected_estimate(c: config.ScenarioConfig) -> np.ndarray:
     return projected
 
 
-def family(section: config.FamilyConfig, dtype: DTypeLike) -> Family:
+def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
     """The family of a configuration's [family] section, at a dtype."""
+    section, duration = experiment.family, experiment.scenario.duration
 
     def ends(values: tuple[float, float] | str, unit: float = 1.0) -> Array | None:
-        if isinstance(values, str):
-            return None
-        return jnp.asarray([unit * v for v in values], dtype)
+        return None if isinstance(values, str) else jnp.asarray([unit * v for v in values], dtype)
 
+    def number(value: float | str) -> Array | None:
+        return None if isinstance(value, str) else jnp.asarray(value, dtype)
+
+    def occasions(one: config.Occasions | str) -> Occasions | None:
+        if isinstance(one, str):
+            return None
+        return Occasions(jnp.asarray(one.rate, dtype), jnp.asarray(one.duration, dtype))
+
+    both = [o for o in (section.outages, section.bursts) if not isinstance(o, str)]
     return Family(
         attitude_error=ends(section.attitude_error, math.pi / 180),
         position_error=ends(section.position_error),
@@ -174,26 +203,67 @@ def family(section: config.FamilyConfig, dtype: DTypeLike) -> Family:
         noise_scale=ends(section.noise_scale),
         landmark_spread=jnp.asarray(section.landmark_spread, dtype),
         motion_scale=ends(section.motion_scale),
+        vector_bias=number(section.vector_bias),
+        landmark_bias=number(section.landmark_bias),
+        angular_drift=ends(section.angular_velocity_drift),
+        linear_drift=ends(section.velocity_drift),
+        outages=occasions(section.outages),
+        bursts=occasions(section.bursts),
+        burst_size=jnp.asarray(getattr(section.bursts, "size", 0.0), dtype),
+        landmark_interval=ends(section.landmark_interval),
+        rest=ends(section.rest),
+        rest_share=jnp.asarray(section.rest_share, dtype),
+        duration=ends(section.duration),
         random_phase=section.random_phase,
+        outage_of=getattr(section.outages, "sensors", "all"),
+        most_windows=max((_most_windows(o.rate * duration) for o in both), default=0),
     )
 
 
-def filter_settings(section: config.FilterConfig, dtype: DTypeLike) -> FilterSettings:
-    """The filter of a configuration's [filter] section, at a dtype.
+def _most_windows(expected: float) -> int:
+    """Room for as many occasions as will hardly ever come, a power of two so that it is few."""
+    return 2 ** math.ceil(math.log2(expected + 6 * math.sqrt(expected) + 4))
+
+
+def filter_settings(experiment: config.Experiment) -> FilterSettings:
+    """The filter that an experiment configures, at its dtype.
 
     Raises:
-        ArgumentError: not such a section, or not a floating dtype.
+        ArgumentError: not an experiment.
     """
-    check_type("section", section, config.FilterConfig)
-    check_dtype("dtype", dtype)
+    check_type("experiment", experiment, config.Experiment)
+    section, scenario = experiment.filter, experiment.scenario
+    dtype = jnp.dtype(experiment.run.dtype)
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, dtype)
+
     angular, linear = section.gamma if isinstance(section.gamma, tuple) else (section.gamma,) * 2
-    limit = math.inf if section.gain_limit == "off" else section.gain_limit
+    learnt = section.vector_bias == "estimated"
     return FilterSettings(
         law=section.law,
+        gamma_law=section.gamma_law,
         substeps=section.substeps,
-        gamma_angular=jnp.asarray(angular, dtype),
-        gamma_linear=jnp.asarray(linear, dtype),
-        gain_limit=jnp.asarray(limit, dtype),
+        gamma_angular=number(angular),
+        gamma_linear=number(linear),
+        gain_limit=number(math.inf if section.gain_limit == "off" else section.gain_limit),
+        vectors=VectorSettings(
+            weights=tuple(number(v.weight) for v in scenario.vectors),
+            cross_weight=number(section.cross_vector_weight),
+            normalise=section.normalise_vectors,
+            cross=section.cross_vector,
+            each_agent=learnt,
+        ),
+        landmark_weights=tuple(number(p.weight) for p in scenario.landmarks),
+        vector_bias=VectorBias(
+            gain=number(section.vector_bias_gain),
+            leak=number(section.vector_bias_leak),
+            per_bound=1 / number(section.vector_bias_bound) ** 2,
+            per_turning=1 / number(section.excitation) ** 4,
+            excitation_time=number(section.excitation_time),
+        )
+        if learnt
+        else None,
     )
 
 
@@ -207,6 +277,7 @@ def signal_settings(section: config.GainConfig, dtype: DTypeLike) -> SignalSetti
     check_dtype("dtype", dtype)
     return SignalSettings(
         signal=section.signal,
+        rate=section.rate,
         position_weight=jnp.asarray(section.position_weight, dtype),
         smoothing=jnp.asarray(section.smoothing, dtype),
         error_scale=jnp.asarray(section.error_scale, dtype),

@@ -31,7 +31,7 @@ def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[st
     size = np.dtype(run.dtype).itemsize
     held_out = run.held_out_scenarios if held_out is None else held_out
     training, samples = run.training_scenarios, scenario.samples
-    vectors = len(scenario.vectors) + scenario.cross_vector
+    vectors = len(scenario.vectors) + experiment.filter.cross_vector
     landmarks = len(scenario.landmarks)
     # Truth, measurements and what the loop reads of them; once more, at both precisions, of the
     # training scenarios, on which the result's sensitivity is checked.

@@ -34,7 +34,11 @@ class ScenarioBatch(NamedTuple):
     initial: FilterState
     """Leaves (S,)."""
     bias: Array
-    """(S, 6) true velocity bias [rad/s, m/s]; only for judging the bias estimate."""
+    """(S, 6) true velocity bias at the end [rad/s, m/s]; only for judging its estimate."""
+    vector_bias: Array
+    """(S, n, 3) true biases of the vectors, likewise."""
+    end: Array
+    """(S,) time after which nothing counts [s]."""
     weights: CostWeights
     settings: FilterSettings
     signal: SignalSettings
@@ -46,9 +50,9 @@ class ScenarioBatch(NamedTuple):
 
     def select(self, index: np.ndarray | slice) -> "ScenarioBatch":
         """Some of the scenarios."""
-        scenarios = (self.samples, self.initial, self.bias)
-        samples, initial, bias = jax.tree.map(lambda a: a[index], scenarios)
-        return self._replace(samples=samples, initial=initial, bias=bias)
+        names = ("samples", "initial", "bias", "vector_bias", "end")
+        chosen = {name: getattr(self, name) for name in names}
+        return self._replace(**jax.tree.map(lambda a: a[index], chosen))
 
 
 class Partition(NamedTuple):
