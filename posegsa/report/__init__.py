@@ -4,23 +4,19 @@ from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
 
-from posegsa.figures.result import draw
-from posegsa.figures.style import png
 from posegsa.judging.evaluation import TUNED
 from posegsa.judging.result import TuneResult
 from posegsa.report import headline, sections
 from posegsa.report.markup import cost, element, join
 
 
-def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None) -> str:
+def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page.
 
     Args:
         result: The result.
-        pictures: Its figures as PNG files, by name; drawn here by default.
+        pictures: Its figures as PNG files, by name.
     """
-    if pictures is None:
-        pictures = {name: png(figure) for name, figure in draw(result).items()}
     here = files(__name__)
     page = Template((here / "page.html").read_text(encoding="utf-8"))
     held_out = cost(result.evaluation.cost(TUNED).mean)
@@ -36,7 +32,7 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes] | None = None)
                 sections.contenders(result, pictures),
                 sections.schedule(result, pictures),
                 sections.trust(result),
-                sections.one_run(result, pictures),
+                sections.one_run(pictures),
                 sections.search(pictures),
                 sections.configuration(result),
                 sections.environment(result),

@@ -57,6 +57,16 @@ class Section(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
+    def described(self) -> Iterator[tuple[str, Any, str]]:
+        """Name, value as plain data and description of each field, of sections inside each key."""
+        plain = self.model_dump(mode="json")
+        for name, field in type(self).model_fields.items():
+            if isinstance(section := getattr(self, name), Section):
+                for key, value, description in section.described():
+                    yield f"{name}.{key}", value, description
+            else:
+                yield name, plain[name], " ".join((field.description or "").split())
+
     def _conflicts(self) -> Iterator[Violation]:
         """What is wrong between the fields, each of them valid in itself."""
         yield from ()
