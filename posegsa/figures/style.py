@@ -64,14 +64,7 @@ styled = matplotlib.style.context(["default", _STYLE])
 
 
 def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of this height [in] and its panels, Axes (rows, columns).
-
-    Args:
-        rows: Panels below each other.
-        columns: Panels beside each other.
-        height: Height of the figure [in].
-        keywords: As in matplotlib's `Figure.subplots`.
-    """
+    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **keywords)
     for ax in axes.flat:

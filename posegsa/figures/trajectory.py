@@ -94,16 +94,7 @@ def _true_and_estimated(
     ticks: Sequence[float],
     curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
 ) -> Figure:
-    """Components of a pose, true and estimated (N, 3), in a panel each.
-
-    Args:
-        time: (N,) [s].
-        true: What is.
-        estimated: What the filter says.
-        labels: Name and unit of each component.
-        ticks: What the distance of ticks is a multiple of, times a power of ten.
-        curve: What is drawn for one component (N,): points (x, y).
-    """
+    """Components of a pose, true and estimated (N, 3), in a panel each, as `curve` (x, y) draws."""
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
         ax.plot(*curve(true[:, i]), **_TRUE)

@@ -8,8 +8,6 @@ import numpy as np
 from posegsa import config
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import schedule as schedule_figures
-from posegsa.figures import search as search_figures
-from posegsa.figures import trajectory as trajectory_figures
 from posegsa.figures.captioned import ResultFigure
 from posegsa.judging.evaluation import ORACLE, TUNED, Evaluation
 from posegsa.judging.metrics import (
@@ -36,7 +34,6 @@ from posegsa.report.markup import (
     section,
     table,
 )
-from posegsa.report.words import what_was_run as words
 from posegsa.search.build import rule_indices
 from posegsa.words import counted, toml
 
@@ -61,20 +58,6 @@ _BEHAVIOUR: tuple[tuple[str, Callable[[Metrics], str]], ...] = (
     ("Bias error, linear [m/s]", lambda m: number(np.mean(m.bias_linear), ".3f")),
 )
 """Columns of the tables of contenders: head, and what stands in a cell."""
-
-
-def about(result: TuneResult) -> Html:
-    """The line under the title."""
-    run = result.experiment.run
-    return paragraph(f"posegsa {result.version}, seed {run.seed}, {run.dtype}", class_="about")
-
-
-def what_was_run(result: TuneResult) -> Html:
-    """The run in words."""
-    return section(
-        "What was run",
-        table("The run in words", ("Part", "Description"), words(result), class_="text"),
-    )
 
 
 def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
@@ -122,7 +105,7 @@ def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
         found,
         *([] if ORACLE in each else [_MORE]),
         *([] if evaluation_figures.angles_differ(evaluation) else [paragraph(same, class_="note")]),
-        _figures(evaluation_figures.FIGURES, pictures),
+        figures(evaluation_figures.FIGURES, pictures),
     )
 
 
@@ -149,7 +132,7 @@ def schedule(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
         "The tuned schedule",
         element("div", join(tables), class_="figures"),
         _rules(result),
-        _figures(schedule_figures.FIGURES, pictures),
+        figures(schedule_figures.FIGURES, pictures),
     )
 
 
@@ -201,16 +184,6 @@ def _coverage(found: Trust) -> str:
     )
 
 
-def one_run(pictures: Mapping[str, bytes]) -> Html:
-    """One held-out scenario over time."""
-    return section("One held-out scenario", _figures(trajectory_figures.FIGURES, pictures))
-
-
-def search(pictures: Mapping[str, bytes]) -> Html:
-    """How the search went."""
-    return section("The search", _figures(search_figures.FIGURES, pictures))
-
-
 def configuration(result: TuneResult) -> Html:
     """Every setting with its meaning, and all of them as TOML, which `posegsa tune` runs again."""
     settings = [
@@ -225,14 +198,6 @@ def configuration(result: TuneResult) -> Html:
             table("Settings", ("Key", "Value", "Meaning"), settings, class_="text"),
         ),
         details("The whole experiment as TOML, every default included", text),
-    )
-
-
-def environment(result: TuneResult) -> Html:
-    """Versions and device."""
-    rows = list(({"posegsa": result.version} | result.environment).items())
-    return section(
-        "Environment", table("Where the run was made", ("Part", "Version"), rows, class_="text")
     )
 
 
@@ -263,10 +228,14 @@ def _percent(share: float | np.floating, form: str = ".1f") -> str:
     return f"{number(100 * share, form)} %"
 
 
-def _figures(described: Iterable[ResultFigure], pictures: Mapping[str, bytes]) -> Html:
+def figures(described: Iterable[ResultFigure], pictures: Mapping[str, bytes]) -> Html:
     """Those of some figures that there are, PNG files by name."""
     shown = [figure(each, pictures[each.name]) for each in described if each.name in pictures]
     return element("div", join(shown, "\n"), class_="figures")
+
+
+def _with_small(text: str, small: str) -> Html:
+    return join([text, " ", element("small", small)])
 
 
 def _terms(values: np.ndarray, names: tuple[str, ...], low: float, high: float) -> list[list[str]]:
@@ -274,13 +243,7 @@ def _terms(values: np.ndarray, names: tuple[str, ...], low: float, high: float) 
     corners = config.triangles([number(v, ".5g") for v in values], f"{low:g}", f"{high:g}")
     labels = config.triangles(names, "fixed", "fixed")
     return [
-        [
-            term,
-            *(
-                join([corner, " ", element("small", label)])
-                for corner, label in zip(row, of_row, strict=True)
-            ),
-        ]
+        [term, *map(_with_small, row, of_row)]
         for term, row, of_row in zip(config.TERMS, corners, labels, strict=True)
     ]
 
@@ -292,7 +255,7 @@ def _rules(result: TuneResult) -> Html:
         [
             f"Rate {term}",
             *(
-                join([config.TERMS[target], " ", element("small", number(weight, ".2g"))])
+                _with_small(config.TERMS[target], number(weight, ".2g"))
                 for target, weight in zip(row, weights, strict=True)
             ),
         ]
