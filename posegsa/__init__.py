@@ -12,7 +12,8 @@ from posegsa.config import load as load_config
 from posegsa.errors import PosegsaError, PosegsaWarning, SearchInterrupted
 from posegsa.evaluating import evaluate
 from posegsa.export import export_c, export_csv, export_json
-from posegsa.figures.result import draw, plot_input_terms, plot_output_terms, plot_surface
+from posegsa.figures.result import draw
+from posegsa.figures.schedule import plot_input_terms, plot_output_terms, plot_surface
 from posegsa.judging.comparison import Comparison
 from posegsa.judging.result import VERSION as __version__
 from posegsa.judging.result import TuneResult

@@ -4,64 +4,44 @@ import argparse
 from collections.abc import Callable
 
 
-def add_config(parser: argparse.ArgumentParser, otherwise: str = "") -> None:
-    """CONFIG, which may be left out.
+def add_search_arguments(
+    parser: argparse.ArgumentParser, *, config: str, setting: str, out: str, replaced: str
+) -> None:
+    """CONFIG, --set, --out, --overwrite and --quiet, for a command that searches.
 
     Args:
         parser: The command's.
-        otherwise: What else is meant without it than the recommended experiment.
+        config: What is meant without a CONFIG.
+        setting: An example for --set.
+        out: What is said of the folder to write to.
+        replaced: What --overwrite replaces.
     """
     parser.add_argument(
         "config",
         nargs="?",
         metavar="CONFIG",
-        help=f"TOML file of the experiment; without it, the recommended experiment{otherwise}",
+        help=f"TOML file of the experiment; without it, {config}",
     )
-
-
-def add_settings(parser: argparse.ArgumentParser, example: str) -> None:
-    """--set, as often as wanted."""
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help=f"replaces a value of the experiment, e.g. {example}; may be given again",
+        help=f"replaces a value of the experiment, e.g. {setting}; may be given again",
     )
-
-
-def add_folder(parser: argparse.ArgumentParser, what: str, replaced: str) -> None:
-    """--out and --overwrite.
-
-    Args:
-        parser: The command's.
-        what: What is said of the folder.
-        replaced: What --overwrite replaces.
-    """
-    parser.add_argument("--out", metavar="DIR", help=what)
+    parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
-
-
-def add_quiet(parser: argparse.ArgumentParser) -> None:
-    """--quiet."""
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
-def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
-    """What reads an argument as a whole number from `least`, up to `most` if there is a bound."""
-    allowed = f"a whole number from {least}" + ("" if most is None else f" to {most}")
+def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:
+    """What reads an argument as a whole number in [minimum, maximum], or without an upper bound."""
+    allowed = f"a whole number from {minimum}" + ("" if maximum is None else f" to {maximum}")
 
     def read(text: str) -> int:
-        if not (text.isdecimal() and least <= int(text) and (most is None or int(text) <= most)):
+        number = int(text) if text.isdecimal() else -1
+        if number < minimum or (maximum is not None and number > maximum):
             raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
-        return int(text)
+        return number
 
     return read
-
-
-def numbers(text: str) -> list[float]:
-    """Read an argument as numbers with commas between."""
-    try:
-        return [float(word) for word in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: numbers, commas between") from None

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-if TYPE_CHECKING:  # these start JAX, which is imported after the fast path is set
-    from posegsa.comparing import Status
-    from posegsa.search.run import Progress
+from posegsa.comparing import Status
+from posegsa.search.run import Progress
 
 
 class Bar:
@@ -20,7 +19,7 @@ class Bar:
             counts: What stands behind the bar, in tqdm's words.
             quiet: Show nothing.
         """
-        from tqdm import tqdm
+        from tqdm import tqdm  # not at the top: --help need not wait for it
 
         self.bar = tqdm(
             total=total,
@@ -60,7 +59,7 @@ class TuneBar(Bar):
         counts = "{n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
         super().__init__(iterations, counts, quiet=quiet)
 
-    def __call__(self, progress: "Progress") -> None:
+    def __call__(self, progress: Progress) -> None:
         """Show where the search stands."""
         if not self.searching:
             # Rate and time left are those of the search: the clock starts after compiling.
@@ -82,7 +81,7 @@ class CompareBar(Bar):
         super().__init__(len(optimisers) * repeats, counts, quiet=quiet)
         self.optimisers = optimisers
 
-    def __call__(self, status: "Status") -> None:
+    def __call__(self, status: Status) -> None:
         """Show where the comparison stands; what a folder held already counts as done."""
         self.searching = True
         before = self.optimisers.index(status.optimiser) * status.repeats + status.repeat

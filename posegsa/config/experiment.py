@@ -17,10 +17,18 @@ from posegsa.config.optimisers import (
 )
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.settings.fields import Count, Flag, Index, NonNegative, Positive, Section
+from posegsa.settings.fields import (
+    Ascending,
+    Count,
+    Flag,
+    Index,
+    NonNegative,
+    Positive,
+    Section,
+)
 from posegsa.settings.violations import Violation
 
-Window = tuple[Index, Index]
+Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 
 
@@ -41,7 +49,8 @@ class FilterConfig(Section):
     """[filter]: the observer."""
 
     law: Literal["gradient", "printed"] = "gradient"
-    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed"."""
+    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
+    in the paper, which can diverge."""
     gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
@@ -50,7 +59,7 @@ class FilterConfig(Section):
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
     gain_limit: Positive | Literal["off"] = 1.5
-    """Largest step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
+    """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" applies every gain as it is."""
     normalise_vectors: Flag = True
     """Whether every vector, measured and known, is brought to length one (after its estimated bias
@@ -88,23 +97,17 @@ class CostConfig(Section):
     steady_window: Window = (400, 1400)
     """First and last sample of the steady state, both included (the paper: 4 to 14 s)."""
 
-    def _conflicts(self) -> Iterator[Violation]:
-        for key in ("transient_window", "steady_window"):
-            first, last = window = getattr(self, key)
-            if first > last:
-                yield Violation(key, "allowed: a first sample that is not after the last", window)
-
 
 class ObjectiveConfig(Section):
     """[objective]: what of the costs on the training scenarios is minimised."""
 
     name: Literal["mean", "median", "worst", "cvar", "mean_std"] = "mean"
-    """"mean", "median", "worst"; "cvar", the mean of the worst scenarios; "mean_std", the mean plus
-    a multiple of the standard deviation."""
+    """The "mean", the "median" or the "worst" cost; "cvar", the mean cost of the worst scenarios;
+    "mean_std", the mean cost plus a multiple of its standard deviation."""
     level: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.75
-    """Of "cvar": the share of scenarios, the best ones, that are left out, no unit."""
+    """Only for "cvar": the share of scenarios, the best ones, that are left out, no unit."""
     factor: NonNegative = 1.0
-    """Of "mean_std": the multiple of the standard deviation, no unit."""
+    """Only for "mean_std": the multiple of the standard deviation, no unit."""
 
 
 class CheckpointConfig(Section):
@@ -161,9 +164,8 @@ class Experiment(Section):
 
     def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples
-        for key in ("transient_window", "steady_window"):
-            window: Window = getattr(self.cost, key)
-            if window[1] >= samples:
+        for key, window in self.cost:
+            if isinstance(window, tuple) and window[1] >= samples:
                 yield Violation(
                     f"cost.{key}",
                     f"allowed: samples 0 to {samples - 1}, as scenario.duration = "
@@ -178,6 +180,6 @@ class Experiment(Section):
                 True,
             )
         if self.fuzzy.ordering:
-            yield from (p.under(("parameters",)) for p in self.parameters.disorder())
+            yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:
-            yield from (p.under(("parameters",)) for p in self.parameters.gaps())
+            yield from (v.under(("parameters",)) for v in self.parameters.gaps())

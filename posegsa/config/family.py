@@ -1,16 +1,15 @@
 """[family]: what differs from scenario to scenario, beside the noise."""
 
-from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from posegsa.settings.fields import Flag, NonNegative, Section
-from posegsa.settings.violations import Violation
+from posegsa.settings.fields import Ascending, Flag, NonNegative, Section
 
 Angle = Annotated[float, Field(strict=True, ge=0, le=180)]
-Range = tuple[NonNegative, NonNegative]
-"""Least and largest value; drawn uniformly between them."""
+Angles = Annotated[tuple[Angle, Angle], Ascending]
+Range = Annotated[tuple[NonNegative, NonNegative], Ascending]
+"""Minimum and maximum; drawn uniformly between them."""
 Off = Literal["off"]
 
 
@@ -20,7 +19,7 @@ class Occasions(Section):
     rate: NonNegative = 0.05
     """How often it begins while it is not there [1/s]."""
     duration: Range = (1.0, 5.0)
-    """How long it lasts [s], least and largest."""
+    """How long it lasts [s], minimum and maximum."""
 
 
 class Outages(Occasions):
@@ -43,20 +42,20 @@ class FamilyConfig(Section):
     Training and held-out scenarios are drawn from the same family with other keys.
     """
 
-    attitude_error: tuple[Angle, Angle] | Off = "off"
-    """Angle of the initial attitude error about a random axis [deg], least and largest; "off"
+    attitude_error: Angles | Off = "off"
+    """Angle of the initial attitude error about a random axis [deg], minimum and maximum; "off"
     starts every scenario from scenario.initial_rotation_estimate."""
     position_error: Range | Off = "off"
-    """Length of the initial position error P_est - R_err P in a random direction [m], least and
-    largest; "off" starts every scenario from scenario.initial_position_estimate."""
+    """Length of the initial position error P_est - R_err P in a random direction [m], minimum and
+    maximum; "off" starts every scenario from scenario.initial_position_estimate."""
     bias_scale: Range | Off = "off"
-    """Factor on the biases of both velocities, no unit, least and largest."""
+    """Factor on the biases of both velocities, no unit, minimum and maximum."""
     noise_scale: Range | Off = "off"
-    """Factor on the noise of all sensors, no unit, least and largest."""
+    """Factor on the noise of all sensors, no unit, minimum and maximum."""
     landmark_spread: NonNegative = 0.0
     """Each coordinate of each landmark is moved by up to this much, inertial frame [m]."""
     motion_scale: Range | Off = "off"
-    """Factor on the amplitudes of both velocities' sines, no unit, least and largest."""
+    """Factor on the amplitudes of both velocities' sines, no unit, minimum and maximum."""
     vector_bias: NonNegative | Off = "off"
     """Standard deviation of each component of the biases of all vectors, in their unit, which
     replace those of the scenario."""
@@ -80,15 +79,3 @@ class FamilyConfig(Section):
     """Time after which a scenario does not count any more [s]."""
     random_phase: Flag = False
     """Whether the phase of each sine of both velocities is drawn anew, uniformly."""
-
-    def _conflicts(self) -> Iterator[Violation]:
-        for key in (
-            "attitude_error",
-            "position_error",
-            "bias_scale",
-            "noise_scale",
-            "motion_scale",
-        ):
-            ends = getattr(self, key)
-            if ends != "off" and ends[0] > ends[1]:
-                yield Violation(key, "allowed: a least value that is not above the largest", ends)

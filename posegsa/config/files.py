@@ -89,9 +89,9 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     for text in settings:
         check_type("settings", text, str, allowed="texts such as filter.substeps=4")
     data = experiment.model_dump(mode="json")
-    problems = [problem for text in settings if (problem := _set(data, text))]
-    if problems:
-        raise report("settings that cannot be applied", problems)
+    violations = [violation for text in settings if (violation := _set(data, text))]
+    if violations:
+        raise report("settings that cannot be applied", violations)
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -99,7 +99,7 @@ def _validated(data: object, title: str) -> Experiment:
     try:
         return Experiment.model_validate(data)
     except ValidationError as error:
-        raise config_error(title, error, data, Experiment) from None
+        raise config_error(title, error, Experiment) from None
 
 
 def _read(path: str | Path) -> str:

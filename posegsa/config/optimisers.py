@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.optimisers.particle_swarm import INERTIA, PULL
-from posegsa.settings.fields import MOST, Count, NonNegative, Positive, Section
+from posegsa.settings.fields import MAX_COUNT, Count, NonNegative, Positive, Section
 
 OptimiserName = Literal[
     "gsa", "random_search", "pso", "de", "adam", "gsa+adam", "cma_es", "evosax", "pycma"
@@ -21,7 +21,7 @@ class SearchConfig(Section):
     differential evolution; gradient descent from many starts; the first and then the last of these;
     or, from other libraries (the extra `posegsa[compare]`), "cma_es" and "evosax" for CMA-ES and
     the strategy named in [evosax], "pycma" for the CMA-ES of its author."""
-    agents: Annotated[int, Field(strict=True, ge=2, le=MOST)] = 100
+    agents: Annotated[int, Field(strict=True, ge=2, le=MAX_COUNT)] = 100
     """Number of agents N: parameter vectors that are evaluated at once."""
     iterations: Count = 250
     """Number of iterations T. Gradient descent makes as many as agents x iterations evaluations

@@ -91,19 +91,22 @@ class FuzzyConfig(Section):
     """[fuzzy]: Mamdani inference with min for AND and implication, max for aggregation."""
 
     centroid: Literal["exact", "sampled"] = "exact"
-    """How the centroid is computed: in closed form, or by samples of the output universe."""
+    """How the centroid is computed: "exact", in closed form, or "sampled", from samples of the
+    output universe."""
     sampled_points: Annotated[int, Field(strict=True, ge=3, le=100_001)] = 101
     """Number of samples of the output universe; only for the sampled centroid."""
     sampled_rule: Literal["sum", "trapezoid"] = "sum"
-    """How samples are summed: alike (MATLAB) or as trapezoids; only for the sampled centroid."""
+    """How samples are summed: "sum" weighs them alike, as MATLAB does, "trapezoid" the two at the
+    ends by half; only for the sampled centroid."""
     no_rule: Literal["hold", "midrange"] = "hold"
-    """The gain where no rule fires: the last one, or the middle of the output universe (MATLAB)."""
+    """The gain where no rule fires: "hold" keeps the last one; "midrange" is 1 + the middle of the
+    output universe, as in MATLAB."""
     ordering: Flag = True
     """Whether parameters are put in order: within each triangle, then between the terms."""
     coverage: Flag = True
     """Whether gaps between the input terms, where no rule fires, are closed."""
     overlap: NonNegative = 0.01
-    """Least overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
+    """Minimum overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
     rules: tuple[Row, Row, Row, Row, Row] = (
         ("VL", "VL", "VL", "L", "L"),
         ("VL", "VL", "VL", "L", "M"),

@@ -5,6 +5,7 @@ what the run computed with.
 """
 
 import json
+import math
 from typing import Any
 
 import jax
@@ -21,12 +22,14 @@ SCHEMA = 1
 RESOLUTION = 101
 """Points along each input in the control surface."""
 
+INFERENCE = (
+    "K = 1 + centroid [1/s] by Mamdani inference: min for AND and implication, max for aggregation."
+)
 _ABOUT = (
-    "Gain schedule of a pose filter on SE(3): K = 1 + centroid [1/s] by Mamdani inference, min for "
-    "AND and implication, max for aggregation. Terms are [left foot, peak, right foot], shared by "
-    "both inputs. Rows of rules and of the control surface are the rate, columns the error, both "
-    "ascending. Inputs are clipped to [0, 1]. Where no rule fires, 'hold' keeps the last gain; the "
-    "control surface shows initial_gain_1_s there."
+    f"Gain schedule of a pose filter on SE(3). {INFERENCE} Terms are [left foot, peak, right "
+    "foot], shared by both inputs. Rows of rules and of the control surface are the rate, columns "
+    "the error, both ascending. Inputs are clipped to [0, 1]. Where no rule fires, 'hold' keeps "
+    "the last gain; the control surface shows initial_gain_1_s there."
 )
 
 
@@ -63,11 +66,7 @@ def export_json(result: TuneResult) -> str:
         "gain": experiment.gain.model_dump(mode="json"),
         "filter": experiment.filter.model_dump(mode="json"),
         "parameters": dict(zip(PARAMETERS, result.parameters.tolist(), strict=True)),
-        "costs": {
-            "tuned": _costs(result, TUNED, result.training_costs),
-            "constant_gain_1_s": result.constant_gain,
-            "constant": _costs(result, CONSTANT, result.constant_training_costs),
-        },
+        "costs": {**costs(result), "constant_gain_1_s": result.constant_gain},
         "sensitive": result.trust.sensitive,
         "control_surface": {
             "error": error.tolist(),
@@ -110,34 +109,42 @@ def _terms(terms: jax.Array) -> dict[str, list[float]]:
     return dict(zip(TERMS, np.asarray(terms).tolist(), strict=True))
 
 
-def _costs(result: TuneResult, name: str, training: np.ndarray) -> dict[str, Any]:
-    """Costs of a contender; the interval is that of 95 % of the mean."""
-    mean, low, high = result.evaluation.cost(name)
-    held_out = result.evaluation.contenders[name].metrics.cost
-    return {
-        "training_scenarios": len(training),
-        "training_mean": _number(np.mean(training)),
-        "held_out_scenarios": len(held_out),
-        "held_out_mean": _number(mean),
-        "held_out_interval": [_number(low), _number(high)],
-        "held_out_worst": _number(np.max(held_out)),
-    }
-
-
-def _number(value: float | np.floating) -> float | str:
-    return float(value) if np.isfinite(value) else str(float(value))
+def costs(result: TuneResult) -> dict[str, dict[str, Any]]:
+    """What the schedule and the best constant gain cost; the interval of the mean is of 95 %."""
+    training = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
+    found = {}
+    for key, name in (("tuned", TUNED), ("constant", CONSTANT)):
+        mean, *ends = result.evaluation.cost(name)
+        held_out = result.evaluation.contenders[name].metrics.cost
+        found[key] = {
+            "training_scenarios": len(training[name]),
+            "training_mean": float(np.mean(training[name])),
+            "held_out_scenarios": len(held_out),
+            "held_out_mean": mean,
+            "held_out_interval": ends,
+            "held_out_worst": float(np.max(held_out)),
+        }
+    return found
 
 
 def _json_text(value: Any, indent: str = "") -> str:
-    """JSON with an object's keys on lines of their own and a list of numbers on one line."""
+    """JSON with an object's keys on lines of their own and a list of numbers on one line.
+
+    A number that is not finite becomes text.
+    """
     inner = indent + "  "
-    if isinstance(value, dict):
-        parts = [f"{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items()]
-        opening, closing = "{", "}"
-    elif isinstance(value, list | tuple) and any(isinstance(v, list | tuple) for v in value):
-        parts = [_json_text(v, inner) for v in value]
-        opening, closing = "[", "]"
-    else:
-        return json.dumps(value, allow_nan=False)
+    match value:
+        case dict():
+            opening, closing = "{", "}"
+            parts = [f"{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items()]
+        case list() | tuple() if any(isinstance(v, list | tuple) for v in value):
+            opening, closing = "[", "]"
+            parts = [_json_text(v, inner) for v in value]
+        case list() | tuple():
+            return f"[{', '.join(map(_json_text, value))}]"
+        case float() if not math.isfinite(value):
+            return json.dumps(str(value))
+        case _:
+            return json.dumps(value)
     lines = ",\n".join(inner + part for part in parts)
     return f"{opening}\n{lines}\n{indent}{closing}"

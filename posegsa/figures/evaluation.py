@@ -1,64 +1,28 @@
-"""The figures of an evaluation: what schedules cost on unseen scenarios, and when they err.
-
-Each function returns a `matplotlib.figure.Figure` of its own, in the look that `figure_style` sets.
-"""
+"""The figures of an evaluation: what schedules cost on unseen scenarios, and when they err."""
 
 import textwrap
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from posegsa.figures.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    PURPLE,
-    TICK_SIZE,
-    VERMILION,
-    WIDTH,
-    Style,
-    colour_bar,
-    far_apart,
-    finish_time,
-    finite,
-    legend_above,
-    panels,
-    style_ticks,
-    styled,
-    term_names,
-    time_parts,
-)
+from posegsa.figures import style
+from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.style import Style, finite
 from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Evaluation
-from posegsa.judging.metrics import Bands, Metrics
-from posegsa.judging.trust import Trust
+from posegsa.judging.metrics import Metrics
 
-NAMES = ("costs", "bands", "angles")
-"""Names of the figures of an evaluation; it may lack some."""
 ANGLE_SPREAD = 1.0
-"""Least range of initial angles over which cost is worth drawing [deg]."""
+"""Minimum range of initial angles over which cost is worth drawing [deg]."""
 
-_STYLES: dict[str, Style] = {
-    TUNED: {"color": BLUE, "linestyle": "-"},
-    CONSTANT: {"color": VERMILION, "linestyle": (0, (4, 1.5))},
-    ORACLE: {"color": GREEN, "linestyle": "-."},
-    RANDOM: {"color": PURPLE, "linestyle": (0, (7, 1.5))},
-    SMOOTH: {"color": BLACK, "linestyle": (0, (1, 1))},
-}
+_STYLES: dict[str, Style] = dict(
+    zip((TUNED, SMOOTH, CONSTANT, ORACLE, RANDOM), style.CURVES, strict=False)
+)
 _OTHER: Style = {"color": "0.4", "linestyle": "-"}
 _MARKERS = {TUNED: "o", CONSTANT: "s", ORACLE: "D"}
-_COMPARED = (TUNED, CONSTANT, ORACLE)  # more curves than these hide each other
+"""Of the contenders that are drawn as curves: more would hide each other."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
-
-
-def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """The figures of an evaluation by name: costs, bands, and angles where these differ."""
-    figures = {"costs": plot_costs(evaluation), "bands": plot_bands(evaluation)}
-    if angles_differ(evaluation):
-        figures["angles"] = plot_angles(evaluation)
-    return figures
 
 
 def angles_differ(evaluation: Evaluation) -> bool:
@@ -67,9 +31,9 @@ def angles_differ(evaluation: Evaluation) -> bool:
     return bool(np.ptp(angles) >= ANGLE_SPREAD)
 
 
-@styled
+@style.styled
 def plot_costs(evaluation: Evaluation) -> Figure:
-    """Held-out cost of every contender, and the paired differences from the tuned schedule.
+    """Cost of every contender on every held-out scenario, and mean paired differences.
 
     A point is a scenario; bars span 5 to 95 % and 25 to 75 % of them, with the median between; the
     diamond is the mean with its 95 % interval. Infinite costs are counted beside the name and left
@@ -79,8 +43,9 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     names = list(evaluation.contenders)
     others = [name for name in names if name != TUNED]
     rows = (len(names), len(others) + 0.4)
-    figure, (ax, *below) = panels(
-        2 if others else 1, 1.2 + 0.5 * sum(rows), ratios=rows, share=False
+    ratios = rows if others else rows[:1]
+    figure, (ax, *below) = style.panels(
+        len(ratios), 1.2 + 0.5 * sum(rows), sharex=False, height_ratios=ratios
     )
     drawn = []
     for row, name in enumerate(names):
@@ -91,7 +56,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
         if np.isfinite(mean):
             _plot_interval(ax, row, mean, low, high)
     _name_rows(ax, [_counted(name, evaluation) for name in names])
-    _scale_costs(ax, "x", np.concatenate(drawn))
+    style.scale_costs(ax, "x", np.concatenate(drawn))
     ax.set_xlabel("Cost on held-out scenarios [-]")
     for panel in below:
         panel.axvline(0, color="0.6", linewidth=0.8)
@@ -102,7 +67,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
                 _plot_interval(panel, row, mean, low, high)
                 text = f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
             end = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-            panel.annotate(text, (1, row), (6, 0), va="center", size=TICK_SIZE, **end)
+            panel.annotate(text, (1, row), (6, 0), va="center", size=style.TICK_SIZE, **end)
         _name_rows(panel, [_wrapped(name) for name in others])
         if not panel.collections and len(panel.lines) == 1:  # no difference is finite
             panel.set_xticks([0])
@@ -110,110 +75,68 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     return figure
 
 
-@styled
+@style.styled
 def plot_bands(evaluation: Evaluation) -> Figure:
-    """Attitude error [deg], position error [m] and gain used [1/s] over time [s].
+    """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.
 
-    Tuned schedule, best constant gain and oracle: the median over scenarios, and the band from 5 to
-    95 % of them, of the runs with a finite cost. The left column enlarges the start.
+    Of tuned schedule, best constant gain and oracle over time [s], of the runs with a finite cost.
+    The left column enlarges the start.
     """
-    time = evaluation.time
-    parts = time_parts(time)
-    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
-    axes = figure.subplots(
-        len(Bands._fields),
-        len(parts),
-        sharey="row",
-        squeeze=False,
-        width_ratios=(2, 3) if len(parts) > 1 else None,
+    time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
+    parts = style.time_parts(time)
+    labels = {
+        "attitude": style.ATTITUDE_ERROR,
+        "position": style.POSITION_ERROR,
+        "gain": "Gain used $K$ [1/s]",
+    }
+    widths = (2, 3) if len(parts) > 1 else (1,)
+    figure, axes = style.grid(
+        len(labels), len(parts), 6.4, sharex="col", sharey="row", width_ratios=widths
     )
-    labels = ("Attitude error [deg]", "Position error [m]", "Gain used $K$ [1/s]")
-    for row, (label, field) in enumerate(zip(labels, Bands._fields, strict=True)):
-        errors = field != "gain"
-        positive = False
-        for ax, part in zip(axes[row], parts, strict=True):
-            style_ticks(ax)
-            for name in _compared(evaluation):
-                band = finite(getattr(evaluation.contenders[name].bands, field))
-                low, middle, high = band[:, part]
-                style = _style(name)
-                ax.fill_between(
-                    time[part], low, high, color=style["color"], alpha=0.18, linewidth=0
-                )
-                ax.plot(time[part], middle, label=name, **style)
-                positive |= bool((band > 0).any())
+    for row, (field, label) in zip(axes, labels.items(), strict=True):
+        row[0].set_ylabel(label)
+        values = {name: np.asarray(getattr(band, field)) for name, band in bands.items()}
+        for ax, part in zip(row, parts, strict=True):
+            for name, band in values.items():
+                style.plot_band(ax, time[part], band[:, part], name, _style(name))
             ax.grid(axis="y", color="0.9", linewidth=0.6)
-            finish_time([ax], time[part])
-            if row < len(labels) - 1:
-                ax.set_xlabel("")
-                ax.tick_params(labelbottom=False)
-        axes[row, 0].set_ylabel(label)
-        if errors and positive:
-            axes[row, 0].set_yscale("log", nonpositive="mask")
-        elif not errors:
-            axes[row, 0].set_ylim(bottom=0)
-    figure.align_ylabels(axes[:, 0])
-    legend_above(figure, axes[0, 0])
+        if field == "gain":
+            row[0].set_ylim(bottom=0)
+        else:
+            style.scale_errors(row[0], np.array(list(values.values())))
+    for column, part in zip(axes.T, parts, strict=True):
+        style.finish_time(column, time[part])
+    style.legend_above(figure, axes[0, 0])
     return figure
 
 
-@styled
-def plot_angles(evaluation: Evaluation) -> Figure:
+@style.styled
+def plot_angles(evaluation: Evaluation) -> Figure | None:
     """Cost against the attitude error at the start [deg]: scenarios, and their running median.
 
-    Infinite costs are marked at the upper edge, at their angle, and counted in the legend. Where
-    all scenarios start at the same angle the figure says so.
+    Infinite costs are marked at the upper edge, at their angle, and counted in the legend. None
+    where all scenarios start at the same angle.
     """
-    figure, (ax,) = panels(1, 3.8)
-    drawn = []
-    for name in _compared(evaluation):
-        metrics = _metrics(evaluation, name)
-        angle, cost = metrics.initial_angle, metrics.cost
-        style, bad = _style(name), ~np.isfinite(metrics.cost)
-        drawn.append(cost[~bad])
-        points: Style = {"color": style["color"], "linestyle": "", "markeredgewidth": 0}
+    if not angles_differ(evaluation):
+        return None
+    figure, (ax,) = style.panels(1, 3.8)
+    shown = []
+    for name in _drawn(evaluation):
+        angle, cost = _metrics(evaluation, name).initial_angle, _metrics(evaluation, name).cost
+        look, bad = _style(name), ~np.isfinite(cost)
+        shown.append(cost[~bad])
+        points: Style = {"color": look["color"], "linestyle": "", "markeredgewidth": 0}
         ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=0.35, markersize=3, **points)
         label = f"{name} ({np.count_nonzero(bad)} infinite)" if bad.any() else name
-        ax.plot(*_running_median(angle, cost), label=label, linewidth=2, **style)
+        ax.plot(*_running_median(angle, cost), label=label, linewidth=2, **look)
         if bad.any():
             edge = ax.get_xaxis_transform()
             top = np.full(np.count_nonzero(bad), 0.99)
             ax.plot(angle[bad], top, marker="^", transform=edge, **points)
-    if not angles_differ(evaluation):
-        angle = np.median(_metrics(evaluation, TUNED).initial_angle)
-        ax.set_title(f"All scenarios start at {angle:.1f} deg", size=TICK_SIZE)
-    _scale_costs(ax, "y", np.concatenate(drawn))
+    style.scale_costs(ax, "y", np.concatenate(shown))
     ax.set(xlabel="Attitude error at the start [deg]", ylabel="Cost [-]")
     ax.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
-    legend_above(figure, ax)
-    return figure
-
-
-@styled
-def plot_rules(trust: Trust) -> Figure:
-    """Mean firing strength of each rule over a trajectory, 0 to 1, by the terms of its inputs.
-
-    Shades go by the square root, because the rules of small errors fire most of the time; a rule
-    that never fires is left blank.
-    """
-    weights = np.asarray(trust.rule_weights, np.float64)
-    figure, (ax,) = panels(1, 4.0)
-    top = max(float(np.max(weights)), 1e-9)
-    shown = np.ma.masked_array(weights, ~(weights > 0))
-    image = ax.imshow(
-        shown, cmap="cividis", norm=PowerNorm(0.5, 0, top), origin="lower", aspect="auto"
-    )
-    for (rate, error), weight in np.ndenumerate(weights):
-        dark = 0 < weight < 0.3 * top
-        text = f"{weight:.2g}" if weight > 0 else "never"
-        colour = "white" if dark else "black" if weight > 0 else "0.5"
-        ax.text(error, rate, text, ha="center", va="center", color=colour, size=TICK_SIZE)
-    names = term_names(len(weights))
-    ax.set_xticks(range(len(weights)), names)
-    ax.set_yticks(range(len(weights)), names)
-    ax.tick_params(length=0)
-    ax.set(xlabel="Term of the scaled error [-]", ylabel="Term of the scaled rate [-]")
-    colour_bar(figure, image, ax, "Mean firing strength [-]")
+    style.legend_above(figure, ax)
     return figure
 
 
@@ -222,13 +145,13 @@ def _metrics(evaluation: Evaluation, name: str) -> Metrics:
 
 
 def _style(name: str) -> Style:
-    """Colour and line style of a contender, the same in all figures."""
+    """Colour and line look of a contender, the same in all figures."""
     return _STYLES.get(name, _OTHER)
 
 
-def _compared(evaluation: Evaluation) -> list[str]:
+def _drawn(evaluation: Evaluation) -> list[str]:
     """The contenders that are drawn as curves."""
-    return [name for name in _COMPARED if name in evaluation.contenders]
+    return [name for name in _MARKERS if name in evaluation.contenders]
 
 
 def _wrapped(name: str) -> str:
@@ -265,14 +188,10 @@ def _plot_distribution(ax: Axes, row: int, costs: np.ndarray, colour: str) -> No
 def _plot_interval(ax: Axes, row: int, mean: float, low: float, high: float) -> None:
     """A mean and its interval in a row; the mean alone where there is no interval."""
     if np.isfinite(low) and np.isfinite(high):
-        ax.plot([low, high], [row, row], color=BLACK, marker="|", markersize=11, zorder=3)
-    ax.plot([mean], [row], "D", color="white", markeredgecolor=BLACK, markersize=4.5, zorder=4)
-
-
-def _scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
-    """A logarithmic axis for costs that differ by more than LOG_RATIO."""
-    if far_apart(costs):
-        ax.set(**{f"{axis}scale": "log"})
+        ax.plot([low, high], [row, row], color=style.BLACK, marker="|", markersize=11, zorder=3)
+    ax.plot(
+        [mean], [row], "D", color="white", markeredgecolor=style.BLACK, markersize=4.5, zorder=4
+    )
 
 
 def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,3 +203,36 @@ def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np
     middle = windows(angle[order], width)[:, width // 2]
     costs = np.where(np.isnan(cost), np.inf, cost)[order]
     return middle, finite(np.median(windows(costs, width), axis=1))
+
+
+FIGURES = (
+    ResultFigure(
+        name="costs",
+        title="Held-out cost",
+        caption="Each point is one scenario; thin bars span 5 to 95\u00a0% of them, thick bars 25 "
+        "to 75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% "
+        "interval. The overlap of the clouds says little, because all contenders met the same "
+        "scenarios: look at the paired differences below. An interval that excludes 0 tells two "
+        "contenders apart.",
+        shows="evaluation",
+        plot=plot_costs,
+    ),
+    ResultFigure(
+        name="bands",
+        title="Errors and gain over time",
+        caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
+        "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
+        "the one used, after the gain limit. Runs without a finite cost are left out.",
+        shows="evaluation",
+        plot=plot_bands,
+    ),
+    ResultFigure(
+        name="angles",
+        title="Cost against initial angle",
+        caption="Points are scenarios, lines running medians. A curve that rises towards 180 deg "
+        "shows starts from which the filter takes long to recover; triangles at the upper edge are "
+        "runs without a finite cost.",
+        shows="evaluation",
+        plot=plot_angles,
+    ),
+)

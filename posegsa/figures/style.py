@@ -17,25 +17,36 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
-from posegsa.config import TERMS
-
 DPI = 200
 """Resolution for print [dots per inch]."""
-START = 1.0
-"""Length of the start of a run that figures show enlarged [s]."""
 WIDTH = 6.5
 """Width of a figure [in]: one column of a page, or both of a two-column one."""
+START = 1.0
+"""Length of the start of a run that figures show enlarged [s]."""
 LOG_RATIO = 30.0
 """Costs that differ by more than this factor are drawn over a logarithmic axis."""
+ATTITUDE_ERROR, POSITION_ERROR = "Attitude error [deg]", "Position error [m]"
 
-BLACK, BLUE, GREEN, VERMILION, PURPLE, SKY = (
-    *("#000000", "#0072B2", "#009E73", "#D55E00"),
-    *("#AA4499", "#56B4E9"),
-)
+BLACK, BLUE, GREEN, VERMILION = "#000000", "#0072B2", "#009E73", "#D55E00"
+PURPLE, SKY, ORANGE, BROWN = "#AA4499", "#56B4E9", "#E69F00", "#661100"
 Style = dict[str, Any]
 """Keywords of what draws a curve or a patch."""
+CURVES: tuple[Style, ...] = (
+    {"color": BLUE, "linestyle": "-"},
+    {"color": BLACK, "linestyle": (0, (1, 1))},
+    {"color": VERMILION, "linestyle": (0, (4, 1.5))},
+    {"color": GREEN, "linestyle": "-."},
+    {"color": PURPLE, "linestyle": (0, (7, 1.5))},
+    {"color": SKY, "linestyle": "-"},
+    {"color": "0.45", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    {"color": ORANGE, "linestyle": "-"},
+    {"color": BROWN, "linestyle": (0, (2, 2))},
+    {"color": BLUE, "linestyle": (0, (1, 2))},
+)
+"""Curves that can be told apart, the clearest first."""
 
 FONT_SIZE, TICK_SIZE = 11, 10
+_LEGEND, _HANDLE = 85, 8  # characters in a line of a legend, and those that a curve's sample takes
 _STYLE = {
     "font.size": FONT_SIZE,
     "axes.labelsize": FONT_SIZE,
@@ -52,25 +63,20 @@ styled = matplotlib.style.context(["default", _STYLE])
 """Decorator: matplotlib's own defaults and the style above, while a figure is built."""
 
 
-def panels(
-    count: int, height: float, *, ratios: Sequence[float] = (), share: bool = True
-) -> tuple[Figure, list[Axes]]:
-    """A figure of panels below each other.
-
-    Args:
-        count: Number of panels.
-        height: Height of the figure [in].
-        ratios: Heights of the panels relative to each other; default equal.
-        share: Whether they share the x axis.
-    """
+def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    axes = figure.subplots(
-        count, sharex=share, squeeze=False, height_ratios=ratios[:count] or None
-    )[:, 0]
-    for ax in axes:
+    axes = figure.subplots(rows, columns, squeeze=False, **keywords)
+    for ax in axes.flat:
         style_ticks(ax)
-    figure.align_ylabels(axes)
-    return figure, list(axes)
+    figure.align_ylabels(axes[:, 0])
+    return figure, axes
+
+
+def panels(count: int, height: float, **keywords: Any) -> tuple[Figure, list[Axes]]:
+    """A figure of panels below each other that share the x axis, unless told otherwise."""
+    figure, axes = grid(count, 1, height, **{"sharex": True, **keywords})
+    return figure, list(axes[:, 0])
 
 
 def style_ticks(ax: Axes) -> None:
@@ -83,7 +89,9 @@ def legend_above(figure: Figure, ax: Axes) -> None:
     """A legend above all panels, where it hides nothing; entries of the same name are one."""
     handles, labels = ax.get_legend_handles_labels()
     entries = dict(zip(labels, handles, strict=True))
-    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=len(entries))
+    widths = [len(label) + _HANDLE for label in entries]
+    columns = len(widths) if sum(widths) <= _LEGEND else max(1, _LEGEND // max(widths))
+    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> None:
@@ -93,9 +101,14 @@ def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> N
     style_ticks(bar.ax)
 
 
-def term_names(count: int) -> Sequence[str]:
-    """Names of so many terms of a fuzzy variable: VS to VL, or numbers where they are not five."""
-    return TERMS if count == len(TERMS) else [str(i + 1) for i in range(count)]
+def plot_band(
+    ax: Axes, x: np.ndarray, band: np.ndarray, label: str, style: Style, *, steps: bool = False
+) -> None:
+    """A curve and the band around it: low, middle and high values (3, n) over x (n,)."""
+    low, middle, high = finite(band)
+    filled: Style = {"step": "post"} if steps else {}
+    ax.fill_between(x, low, high, color=style["color"], alpha=0.16, linewidth=0, **filled)
+    ax.plot(x, middle, label=label, drawstyle="steps-post" if steps else None, **style)
 
 
 def time_parts(time: np.ndarray) -> list[np.ndarray]:
@@ -105,9 +118,16 @@ def time_parts(time: np.ndarray) -> list[np.ndarray]:
     return [start, whole] if enlarge else [whole]
 
 
-def far_apart(costs: np.ndarray) -> bool:
-    """Whether finite costs (n,) differ by more than LOG_RATIO, and so need a logarithmic axis."""
-    return costs.size > 0 and 0 < costs.min() * LOG_RATIO < costs.max()
+def scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
+    """A logarithmic axis, "x" or "y", for finite costs (n,) that differ by more than LOG_RATIO."""
+    if costs.size and 0 < costs.min() * LOG_RATIO < costs.max():
+        ax.set(**{f"{axis}scale": "log"})
+
+
+def scale_errors(ax: Axes, errors: np.ndarray) -> None:
+    """A logarithmic y axis for errors (...), unless none is above 0."""
+    if (errors > 0).any():
+        ax.set_yscale("log", nonpositive="mask")
 
 
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:

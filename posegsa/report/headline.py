@@ -32,22 +32,21 @@ def warnings(result: TuneResult) -> Html:
 def headline(result: TuneResult) -> Html:
     """The numbers that matter most, training beside held-out."""
     evaluation = result.evaluation
-    training = _training(result.training_costs)
-    tiles = [_tile("Held out: tuned", *_mean(evaluation.cost(TUNED)), training)]
-    if CONSTANT in evaluation.contenders:
-        gain = f" with K = {result.constant_gain:.4g} 1/s"
-        training = _training(result.constant_training_costs) + gain
-        difference = evaluation.difference(CONSTANT)
-        unbroken = interval(*difference[1:]).replace(" ", "\u00a0")
-        tiles += [
-            _tile("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), training),
-            _tile(
-                "Tuned minus best constant",
-                cost(difference.mean, "+.2f"),
-                "",
-                f"95\u00a0% interval {unbroken}",
-            ),
-        ]
+    difference = evaluation.difference(CONSTANT)
+    unbroken = interval(*difference[1:]).replace(" ", "\u00a0")
+    constant = (
+        f"{_training(result.constant_training_costs)} with K = {result.constant_gain:.4g} 1/s"
+    )
+    tiles = [
+        _tile("Held out: tuned", *_mean(evaluation.cost(TUNED)), _training(result.training_costs)),
+        _tile("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), constant),
+        _tile(
+            "Tuned minus best constant",
+            cost(difference.mean, "+.2f"),
+            "",
+            f"95\u00a0% interval {unbroken}",
+        ),
+    ]
     if ORACLE in evaluation.contenders:
         closed = evaluation.gap_closed()
         tiles.append(
@@ -70,8 +69,6 @@ def headline(result: TuneResult) -> Html:
 
 def verdict(evaluation: Evaluation) -> str:
     """Whether the tuned schedule beats the best constant gain, in a sentence."""
-    if CONSTANT not in evaluation.contenders:
-        return "There is no constant gain to compare with."
     mean, low, high = evaluation.difference(CONSTANT)
     against = f"the best constant gain on {counted(evaluation.scenarios, 'unseen scenario')}"
     if not (math.isfinite(low) and math.isfinite(high)):
@@ -91,12 +88,12 @@ def verdict(evaluation: Evaluation) -> str:
             f"difference, {ends}, includes 0."
         )
     less = high < 0
-    by, least, most = (-mean, -high, -low) if less else (mean, low, high)
+    by, minimum, maximum = (-mean, -high, -low) if less else (mean, low, high)
     constant = evaluation.cost(CONSTANT).mean
     share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
     return (
         f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
-        f"{cost(least)} to {cost(most)}) than {against}."
+        f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
 
 

@@ -5,6 +5,10 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
+import numpy as np
+
+from posegsa.figures.captioned import ResultFigure
+
 MINUS, DASH, INFINITE = "\u2212", "\u2013", "\u221e"
 
 
@@ -86,16 +90,21 @@ def table(
     return element("div", whole, class_="scroll", role="region", aria_label=caption, tabindex="0")
 
 
-def figure(name: str, png: bytes, title: str, alt: str, caption: str) -> Html:
-    """A PNG picture inside the page, with a caption."""
+def details(title: str, content: Html) -> Html:
+    """Content that is shown when its title is clicked."""
+    return element("details", element("summary", title), content)
+
+
+def figure(described: ResultFigure, png: bytes) -> Html:
+    """A PNG picture inside the page, with its words."""
     data = base64.b64encode(png).decode("ascii")
-    image = Html(f'<img src="data:image/png;base64,{data}" alt="{escape(alt)}">')
-    words = element("figcaption", element("strong", f"{title}."), f" {caption}")
+    image = Html(f'<img src="data:image/png;base64,{data}" alt="{escape(described.alternative)}">')
+    words = (element("strong", f"{described.title}."), f" {described.caption}")
     picture = element("div", image, class_="picture")
-    return element("figure", picture, words, id=f"figure-{name}")
+    return element("figure", picture, element("figcaption", *words), id=f"figure-{described.name}")
 
 
-def number(value: float, form: str = ".2f") -> str:
+def number(value: float | np.floating, form: str = ".2f") -> str:
     """A number for a person: a true minus, an infinity sign, and a dash for what has no value."""
     value = float(value)
     if math.isnan(value):
@@ -108,7 +117,7 @@ def number(value: float, form: str = ".2f") -> str:
     return (MINUS if value < 0 else "+" if form.startswith("+") else "") + text
 
 
-def cost(value: float, form: str = ".2f") -> str:
+def cost(value: float | np.floating, form: str = ".2f") -> str:
     """A cost: two decimals, or four digits from 10 000."""
     large = math.isfinite(value) and abs(value) >= 1e4
     return number(value, form.replace(".2f", ".4g") if large else form)

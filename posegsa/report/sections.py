@@ -1,28 +1,32 @@
 """The sections of the report, each a function from the result to HTML."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from posegsa import config
-from posegsa.figures.evaluation import NAMES, angles_differ
-from posegsa.judging.evaluation import ORACLE, TUNED, Contender, Evaluation
+from posegsa.figures import evaluation as evaluation_figures
+from posegsa.figures import schedule as schedule_figures
+from posegsa.figures.captioned import ResultFigure
+from posegsa.judging.evaluation import ORACLE, TUNED, Evaluation
 from posegsa.judging.metrics import (
     DIVERGED_ATTITUDE,
     DIVERGED_POSITION,
     SETTLED_ATTITUDE,
     SETTLED_POSITION,
+    Metrics,
 )
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import PERTURBATION, SENSITIVE, Trust
-from posegsa.report.figures import ONE_RUN, SCHEDULE, SEARCH, figures
 from posegsa.report.markup import (
     DASH,
     INFINITE,
     Html,
     cost,
+    details,
     element,
+    figure,
     interval,
     join,
     number,
@@ -30,59 +34,57 @@ from posegsa.report.markup import (
     section,
     table,
 )
-from posegsa.report.words import what_was_run as words
 from posegsa.search.build import rule_indices
-from posegsa.words import counted
+from posegsa.words import counted, toml
 
-
-def about(result: TuneResult) -> Html:
-    """The line under the title."""
-    run = result.experiment.run
-    return paragraph(f"posegsa {result.version}, seed {run.seed}, {run.dtype}", class_="about")
-
-
-def what_was_run(result: TuneResult) -> Html:
-    """The run in words."""
-    rows = [(name, text) for name, text in words(result)]
-    return section(
-        "What was run",
-        table("The run in words", ("Part", "Description"), rows, class_="text"),
-    )
+_COSTS: tuple[tuple[str, Callable[[Evaluation, str], str]], ...] = (
+    ("Mean", lambda e, name: cost(e.cost(name).mean)),
+    ("95 % interval", lambda e, name: interval(*e.cost(name)[1:], ".2f")),
+    ("Median", lambda e, name: cost(np.median(_costs(e, name)))),
+    ("95th percentile", lambda e, name: cost(np.quantile(_costs(e, name), 0.95, method="lower"))),
+    ("Worst", lambda e, name: cost(np.max(_costs(e, name)))),
+    ("Tuned minus this", lambda e, name: _other(name, cost(e.difference(name).mean, "+.2f"))),
+    ("95 % interval", lambda e, name: _other(name, interval(*e.difference(name)[1:]))),
+    ("Diverged", lambda e, name: _percent(np.mean(e.contenders[name].metrics.diverged))),
+)
+_BEHAVIOUR: tuple[tuple[str, Callable[[Metrics], str]], ...] = (
+    ("Transient part", lambda m: cost(np.mean(m.transient))),
+    ("Steady part", lambda m: cost(np.mean(m.steady))),
+    ("Attitude settled [s]", lambda m: number(np.median(m.settling_attitude))),
+    ("Position settled [s]", lambda m: number(np.median(m.settling_position))),
+    ("Steady attitude RMS [deg]", lambda m: number(np.mean(m.rms_attitude))),
+    ("Steady position RMS [cm]", lambda m: number(100 * np.mean(m.rms_position), ".1f")),
+    ("Bias error, angular [rad/s]", lambda m: number(np.mean(m.bias_angular), ".3f")),
+    ("Bias error, linear [m/s]", lambda m: number(np.mean(m.bias_linear), ".3f")),
+)
+"""Columns of the tables of contenders: head, and what stands in a cell."""
 
 
 def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
     """All contenders side by side, as tables and figures."""
     evaluation = result.evaluation
-    each = evaluation.contenders.items()
+    each = evaluation.contenders
     costs = table(
         f"Cost on {counted(evaluation.scenarios, 'held-out scenario')}, no unit",
-        (
-            *("Contender", "Mean", "95 % interval", "Median", "95th percentile", "Worst"),
-            *("Tuned minus this", "95 % interval", "Diverged"),
-        ),
-        [(name, *_cost_cells(name, evaluation)) for name, _ in each],
+        ("Contender", *(head for head, _ in _COSTS)),
+        [(name, *(cell(evaluation, name) for _, cell in _COSTS)) for name in each],
         class_="contenders",
         own=TUNED,
     )
     behaviour = table(
         "Where the cost comes from, and the errors behind it",
-        (
-            *("Contender", "Transient part", "Steady part"),
-            *("Attitude settled [s]", "Position settled [s]"),
-            *("Steady attitude RMS [deg]", "Steady position RMS [cm]"),
-            *("Bias error, angular [rad/s]", "Bias error, linear [m/s]"),
-        ),
-        [(name, *_behaviour_cells(contender)) for name, contender in each],
+        ("Contender", *(head for head, _ in _BEHAVIOUR)),
+        [(name, *(cell(of.metrics) for _, cell in _BEHAVIOUR)) for name, of in each.items()],
         class_="contenders",
         own=TUNED,
     )
     found = table(
         "What each contender is",
         ("Contender", "Schedule"),
-        [(name, schedule_words(contender.schedule)) for name, contender in each],
+        [(name, schedule_words(contender.schedule)) for name, contender in each.items()],
         class_="contenders text",
     )
-    angle = np.median(evaluation.contenders[TUNED].metrics.initial_angle)
+    angle = np.median(each[TUNED].metrics.initial_angle)
     same = (
         f"All scenarios start at an attitude error of {number(angle, '.1f')} deg, so that cost "
         "against initial angle has nothing to show."
@@ -101,9 +103,9 @@ def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
             class_="note",
         ),
         found,
-        *([] if ORACLE in evaluation.contenders else [_MORE]),
-        *([] if angles_differ(evaluation) else [paragraph(same, class_="note")]),
-        figures(NAMES, pictures),
+        *([] if ORACLE in each else [_MORE]),
+        *([] if evaluation_figures.angles_differ(evaluation) else [paragraph(same, class_="note")]),
+        figures(evaluation_figures.FIGURES, pictures),
     )
 
 
@@ -130,7 +132,7 @@ def schedule(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
         "The tuned schedule",
         element("div", join(tables), class_="figures"),
         _rules(result),
-        figures(SCHEDULE, pictures),
+        figures(schedule_figures.FIGURES, pictures),
     )
 
 
@@ -138,15 +140,14 @@ def trust(result: TuneResult) -> Html:
     """Numerical sensitivity and coverage."""
     found, own = result.trust, result.experiment.run.dtype
     costs = {"float32": found.cost_float32, "float64": found.cost_float64}
-    start = f"{own}, start changed by {PERTURBATION:g}"
-    rows = [
-        (name + (" (the run's own)" if name == own else ""), value)
-        for name, value in {**costs, start: found.cost_perturbed}.items()
-    ]
+    simulated = {f"{name} (the run's own)" if name == own else name: c for name, c in costs.items()}
+    simulated[f"{own}, start changed by {PERTURBATION:g}"] = found.cost_perturbed
     with np.errstate(all="ignore"):
-        away = [
-            100 * (np.float64(value) - costs[own]) / np.float64(costs[own]) for _, value in rows
-        ]
+        away = np.array(list(simulated.values())) / np.float64(costs[own]) - 1
+    rows = [
+        (name, cost(value, ".4f"), _percent(difference, "+.2g"))
+        for (name, value), difference in zip(simulated.items(), away, strict=True)
+    ]
     within = f"{100 * SENSITIVE:g} %"
     said = (
         f"Sensitive: these costs differ by more than {within}, or are not finite. The simulation "
@@ -160,10 +161,7 @@ def trust(result: TuneResult) -> Html:
         table(
             "Mean training cost of the tuned schedule",
             ("Simulated in", "Cost", "Difference"),
-            [
-                (name, cost(value, ".4f"), f"{number(d, '+.2g')} %")
-                for (name, value), d in zip(rows, away, strict=True)
-            ],
+            rows,
         ),
         paragraph(_coverage(found)),
     )
@@ -172,8 +170,7 @@ def trust(result: TuneResult) -> Html:
 def _coverage(found: Trust) -> str:
     """How much of the inputs the rules cover, and how many of them are used."""
     covered = (
-        f"No rule fires for {number(100 * found.uncovered, '.1f')} % of all pairs of scaled error "
-        "and rate."
+        f"No rule fires for {_percent(found.uncovered)} of all pairs of scaled error and rate."
         if found.uncovered > 0
         else "Some rule fires for every pair of scaled error and rate."
     )
@@ -187,28 +184,20 @@ def _coverage(found: Trust) -> str:
     )
 
 
-def one_run(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
-    """One held-out scenario over time."""
-    return section("One held-out scenario", figures(ONE_RUN, pictures))
-
-
-def search(pictures: Mapping[str, bytes]) -> Html:
-    """How the search went."""
-    return section("The search", figures(SEARCH, pictures))
-
-
 def configuration(result: TuneResult) -> Html:
-    """The whole experiment as TOML, which `posegsa tune` runs again."""
+    """Every setting with its meaning, and all of them as TOML, which `posegsa tune` runs again."""
+    settings = [
+        (name, join([element("code", toml(value))]), description)
+        for name, value, description in result.experiment.described()
+    ]
     text = element("pre", element("code", config.to_toml(result.experiment)), tabindex="0")
-    title = element("summary", "The whole experiment as TOML, every default included")
-    return section("Configuration", element("details", title, text))
-
-
-def environment(result: TuneResult) -> Html:
-    """Versions and device."""
-    rows = list(({"posegsa": result.version} | result.environment).items())
     return section(
-        "Environment", table("Where the run was made", ("Part", "Version"), rows, class_="text")
+        "Configuration",
+        details(
+            "Every setting and what it means",
+            table("Settings", ("Key", "Value", "Meaning"), settings, class_="text"),
+        ),
+        details("The whole experiment as TOML, every default included", text),
     )
 
 
@@ -226,35 +215,27 @@ def schedule_words(found: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {value}" for key, value in found.items())
 
 
-def _cost_cells(name: str, evaluation: Evaluation) -> list[str]:
-    metrics, mean = evaluation.contenders[name].metrics, evaluation.cost(name)
-    cells = [
-        cost(mean.mean),
-        interval(*mean[1:], ".2f"),
-        cost(float(np.median(metrics.cost))),
-        cost(float(np.quantile(metrics.cost, 0.95, method="lower"))),
-        cost(float(np.max(metrics.cost))),
-    ]
-    if name == TUNED:
-        cells += ["", ""]
-    else:
-        difference = evaluation.difference(name)
-        cells += [cost(difference.mean, "+.2f"), interval(*difference[1:])]
-    return [*cells, f"{number(100 * float(np.mean(metrics.diverged)), '.1f')} %"]
+def _other(name: str, cell: str) -> str:
+    """A cell that says something of the other contenders only."""
+    return "" if name == TUNED else cell
 
 
-def _behaviour_cells(contender: Contender) -> list[str]:
-    m = contender.metrics
-    return [
-        cost(float(np.mean(m.transient))),
-        cost(float(np.mean(m.steady))),
-        number(float(np.median(m.settling_attitude))),
-        number(float(np.median(m.settling_position))),
-        number(float(np.mean(m.rms_attitude))),
-        number(100 * float(np.mean(m.rms_position)), ".1f"),
-        number(float(np.mean(m.bias_angular)), ".3f"),
-        number(float(np.mean(m.bias_linear)), ".3f"),
-    ]
+def _costs(evaluation: Evaluation, name: str) -> np.ndarray:
+    return evaluation.contenders[name].metrics.cost
+
+
+def _percent(share: float | np.floating, form: str = ".1f") -> str:
+    return f"{number(100 * share, form)} %"
+
+
+def figures(described: Iterable[ResultFigure], pictures: Mapping[str, bytes]) -> Html:
+    """Those of some figures that there are, PNG files by name."""
+    shown = [figure(each, pictures[each.name]) for each in described if each.name in pictures]
+    return element("div", join(shown, "\n"), class_="figures")
+
+
+def _with_small(text: str, small: str) -> Html:
+    return join([text, " ", element("small", small)])
 
 
 def _terms(values: np.ndarray, names: tuple[str, ...], low: float, high: float) -> list[list[str]]:
@@ -262,13 +243,7 @@ def _terms(values: np.ndarray, names: tuple[str, ...], low: float, high: float) 
     corners = config.triangles([number(v, ".5g") for v in values], f"{low:g}", f"{high:g}")
     labels = config.triangles(names, "fixed", "fixed")
     return [
-        [
-            term,
-            *(
-                join([corner, " ", element("small", label)])
-                for corner, label in zip(row, of_row, strict=True)
-            ),
-        ]
+        [term, *map(_with_small, row, of_row)]
         for term, row, of_row in zip(config.TERMS, corners, labels, strict=True)
     ]
 
@@ -280,7 +255,7 @@ def _rules(result: TuneResult) -> Html:
         [
             f"Rate {term}",
             *(
-                join([config.TERMS[target], " ", element("small", number(weight, ".2g"))])
+                _with_small(config.TERMS[target], number(weight, ".2g"))
                 for target, weight in zip(row, weights, strict=True)
             ),
         ]

@@ -9,7 +9,7 @@ import numpy as np
 from posegsa import config
 from posegsa.arguments import check_type
 from posegsa.errors import ConfigError, RunFolderError
-from posegsa.figures import evaluation as evaluation_figures
+from posegsa.figures import result as result_figures
 from posegsa.figures.result import draw
 from posegsa.figures.style import png
 from posegsa.judging import evaluation
@@ -67,7 +67,7 @@ def write(result: TuneResult, folder: Path) -> None:
     figures = {_figure(name): picture for name, picture in pictures.items()}
     files = {name: text.encode("utf-8") for name, text in texts.items()} | figures
     # Not all evaluations have all figures.
-    replace_files(folder, files, remove=[_figure(name) for name in evaluation_figures.NAMES])
+    replace_files(folder, files, remove=[_figure(each.name) for each in result_figures.FIGURES])
 
 
 def _plain(result: TuneResult) -> dict[str, Any]:

@@ -19,7 +19,7 @@ AXIS = "devices"
 """Name of the mesh's only axis."""
 WORTH = 32
 """Simulations that are worth a CPU device of their own: two full vectors."""
-MOST_PROCESSES = 10**6
+MAX_PROCESSES = 10**6
 
 
 def join(
@@ -51,7 +51,7 @@ def join(
     if coordinator is not None and not coordinator.rpartition(":")[2].isdecimal():
         raise ArgumentError(f"coordinator = {coordinator!r}; allowed: HOST:PORT")
     if processes is not None and process is not None:
-        check_whole("processes", processes, 1, MOST_PROCESSES)
+        check_whole("processes", processes, 1, MAX_PROCESSES)
         check_whole("process", process, 0, processes - 1)
     try:
         jax.distributed.initialize(coordinator, processes, process)

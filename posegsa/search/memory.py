@@ -67,7 +67,7 @@ def check(experiments: Iterable[config.Experiment], held_out: int | None = None)
     total, there = COMPILER + sum(shares.values()), available()
     if there is None or total <= there:
         return
-    problems = []
+    violations = []
     for key, share in sorted(shares.items(), key=lambda item: -item[1]):
         if share > total / 20:
             section, name = key.split(".")
@@ -77,12 +77,12 @@ def check(experiments: Iterable[config.Experiment], held_out: int | None = None)
             reason = f"takes {_gib(share)}"
             if "scenarios" in key:
                 reason += f", with {many[0].scenario.samples} samples (scenario.duration) in each"
-            problems.append(Violation(key, reason, value))
+            violations.append(Violation(key, reason, value))
     several = f"{len(many)} experiments" if len(many) > 1 else "the experiment"
     title = (
         f"{several} would need about {_gib(total)} of memory; allowed: {_gib(there)}, what is free"
     )
-    raise MemoryLimitError(str(report(title, problems)))
+    raise MemoryLimitError(str(report(title, violations)))
 
 
 def available() -> int | None:

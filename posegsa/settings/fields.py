@@ -8,25 +8,43 @@ Arrays become tuples, so that every section can be hashed, compared, and static 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    model_validator,
+)
 
-from posegsa.settings.violations import Refused, Violation, config_error
+from posegsa.settings.violations import Refused, Violation, config_error, refuse
 
-LARGEST, SMALLEST = 1e9, 1e-9
-"""What numbers may be, so that float32 holds them, and products of some of them, with room."""
-MOST = 10**6
-"""What counts may be; what all of them together need is for `memory` to say."""
-MOST_SAMPLES = 10**7
+MAX_NUMBER, MIN_POSITIVE = 1e9, 1e-9
+"""Bounds of numbers: float32 holds these, and products of some of them, with room."""
+MAX_COUNT = 10**6
+"""Bound of counts; what all of them together need of memory is checked before a search."""
+MAX_SAMPLES = 10**7
 
-Number = Annotated[float, Strict(), Field(ge=-LARGEST, le=LARGEST)]
-NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST)]
-Positive = Annotated[float, Strict(), Field(ge=SMALLEST, le=LARGEST)]
-Count = Annotated[int, Strict(), Field(ge=1, le=MOST)]
-Index = Annotated[int, Strict(), Field(ge=0, le=MOST_SAMPLES)]
+Number = Annotated[float, Strict(), Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+NonNegative = Annotated[float, Strict(), Field(ge=0, le=MAX_NUMBER)]
+Positive = Annotated[float, Strict(), Field(ge=MIN_POSITIVE, le=MAX_NUMBER)]
+Count = Annotated[int, Strict(), Field(ge=1, le=MAX_COUNT)]
+Index = Annotated[int, Strict(), Field(ge=0, le=MAX_SAMPLES)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Number, Number, Number]
 Vector6 = tuple[Number, Number, Number, Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise refuse(ends, "a first value that is not above the second")
+    return ends
+
+
+Ascending = AfterValidator(_ascending)
+"""Of a pair: its first value is not above the second."""
 
 
 class Section(BaseModel):
@@ -39,14 +57,24 @@ class Section(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
+    def described(self) -> Iterator[tuple[str, Any, str]]:
+        """Name, value as plain data and description of each field, of sections inside each key."""
+        plain = self.model_dump(mode="json")
+        for name, field in type(self).model_fields.items():
+            if isinstance(section := getattr(self, name), Section):
+                for key, value, description in section.described():
+                    yield f"{name}.{key}", value, description
+            else:
+                yield name, plain[name], " ".join((field.description or "").split())
+
     def _conflicts(self) -> Iterator[Violation]:
         """What is wrong between the fields, each of them valid in itself."""
         yield from ()
 
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
-        if problems := list(self._conflicts()):
-            raise Refused(*problems)
+        if violations := list(self._conflicts()):
+            raise Refused(*violations)
         return self
 
     if not TYPE_CHECKING:  # type checkers keep the signature that pydantic derives from the fields
@@ -57,8 +85,8 @@ class Section(BaseModel):
                 super().__init__(**values)
             except ValidationError as error:
                 title = f"not a valid {type(self).__name__}"
-                raise config_error(title, error, values, type(self)) from None
+                raise config_error(title, error, type(self)) from None
 
         # So marked, only calls from outside pass through here: pydantic validates sections inside
-        # sections directly, and their problems arrive above with their full key.
+        # sections directly, and what is wrong with them arrives above with its full key.
         __init__.__pydantic_base_init__ = True

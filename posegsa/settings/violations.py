@@ -1,27 +1,28 @@
-"""From what pydantic found to text that a person can act on: the key, the value, what is allowed.
+"""What is wrong with a configuration: the key, the value, what is allowed.
 
-What is allowed is read from the JSON schema of the types, so that no message repeats, or outlives,
-what a type says. What a type cannot say, validators say with `Refused`.
+Pydantic says what a field allows, and validators say with `Refused` what a type cannot say. Added
+here are the dotted key, the value as TOML writes it, and the nearest known word to a misspelt one.
 """
 
 import difflib
-import json
+import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from posegsa.errors import ConfigError
+from posegsa.words import toml
 
 ABSENT = object()
 """Stands for a value that was not given."""
 
 _Path = tuple[int | str, ...]
-_Schema = Mapping[str, Any]
-_WIDTH = 100  # characters in a line of a message
+_Table = Mapping[Any, FieldInfo]
+_LINE = 96  # characters of a reason in a line of a message
 _SHOWN = 100  # characters of a value that are shown
 
 
@@ -37,23 +38,23 @@ class Violation:
     """What was given."""
 
     def __str__(self) -> str:
-        given = "" if self.value is ABSENT else f" = {_show(self.value)}"
-        reason = textwrap.wrap(
-            self.reason, _WIDTH - 4, break_long_words=False, break_on_hyphens=False
-        )
+        given = "" if self.value is ABSENT else f" = {toml(self.value)}"
+        if len(given) > _SHOWN:
+            given = f"{given[:_SHOWN]}..."
+        reason = textwrap.wrap(self.reason, _LINE, break_long_words=False, break_on_hyphens=False)
         return "\n    ".join([f"  {self.key or '(top level)'}{given}", *reason])
 
     def under(self, path: _Path) -> "Violation":
-        """The same problem, its key below the given one."""
-        return Violation(_dotted((*path, self.key) if self.key else path), self.reason, self.value)
+        """The same with its key below the given one."""
+        return replace(self, key=_dotted((*path, self.key) if self.key else path))
 
 
 class Refused(ValueError):
     """Raised by validators: what is wrong, by keys relative to what they look at."""
 
-    def __init__(self, *problems: Violation) -> None:
-        super().__init__(*problems)
-        self.problems = problems
+    def __init__(self, *violations: Violation) -> None:
+        super().__init__(*violations)
+        self.violations = violations
 
 
 def refuse(value: object, allowed: str) -> Refused:
@@ -61,188 +62,103 @@ def refuse(value: object, allowed: str) -> Refused:
     return Refused(Violation("", f"allowed: {allowed}", value))
 
 
-def report(title: str, problems: Sequence[Violation]) -> ConfigError:
-    """The error that lists these problems under a title."""
-    return ConfigError("\n\n".join([title, *map(str, problems)]))
+def report(title: str, violations: Iterable[Violation]) -> ConfigError:
+    """The error that lists these violations under a title."""
+    return ConfigError("\n\n".join([title, *map(str, violations)]))
 
 
-def config_error(
-    title: str, error: ValidationError, data: object, model: type[BaseModel]
-) -> ConfigError:
-    """The error that says in words what pydantic found.
-
-    Args:
-        title: First line of the message, such as the file's name.
-        error: What pydantic raised.
-        data: What it was given.
-        model: The type that it was to become.
-    """
-    schema = _schema(model)
-    found: dict[str, Violation] = {}
+def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> ConfigError:
+    """The error that says under a title what pydantic found where it was to make a model."""
+    found: dict[tuple[str, int], Violation] = {}
     for item in error.errors(include_url=False):
-        for problem in _problems(item, data, schema):
-            found.setdefault(problem.key, problem)
-    # A union reports the whole value beside the part of it that is wrong: the part says more.
-    parts = [p for p in found.values() if not any(k.startswith(f"{p.key}.") for k in found)]
+        for i, violation in enumerate(_violations(item, model.model_fields)):
+            if other := found.get((violation.key, i)):  # every member of a union has its own reason
+                violation = replace(violation, reason=f"{other.reason}, or {violation.reason}")
+            found[violation.key, i] = violation
+    # A union refuses the whole value beside the part of it that is wrong: the part says more.
+    keys = [key for key, _ in found]
+    parts = [v for v in found.values() if not any(k.startswith(f"{v.key}.") for k in keys)]
     return report(title, parts)
 
 
-@cache
-def _schema(model: type[BaseModel]) -> _Schema:
-    return model.model_json_schema()
-
-
-def _problems(item: Mapping[str, Any], data: object, schema: _Schema) -> Iterator[Violation]:
-    """The problems that one error of pydantic's stands for."""
-    kind, location = item["type"], item["loc"]
-    path, value = _follow(data, location)
-    cause = item.get("ctx", {}).get("error")
-    if isinstance(cause, Refused):
-        yield from (problem.under(path) for problem in cause.problems)
-    elif kind in ("extra_forbidden", "invalid_key"):
-        yield Violation(_dotted(path), _unknown_key(path, schema))
-    elif kind == "missing" and isinstance(location[-1], str):
-        path = (*path, location[-1])
-        yield Violation(
-            _dotted(path), f"missing; needed: {_allowed(_locate(schema, path), schema)}"
-        )
-    else:
-        options = _locate(schema, path)
-        reason = f"allowed: {_allowed(options, schema)}"
-        yield Violation(_dotted(path), reason + _suggestion(value, _choices(options)), value)
-
-
-def _follow(data: object, location: _Path) -> tuple[_Path, object]:
-    """The steps of an error's location that exist in the data, and the value there.
-
-    The others name members of unions, or entries that a too short array lacks.
-    """
-    path: _Path = ()
-    for step in location:
-        parts: Any = dict(enumerate(data)) if isinstance(data, list | tuple) else data
-        if isinstance(parts, Mapping) and step in parts:
-            data = parts[step]
-            path = (*path, step)
-    return path, data
-
-
-def _unknown_key(path: _Path, schema: _Schema) -> str:
-    """Why a key is refused: with the nearest key beside it, or its like elsewhere, or all keys."""
-    key = str(path[-1])
-    beside = list(_keys(_locate(schema, path[:-1])))
-    if nearest := _nearest(key, beside):
-        return f'unknown key; did you mean "{_dotted((*path[:-1], nearest))}"?'
-    sections = _keys([schema]) if path[:-1] else ()
-    for section in sections:
-        if key in _keys(_locate(schema, (section,))):
-            return f'unknown key; did you mean "{section}.{key}"?'
-    return f"unknown key; known here: {', '.join(beside)}"
-
-
-def _nearest(word: str, known: Sequence[str]) -> str | None:
-    """The known word most like the given one, if any is."""
-    lowered = {candidate.lower(): candidate for candidate in known}
-    found = difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=0.7)
-    return lowered[found[0]] if found else None
-
-
-def _suggestion(value: object, choices: Sequence[str]) -> str:
-    """A question after a misspelt word."""
-    nearest = _nearest(value, choices) if isinstance(value, str) else None
-    return f'; did you mean "{nearest}"?' if nearest else ""
-
-
-def _locate(schema: _Schema, path: _Path) -> list[_Schema]:
-    """The schemas that a value at this path may follow."""
-    nodes = _options(schema, schema)
-    for step in path:
-        nodes = [option for node in nodes for option in _options(_child(node, step), schema)]
-    return nodes
-
-
-def _options(node: _Schema, root: _Schema) -> list[_Schema]:
-    """The node's alternatives, references resolved."""
-    if "$ref" in node:
-        return _options(root["$defs"][node["$ref"].rpartition("/")[2]], root)
-    if "anyOf" in node:
-        return [option for part in node["anyOf"] for option in _options(part, root)]
-    return [node] if node else []
-
-
-def _child(node: _Schema, step: int | str) -> _Schema:
-    """The schema of one key of a table or one entry of an array; empty if there is none."""
-    if isinstance(step, str):
-        return node.get("properties", {}).get(step, {})
-    entries = node.get("prefixItems", [])
-    return entries[step] if step < len(entries) else node.get("items") or {}
-
-
-def _keys(nodes: Sequence[_Schema]) -> Sequence[str]:
-    """The keys of a table."""
-    return [key for node in nodes for key in node.get("properties", {})]
-
-
-def _choices(nodes: Sequence[_Schema]) -> list[str]:
-    """The words that are allowed."""
+def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
+    """What one error of pydantic's stands for."""
+    context, value, reason = item.get("ctx", {}), item["input"], item["msg"]
+    path, tables = _place(item["loc"], model)
+    if isinstance(cause := context.get("error"), Refused):
+        return [violation.under(path) for violation in cause.violations]
+    if "discriminator" in context:  # the key that says which table of a union is meant
+        key = context["discriminator"].strip("'")
+        path, value = (*path, key), value.get(key, ABSENT)
+    match item["type"]:
+        case "extra_forbidden":
+            path = (*path, item["loc"][-1])
+            value, reason = ABSENT, _unknown_key(path, tables, model)
+        case "missing" | "union_tag_not_found":
+            value, reason = ABSENT, "missing"
+        case "tuple_type":
+            reason = "Input should be an array"
+        case "model_type" | "model_attributes_type":
+            reason = f"Input should be a table with the keys {_listed(tables)}"
+        case "literal_error" | "union_tag_invalid":
+            expected = context.get("expected") or context["expected_tags"]
+            reason = f"Input should be {expected}"
+            if nearest := _nearest(value, re.findall("'([^']*)'", expected)):
+                reason += f"; did you mean '{nearest}'?"
     return [
-        w for node in nodes for w in node.get("enum", [node["const"]] if "const" in node else [])
+        Violation(_dotted(path), re.sub("^(Input|Tuple) | after validation", "", reason), value)
     ]
 
 
-def _allowed(nodes: Sequence[_Schema], root: _Schema) -> str:
-    """What these schemas allow, in words."""
-    return " or ".join(_describe(node, root) for node in nodes)
+def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
+    """The keys and indices of an error's location, and the tables that may stand there.
+
+    The location also names members of unions, tables by their tag, which a file does not.
+    """
+    path, tables = (), [model]
+    for step in location:
+        fields = [table[step] for table in tables if step in table]
+        if fields or isinstance(step, int):
+            path = (*path, step)
+        if fields:
+            tables = [table for field in fields for table in _tables(field.annotation)]
+        else:
+            tables = [t for t in tables if _is_tag_of(step, t)] or tables
+    return path, tables
 
 
-def _describe(node: _Schema, root: _Schema) -> str:
-    """What one schema allows, in words."""
-    if choices := _choices([node]):
-        return " or ".join(json.dumps(choice) for choice in choices)
-    match node["type"]:
-        case "boolean":
-            return "true or false"
-        case "integer":
-            return "an integer" + _bounds(node)
-        case "number":
-            return "a finite number" + _bounds(node)
-        case "array":
-            count = f" of at most {node['maxItems']}" if "maxItems" in node else ""
-            count = f" of {node['minItems']}" if "minItems" in node else count
-            return f"an array{count}, each {_allowed(_options(_child(node, 0), root), root)}"
-        case _:
-            return f"a table with the keys {', '.join(_keys([node]))}"
+def _tables(annotation: Any) -> list[_Table]:
+    """The tables in a type, those of unions and arrays too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation.model_fields]
+    return [table for part in get_args(annotation) for table in _tables(part)]
 
 
-def _bounds(node: _Schema) -> str:
-    """The limits of a number, in words."""
-    signs = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-    limits = [f"{sign} {_limit(node[key])}" for key, sign in signs.items() if key in node]
-    return f" {' and '.join(limits)}" if limits else ""
+def _is_tag_of(step: int | str, table: _Table) -> bool:
+    return any(step in get_args(field.annotation) for field in table.values())
 
 
-def _limit(number: float) -> str:
-    return f"{number:g}" if isinstance(number, float) else str(number)
+def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:
+    """Why a key is refused: with the nearest key beside it, or its like elsewhere, or all keys."""
+    *above, key = path
+    if nearest := _nearest(key, [known for table in tables for known in table]):
+        return f"unknown key; did you mean {_dotted((*above, nearest))}?"
+    for section, field in model.items():
+        if section not in above and any(key in table for table in _tables(field.annotation)):
+            return f"unknown key; did you mean {section}.{key}?"
+    return f"unknown key; known here: {_listed(tables)}"
+
+
+def _nearest(word: object, known: Iterable[str]) -> str | None:
+    """The known word most like the given one, if any is."""
+    lowered = {candidate.lower(): candidate for candidate in known}
+    found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.7)
+    return lowered[found[0]] if found else None
+
+
+def _listed(tables: list[_Table]) -> str:
+    return ", ".join(dict.fromkeys(key for table in tables for key in table))
 
 
 def _dotted(path: _Path) -> str:
     return ".".join(map(str, path))
-
-
-def _show(value: object) -> str:
-    """A value as TOML would have it, cut short where it is long."""
-    text = _toml(value)
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
-
-
-def _toml(value: object) -> str:
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case str():
-            return json.dumps(value, ensure_ascii=False)
-        case list() | tuple():
-            return f"[{', '.join(map(_toml, value))}]"
-        case Mapping():
-            return f"{{{', '.join(f'{k} = {_toml(v)}' for k, v in value.items())}}}"
-        case _:
-            return repr(value)

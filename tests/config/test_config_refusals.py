@@ -30,64 +30,65 @@ def setting_refusal(*texts: str) -> str:
     ("setting", "key_and_value", "allowed"),
     [
         # wrong types
-        ("run.seed=true", "run.seed = true", "an integer >= 0 and <= 4294967295"),
-        ("run.seed=1.0", "run.seed = 1.0", "an integer"),
-        ('run.seed="1"', 'run.seed = "1"', "an integer"),
-        ("scenario.duration=true", "scenario.duration = true", "a finite number >= 1e-09"),
-        ('scenario.duration="15"', 'scenario.duration = "15"', "a finite number >= 1e-09"),
-        ("scenario.cross_vector=1", "scenario.cross_vector = 1", "true or false"),
-        ("scenario.cross_vector=yes", 'scenario.cross_vector = "yes"', "true or false"),
-        (
-            "scenario.vectors=3",
-            "scenario.vectors = 3",
-            "an array of at most 64, each a table with the keys dir",
-        ),
-        ("filter.law=1979-05-27", "filter.law = ", '"gradient" or "printed"'),
-        ("gsa.random=true", "gsa.random = true", '"dimension" or "agent"'),
+        ("run.seed=true", "run.seed = true", "should be a valid integer"),
+        ("run.seed=1.0", "run.seed = 1.0", "should be a valid integer"),
+        ('run.seed="1"', 'run.seed = "1"', "should be a valid integer"),
+        ("scenario.duration=true", "scenario.duration = true", "should be a valid number"),
+        ('scenario.duration="15"', 'scenario.duration = "15"', "should be a valid number"),
+        ("scenario.cross_vector=1", "scenario.cross_vector = 1", "should be a valid boolean"),
+        ("scenario.cross_vector=yes", 'scenario.cross_vector = "yes"', "should be a valid boolean"),
+        ("scenario.vectors=3", "scenario.vectors = 3", "should be an array"),
+        ("scenario.vectors.0=3", "scenario.vectors.0 = 3", "a table with the keys direction, bias"),
+        ("filter.law=1979-05-27", "filter.law = 1979-05-27", "'gradient' or 'printed'"),
+        ("gsa.random=true", "gsa.random = true", "'dimension' or 'agent'"),
         # not finite, out of range
+        ("filter.gamma=nan", "filter.gamma = nan", "a finite number, or should be an array"),
+        ("scenario.duration=inf", "scenario.duration = inf", "should be a finite number"),
+        ("filter.gamma=-1", "filter.gamma = -1", "greater than or equal to 0"),
+        ("filter.gamma=[1, -2]", "filter.gamma.1 = -2", "greater than or equal to 0"),
         (
-            "filter.gamma=nan",
-            "filter.gamma = nan",
-            "a finite number >= 0 and <= 1e+09 or an array of 2",
+            "filter.gamma=[1, 2, 3]",
+            "filter.gamma = [1, 2, 3]",
+            "should have at most 2 items, not 3",
         ),
-        ("scenario.duration=inf", "scenario.duration = inf", "a finite number >= 1e-09"),
-        ("filter.gamma=-1", "filter.gamma = -1", "a finite number >= 0"),
-        ("filter.gamma=[1, -2]", "filter.gamma.1 = -2", "a finite number >= 0"),
-        ("filter.gamma=[1, 2, 3]", "filter.gamma = [1, 2, 3]", "an array of 2"),
-        ("filter.substeps=0", "filter.substeps = 0", "an integer >= 1"),
+        ("filter.substeps=0", "filter.substeps = 0", "greater than or equal to 1"),
         (
             "filter.gain_limit=0",
             "filter.gain_limit = 0",
-            'a finite number >= 1e-09 and <= 1e+09 or "off"',
+            "should be greater than or equal to 0.000000001, or should be 'off'",
         ),
-        ("run.seed=4294967296", "run.seed = 4294967296", "<= 4294967295"),
-        ("run.seed=-1", "run.seed = -1", ">= 0"),
-        ("run.training_scenarios=0", "run.training_scenarios = 0", ">= 1"),
-        ("fuzzy.sampled_points=2", "fuzzy.sampled_points = 2", ">= 3"),
-        ("search.agents=1", "search.agents = 1", ">= 2"),
-        ("gsa.final_percent=0", "gsa.final_percent = 0", "> 0 and <= 100"),
-        ("gsa.final_percent=101", "gsa.final_percent = 101", "> 0 and <= 100"),
+        ("run.seed=4294967296", "run.seed = 4294967296", "less than or equal to 4294967295"),
+        ("run.seed=-1", "run.seed = -1", "greater than or equal to 0"),
+        ("run.training_scenarios=0", "run.training_scenarios = 0", "greater than or equal to 1"),
+        ("fuzzy.sampled_points=2", "fuzzy.sampled_points = 2", "greater than or equal to 3"),
+        ("search.agents=1", "search.agents = 1", "greater than or equal to 2"),
+        ("gsa.final_percent=0", "gsa.final_percent = 0", "greater than 0"),
+        ("gsa.final_percent=101", "gsa.final_percent = 101", "less than or equal to 100"),
         # negative noise
         (
             "scenario.angular_velocity_noise=-0.1",
             "scenario.angular_velocity_noise = -0.1",
-            "a finite number >= 0",
+            "greater than or equal to 0",
         ),
-        ("scenario.vectors.1.noise=-1", "scenario.vectors.1.noise = -1", "a finite number >= 0"),
-        ("scenario.landmarks.0.weight=-1", "scenario.landmarks.0.weight = -1", ">= 0"),
-        # words
-        ("filter.law=gradeint", 'filter.law = "gradeint"', 'did you mean "gradient"?'),
-        ("filter.law=Printed", 'filter.law = "Printed"', 'did you mean "printed"?'),
-        ("fuzzy.rules.0.3=V", 'fuzzy.rules.0.3 = "V"', '"VS" or "S" or "M" or "L" or "VL"'),
-        # lengths
         (
-            "scenario.velocity_bias=[1, 2]",
-            "scenario.velocity_bias = [1, 2]",
-            "an array of 3, each a finite number",
+            "scenario.vectors.1.noise=-1",
+            "scenario.vectors.1.noise = -1",
+            "greater than or equal to 0",
         ),
-        ("scenario.velocity_bias=[1, 2, 3, 4]", "scenario.velocity_bias = [1", "an array of 3"),
-        ("parameters.lower=[0, 0]", "parameters.lower = [0, 0]", "an array of 22"),
-        ("scenario.velocity=[[], []]", "scenario.velocity = [[], []]", "an array of 3, each an"),
+        (
+            "scenario.landmarks.0.weight=-1",
+            "scenario.landmarks.0.weight = -1",
+            "than or equal to 0",
+        ),
+        # words
+        ("filter.law=gradeint", 'filter.law = "gradeint"', "did you mean 'gradient'?"),
+        ("filter.law=Printed", 'filter.law = "Printed"', "did you mean 'printed'?"),
+        ("fuzzy.rules.0.3=V", 'fuzzy.rules.0.3 = "V"', "'VS', 'S', 'M', 'L' or 'VL'"),
+        # lengths
+        ("scenario.velocity_bias=[1, 2]", "scenario.velocity_bias.2", "missing"),
+        ("scenario.velocity_bias=[1, 2, 3, 4]", "velocity_bias = [1, 2, 3, 4]", "at most 3 items"),
+        ("parameters.lower=[0, 0]", "parameters.lower = [0, 0]", "at least 22 items"),
+        ("scenario.velocity=[[], []]", "scenario.velocity.2", "missing"),
         # rotations
         (
             "scenario.initial_rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
@@ -122,7 +123,7 @@ def setting_refusal(*texts: str) -> str:
         (
             "scenario.initial_rotation_estimate=[[1e308, 0, 0], [0, 1, 0], [0, 0, 1]]",
             "scenario.initial_rotation_estimate.0.0 = 1e+308",
-            "a finite number >= -1e+09 and <= 1e+09",
+            "less than or equal to 1000000000",
         ),
         # zero vectors
         (
@@ -138,16 +139,28 @@ def setting_refusal(*texts: str) -> str:
             "a whole number of samples, 2 to 10000000; with sampling_time = 0.01 these are 500.5",
         ),
         ("scenario.duration=0.01", "scenario.duration = 0.01", "2 to 10000000"),
-        ("scenario.duration=1e308", "scenario.duration = 1e+308", "a finite number >= 1e-09"),
+        (
+            "scenario.duration=1e308",
+            "scenario.duration = 1e+308",
+            "less than or equal to 1000000000",
+        ),
         ("scenario.duration=1e9", "scenario.duration = 1000000000.0", "these are 1e+11"),
-        ("search.iterations=1000001", "search.iterations = 1000001", ">= 1 and <= 1000000"),
+        (
+            "search.iterations=1000001",
+            "search.iterations = 1000001",
+            "less than or equal to 1000000",
+        ),
         (
             "scenario.duration=10",
             "cost.steady_window = [400, 1400]",
             "samples 0 to 999, as scenario.duration = 10.0 and scenario.sampling_time = 0.01 make",
         ),
-        ("cost.transient_window=[9, 8]", "cost.transient_window = [9, 8]", "not after the last"),
-        ("cost.transient_window=[-1, 8]", "cost.transient_window.0 = -1", "an integer >= 0"),
+        ("cost.transient_window=[9, 8]", "cost.transient_window = [9, 8]", "not above the second"),
+        (
+            "cost.transient_window=[-1, 8]",
+            "cost.transient_window.0 = -1",
+            "greater than or equal to 0",
+        ),
         # inference
         ("fuzzy.ordering=false", 'fuzzy.centroid = "exact"', '"sampled", because ordering = false'),
         ("fuzzy.ordering=false", "fuzzy.coverage = true", "false, because ordering = false"),
@@ -177,12 +190,12 @@ def test_a_bad_value_is_named_with_what_is_allowed(
 @pytest.mark.parametrize(
     ("setting", "hint"),
     [
-        ("filter.substep=3", 'filter.substep unknown key; did you mean "filter.substeps"?'),
-        ("fliter.substeps=3", 'fliter unknown key; did you mean "filter"?'),
-        ("gain.Signal=pose", 'gain.Signal unknown key; did you mean "gain.signal"?'),
-        ("gsa.agents=3", 'gsa.agents unknown key; did you mean "search.agents"?'),
-        ("scenario.vectors.0.nose=3", 'did you mean "scenario.vectors.0.noise"?'),
-        ("scenario.normalize_vectors=false", 'did you mean "scenario.normalise_vectors"?'),
+        ("filter.substep=3", "filter.substep unknown key; did you mean filter.substeps?"),
+        ("fliter.substeps=3", "fliter unknown key; did you mean filter?"),
+        ("gain.Signal=pose", "gain.Signal unknown key; did you mean gain.signal?"),
+        ("gsa.agents=3", "gsa.agents unknown key; did you mean search.agents?"),
+        ("scenario.vectors.0.nose=3", "did you mean scenario.vectors.0.noise?"),
+        ("scenario.normalize_vectors=false", "did you mean scenario.normalise_vectors?"),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
         ("x.y=3", "known here: run, scenario, family, filter"),
     ],
@@ -193,9 +206,9 @@ def test_a_misspelt_key_gets_the_nearest(setting: str, hint: str) -> None:
 
 def test_missing_keys_and_wrong_tables_are_named() -> None:
     text = refusal(from_dict, {"run": 3, "scenario": {"landmarks": [{"positon": [1, 2, 3]}]}})
-    assert "run = 3 allowed: a table with the keys seed, dtype" in text
-    assert "scenario.landmarks.0.position missing; needed: an array of 3, each a finite" in text
-    assert 'landmarks.0.positon unknown key; did you mean "scenario.landmarks.0.position"?' in text
+    assert "run = 3 should be a table with the keys seed, dtype" in text
+    assert "scenario.landmarks.0.position missing" in text
+    assert "landmarks.0.positon unknown key; did you mean scenario.landmarks.0.position?" in text
 
 
 def test_all_problems_are_listed() -> None:
@@ -204,15 +217,17 @@ def test_all_problems_are_listed() -> None:
         assert key in text
 
 
-@pytest.mark.parametrize("data", [[1], "run", None, {1: 2}])
+@pytest.mark.parametrize("data", [[1], "run", None])
 def test_what_is_not_a_table_of_sections_is_refused(data: Any) -> None:
-    assert "run, scenario, family, filter" in refusal(from_dict, data)
+    assert "a table with the keys run, scenario, family, filter" in refusal(from_dict, data)
 
 
 def test_sections_made_by_hand_say_the_same() -> None:
-    assert "substeps = 0 allowed: an integer >= 1" in refusal(config.FilterConfig, substeps=0)
+    assert "substeps = 0 should be greater than or equal to 1" in refusal(
+        config.FilterConfig, substeps=0
+    )
     text = refusal(Experiment, filter={"substeps": 0})
-    assert "filter.substeps = 0 allowed: an integer >= 1" in text
+    assert "filter.substeps = 0 should be greater than or equal to 1" in text
     short = config.ScenarioConfig(duration=5.0)
     assert "cost.steady_window = [400, 1400]" in refusal(Experiment, scenario=short)
 
@@ -304,7 +319,7 @@ def written(folder: Path, content: bytes) -> Path:
         (b"x = " + b"[" * 100_000, "not valid TOML: a number too long or arrays too deep"),
         (b"x = " + b"9" * 5000, "not valid TOML: a number too long or arrays too deep"),
         (b"#" * (2**20 + 1), "too large; allowed: at most 1 MiB"),
-        (b"[filter]\nsubsteps = 0", "filter.substeps = 0 allowed: an integer >= 1"),
+        (b"[filter]\nsubsteps = 0", "filter.substeps = 0 should be greater than or equal to 1"),
     ],
 )
 def test_a_bad_file_is_named_with_its_place(tmp_path: Path, content: bytes, message: str) -> None:

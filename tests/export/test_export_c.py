@@ -19,6 +19,7 @@ import posegsa
 from posegsa.export import export_c
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import Trust
+from posegsa.words import toml
 
 CC = shutil.which("cc") or shutil.which("gcc")
 WARNINGS = [
@@ -253,7 +254,8 @@ def test_the_head_comment_lists_the_settings_and_parameters():
     result = tuned(K)
     text = head(result)
     for section in (result.experiment.gain, result.experiment.filter):
-        for name, value in section.model_dump().items():
-            assert f"{name} = {value!r}. " in text
+        for name, value, description in section.described():
+            assert f"{name} = {toml(value)}. {description}" in text
+    assert 'centroid = "exact". How' in text
     for i, value in enumerate(result.parameters.tolist(), start=1):
         assert f"k{i}={value!r}" in text

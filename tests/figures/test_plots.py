@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pictures import history, legend, lines, trajectory
 
-from posegsa.figures import result as plots
+from posegsa.figures import schedule, search
+from posegsa.figures import trajectory as paths
+from posegsa.figures.result import FIGURES as ALL
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.optimisers import History
 
@@ -31,14 +33,14 @@ def controller(inputs=COVERED, outputs=OUTPUTS, **choices):
 
 
 FIGURES = {
-    "input_terms": partial(plots.plot_input_terms, controller(GAPPED)),
-    "output_terms": partial(plots.plot_output_terms, controller()),
-    "surface": partial(plots.plot_surface, controller(GAPPED)),
-    "convergence": partial(plots.plot_convergence, history(non_finite=2)),
-    "euler": partial(plots.plot_euler, trajectory()),
-    "position": partial(plots.plot_position, trajectory()),
-    "errors": partial(plots.plot_errors, trajectory()),
-    "gain": partial(plots.plot_gain, trajectory()),
+    "input_terms": partial(schedule.plot_input_terms, controller(GAPPED)),
+    "output_terms": partial(schedule.plot_output_terms, controller()),
+    "surface": partial(schedule.plot_surface, controller(GAPPED)),
+    "convergence": partial(search.plot_convergence, history(non_finite=2)),
+    "euler": partial(paths.plot_euler, trajectory()),
+    "position": partial(paths.plot_position, trajectory()),
+    "errors": partial(paths.plot_errors, trajectory()),
+    "gain": partial(paths.plot_gain, trajectory()),
 }
 
 
@@ -70,9 +72,17 @@ def test_is_saved_with_a_unit_on_every_axis_and_no_trace_left(make, tmp_path):
 def test_pyplot_is_not_needed(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # importing it raises
     monkeypatch.delattr(matplotlib, "pyplot", raising=False)
-    fresh = importlib.reload(plots)
     for make in FIGURES.values():
+        fresh = importlib.reload(sys.modules[make.func.__module__])
         getattr(fresh, make.func.__name__)(*make.args).draw_without_rendering()
+
+
+def test_every_figure_of_a_result_has_its_words():
+    assert len({each.name for each in ALL}) == len(ALL)
+    for each in ALL:
+        assert len(each.alternative) > 20
+        assert len(each.caption) > 20
+        assert each.title
 
 
 def test_look_does_not_depend_on_the_users_settings():
@@ -82,14 +92,14 @@ def test_look_does_not_depend_on_the_users_settings():
         return (*figure.get_size_inches(), label.get_fontsize(), ax.lines[0].get_color())
 
     with matplotlib.rc_context({"font.size": 30, "figure.autolayout": True, "axes.grid": True}):
-        changed = look(plots.plot_errors(trajectory()))
-    assert changed == look(plots.plot_errors(trajectory()))
+        changed = look(paths.plot_errors(trajectory()))
+    assert changed == look(paths.plot_errors(trajectory()))
 
 
 def test_terms_are_named_triangles():
     for figure, terms, high in (
-        (plots.plot_input_terms(controller()), COVERED, 1),
-        (plots.plot_output_terms(controller()), OUTPUTS, 100),
+        (schedule.plot_input_terms(controller()), COVERED, 1),
+        (schedule.plot_output_terms(controller()), OUTPUTS, 100),
     ):
         (ax,) = figure.axes
         assert_drawn(ax, *((np.float32(term), (0, 1, 0)) for term in terms))
@@ -102,7 +112,7 @@ def test_terms_are_named_triangles():
 
 def test_names_of_close_peaks_do_not_overlap():
     close = ((0, 0, 0.1), (0.1, 0.15, 0.2), (0.1, 0.15, 0.2), (0.1, 0.16, 0.9), (0.3, 1, 1))
-    figure = plots.plot_input_terms(controller(close))
+    figure = schedule.plot_input_terms(controller(close))
     figure.draw_without_rendering()
     boxes = [Text.get_window_extent(text) for text in figure.axes[0].texts]
     for left, right in pairwise(boxes):
@@ -116,14 +126,14 @@ def test_other_numbers_of_terms_are_numbered():
         ((0, 1), (1, 1)),
         (0.0, 9.0),
     )
-    texts = plots.plot_input_terms(two).axes[0].texts
+    texts = schedule.plot_input_terms(two).axes[0].texts
     assert [text.get_text() for text in texts] == ["1", "2"]
 
 
 @pytest.mark.parametrize("choices", [{}, {"centroid": "sampled", "points": 1001}])
 def test_surface_is_the_controllers(choices):
     fuzzy = controller(**choices)
-    ax, bar = plots.plot_surface(fuzzy).axes
+    ax, bar = schedule.plot_surface(fuzzy).axes
     mesh = ax.collections[0]
     gain = np.ma.getdata(mesh.get_array())
     axis = np.linspace(0, 1, len(gain)) ** 2
@@ -138,7 +148,7 @@ def test_surface_is_the_controllers(choices):
 def test_contour_lines_are_labelled_with_their_gain():
     fuzzy = controller()
     gain = jax.jit(lambda error, rate: fuzzy(error, rate))
-    ax = plots.plot_surface(fuzzy).axes[0]
+    ax = schedule.plot_surface(fuzzy).axes[0]
     assert len(ax.texts) >= 4
     for text in ax.texts:
         x, y = text.get_position()
@@ -151,7 +161,7 @@ def test_contour_lines_are_labelled_with_their_gain():
 )
 def test_surface_marks_where_no_rule_fires(no_rule, meaning):
     fuzzy = controller(GAPPED, no_rule=no_rule)
-    figure = plots.plot_surface(fuzzy)
+    figure = schedule.plot_surface(fuzzy)
     assert legend(figure) == [f"no rule fires: {meaning}"]
     ax = figure.axes[0]
     drawn = ax.collections[0].get_array()
@@ -169,13 +179,13 @@ def test_surface_marks_where_no_rule_fires(no_rule, meaning):
 
 
 def test_gaps_are_marked_between_the_terms_too():
-    figure = plots.plot_input_terms(controller(GAPPED))
+    figure = schedule.plot_input_terms(controller(GAPPED))
     assert legend(figure) == ["no rule fires"]
     assert len(figure.axes[0].patches) == 2
 
 
 def test_nothing_is_marked_where_rules_fire_everywhere():
-    for figure in (plots.plot_surface(controller()), plots.plot_input_terms(controller())):
+    for figure in (schedule.plot_surface(controller()), schedule.plot_input_terms(controller())):
         assert not figure.legends
         assert not figure.axes[0].patches
 
@@ -189,12 +199,12 @@ def test_nothing_is_marked_where_rules_fire_everywhere():
     ],
 )
 def test_surface_of_degenerate_controllers_is_drawn(inputs, outputs):
-    plots.plot_surface(controller(inputs, outputs)).draw_without_rendering()
+    schedule.plot_surface(controller(inputs, outputs)).draw_without_rendering()
 
 
 def test_convergence_shows_the_history():
     past = history()
-    (ax,) = plots.plot_convergence(past).axes
+    (ax,) = search.plot_convergence(past).axes
     iteration = np.arange(1, 41)
     assert_drawn(ax, *((iteration, values) for values in past[:3]))
     assert ax.get_yscale() == "linear"
@@ -206,7 +216,7 @@ def test_convergence_takes_costs_that_are_not_finite():
         *(np.array([inf, 50, 45, 45]), np.array([nan, 70, 60, 1e4])),
         *(np.array([nan, 90, inf, 1e9]), np.array([7, 0, 2, 1], np.int32)),
     )
-    figure = plots.plot_convergence(past)
+    figure = search.plot_convergence(past)
     figure.draw_without_rendering()
     ax, below = figure.axes
     assert ax.get_yscale() == "log"
@@ -220,20 +230,20 @@ def test_convergence_takes_costs_that_are_not_finite():
 def test_convergence_without_any_finite_cost_is_drawn():
     none = np.full(3, np.nan)
     past = History(np.full(3, np.inf), none, none, np.full(3, 9))
-    plots.plot_convergence(past).draw_without_rendering()
+    search.plot_convergence(past).draw_without_rendering()
 
 
 def test_pose_is_true_beside_estimated():
     run = trajectory()
     for figure, true, estimated in (
-        (plots.plot_euler(run), run.euler, run.euler_est),
-        (plots.plot_position(run), run.position, run.position_est),
+        (paths.plot_euler(run), run.euler, run.euler_est),
+        (paths.plot_position(run), run.position, run.position_est),
     ):
         assert legend(figure) == ["true", "estimated"]
         assert len(figure.axes) == 3
         for i, ax in enumerate(figure.axes):
             assert_drawn(ax, (run.time, true[:, i]), (run.time, estimated[:, i]))
-    labels = [ax.get_ylabel() for ax in plots.plot_euler(run).axes]
+    labels = [ax.get_ylabel() for ax in paths.plot_euler(run).axes]
     assert labels == [r"Roll $\phi$ [deg]", r"Pitch $\theta$ [deg]", r"Yaw $\psi$ [deg]"]
 
 
@@ -241,7 +251,7 @@ def test_angles_break_at_wraps():
     angle = np.array([150, 170, -170, -150, 0, 179, -177, 180, -180.0])
     time = np.arange(9.0)
     run = trajectory(9, time=time, euler=np.tile(angle[:, None], 3))
-    x, y = lines(plots.plot_euler(run).axes[0])[0]
+    x, y = lines(paths.plot_euler(run).axes[0])[0]
     nan = np.nan
     np.testing.assert_allclose(
         y,
@@ -260,7 +270,7 @@ def test_errors_are_drawn_over_logarithmic_axes():
     run = trajectory()
     run.position_error[5] = 0.0
     run.attitude_error[7:9] = np.inf, np.nan
-    figure = plots.plot_errors(run)
+    figure = paths.plot_errors(run)
     attitude, position = figure.axes
     finite = np.isfinite(run.attitude_error)
     assert_drawn(attitude, (run.time, np.where(finite, run.attitude_error, np.nan)))
@@ -271,16 +281,16 @@ def test_errors_are_drawn_over_logarithmic_axes():
 
 def test_gain_is_drawn_whole_and_enlarged():
     run = trajectory()
-    whole, start = plots.plot_gain(run).axes
+    whole, start = paths.plot_gain(run).axes
     assert_drawn(whole, (run.time, run.gain), (run.time, run.gain_used))
     assert_drawn(start, *((run.time[:101], gain[:101]) for gain in (run.gain, run.gain_used)))
-    assert legend(plots.plot_gain(run)) == ["asked for", "used, after the limit"]
+    assert legend(paths.plot_gain(run)) == ["asked for", "used, after the limit"]
 
 
 @pytest.mark.parametrize(("samples", "value"), [(1, 0.0), (100, 0.0), (100, np.nan)])
 def test_short_runs_and_empty_values_are_drawn(samples, value):
     names = ("attitude_error", "position_error", "gain", "gain_used")
     run = trajectory(samples, **{name: np.full(samples, value) for name in names})
-    for plot in (plots.plot_euler, plots.plot_position, plots.plot_errors, plots.plot_gain):
+    for plot in (paths.plot_euler, paths.plot_position, paths.plot_errors, paths.plot_gain):
         plot(run).draw_without_rendering()
-    assert len(plots.plot_gain(run).axes) == 1
+    assert len(paths.plot_gain(run).axes) == 1

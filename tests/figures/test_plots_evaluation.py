@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pictures import legend, lines
 
 from posegsa.figures import evaluation as plots
+from posegsa.figures import schedule
 from posegsa.figures.style import START
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -27,7 +28,7 @@ FIGURES = {
     "costs": partial(plots.plot_costs, evaluation()),
     "bands": partial(plots.plot_bands, evaluation()),
     "angles": partial(plots.plot_angles, SPREAD),
-    "rules": partial(plots.plot_rules, trust()),
+    "rules": partial(schedule.plot_rules, trust()),
 }
 
 
@@ -43,13 +44,6 @@ def test_is_saved_with_units_on_its_axes_and_no_trace_left(make, tmp_path):
     assert len(labels) >= 2
     for text in labels:
         assert re.search(r"\[[^]]+\]", text), text
-
-
-def test_figures_by_name_leave_out_angles_that_do_not_differ():
-    assert list(plots.evaluation_figures(evaluation())) == ["costs", "bands"]
-    figures = plots.evaluation_figures(SPREAD)
-    assert tuple(figures) == plots.NAMES
-    assert all(isinstance(figure, Figure) for figure in figures.values())
 
 
 def test_costs_are_every_scenario_of_every_contender():
@@ -99,7 +93,9 @@ def test_nothing_finite_and_one_contender_are_drawn():
     empty = Bands(*np.full((3, 3, len(TIME)), np.nan))
     for name, one in nothing.contenders.items():
         nothing.contenders[name] = one._replace(bands=empty)
-    for figure in plots.evaluation_figures(nothing).values():
+    for plot in (plots.plot_costs, plots.plot_bands, plots.plot_angles):
+        figure = plot(nothing)
+        assert figure is not None
         figure.draw_without_rendering()
     (ax,) = plots.plot_costs(evaluation((TUNED,))).axes
     assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
@@ -155,10 +151,8 @@ def test_angles_mark_infinite_costs_at_their_angle():
     np.testing.assert_array_equal(marked[0], ANGLES[-9:])
 
 
-def test_angles_say_when_they_are_all_the_same():
-    figure = plots.plot_angles(evaluation())
-    assert figure.axes[0].get_title() == "All scenarios start at 174.8 deg"
-    assert plots.plot_angles(SPREAD).axes[0].get_title() == ""
+def test_angles_that_do_not_differ_are_not_drawn():
+    assert plots.plot_angles(evaluation()) is None
     two = evaluation((TUNED, CONSTANT), cost=np.array([4.0, 5.0]), initial_angle=ANGLES[:2])
     plots.plot_angles(two).draw_without_rendering()
 
@@ -172,7 +166,7 @@ def test_a_contender_looks_the_same_in_all_figures():
 
 
 def test_rules_show_each_weight_and_name_what_never_fires():
-    figure = plots.plot_rules(trust())
+    figure = schedule.plot_rules(trust())
     ax, bar = figure.axes
     shown = ax.images[0].get_array()
     np.testing.assert_array_equal(np.ma.filled(shown, 0), trust().rule_weights)
@@ -185,4 +179,4 @@ def test_rules_show_each_weight_and_name_what_never_fires():
     assert ax.get_xlabel().startswith("Term of the scaled error")
     assert ax.get_ylabel().startswith("Term of the scaled rate")
     assert bar.get_ylabel() == "Mean firing strength [-]"
-    plots.plot_rules(trust(rule_weights=np.zeros((5, 5)))).draw_without_rendering()
+    schedule.plot_rules(trust(rule_weights=np.zeros((5, 5)))).draw_without_rendering()

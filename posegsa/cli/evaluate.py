@@ -1,0 +1,51 @@
+"""`posegsa evaluate`."""
+
+import argparse
+import sys
+
+from posegsa import evaluating
+from posegsa.cli.arguments import whole_number
+from posegsa.saving import folder, run
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "evaluate",
+        help="judge a finished run on more unseen scenarios, beside all baselines",
+        description="Judges a finished run on unseen scenarios beside the best constant gain, "
+        "random search and a smooth schedule with as many evaluations, and an oracle; minutes. "
+        "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder.",
+    )
+    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "--scenarios",
+        type=whole_number(2),
+        default=1000,
+        metavar="S",
+        help="number of held-out scenarios (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=whole_number(0, 2**31 - 1),
+        metavar="N",
+        help="another held-out set than the run's own; any whole number from 0",
+    )
+    parser.set_defaults(command=_evaluate)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    run.load(options.run)  # where there is no run, nothing is made
+    with folder.claimed(options.run, overwrite=True) as place:  # before the minutes, not after
+        result = run.load(place)  # again: another process may have replaced it in between
+        result = evaluating.evaluate(
+            result, scenarios=options.scenarios, seed=options.seed, progress=_say
+        )
+        run.write(result, place)
+    print(result.evaluation.table())
+    print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(f"{text} ...", file=sys.stderr, flush=True)

@@ -1,0 +1,98 @@
+"""`posegsa tune`."""
+
+import argparse
+import warnings
+from pathlib import Path
+
+import jax
+
+from posegsa import config, tuning
+from posegsa.cli.arguments import add_search_arguments
+from posegsa.cli.progress import TuneBar
+from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.saving.resume import begun
+from posegsa.search import devices
+
+OUT = "posegsa-run"
+"""Folder that is written to where none is given."""
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "tune",
+        help="tune a gain schedule and judge it on unseen scenarios",
+        description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
+        "report.html, result.json, history.csv, trajectory.csv and figures/ to a folder.",
+    )
+    add_search_arguments(
+        parser,
+        config="the recommended experiment, or that of the run to resume",
+        setting="filter.substeps=4",
+        out=f"folder to write to, checkpoints too (default: {OUT})",
+        replaced="the run that the folder holds",
+    )
+    parser.add_argument(
+        "--resume",
+        metavar="DIR",
+        help="go on with the run in this folder; a CONFIG or settings must be those of the run, "
+        "but for more iterations",
+    )
+    parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
+    parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
+    together = parser.add_argument_group(
+        "several processes",
+        "The same command in each, on one machine or many; the first writes the files. Without "
+        "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
+    )
+    together.add_argument("--distributed", action="store_true", help="search together")
+    together.add_argument(
+        "--coordinator", metavar="HOST:PORT", help="where the first waits for the others"
+    )
+    together.add_argument("--processes", type=int, metavar="N", help="how many they are")
+    together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
+    parser.set_defaults(command=_tune)
+
+
+def _tune(options: argparse.Namespace) -> int:
+    first = _join(options)
+    experiment = _experiment(options)
+    out = OUT if options.out is None and options.resume is None else options.out
+    with TuneBar(experiment.search.iterations, quiet=options.quiet or not first) as show:
+        result = tuning.tune(
+            experiment,
+            out=out,
+            overwrite=options.overwrite,
+            resume=options.resume,
+            progress=show,
+        )
+    if first:
+        print(result.summary())
+        written = "report.html, result.json, history.csv, trajectory.csv, figures/"
+        print(f"\nWritten to {out or options.resume}: {written}")
+    return 0
+
+
+def _join(options: argparse.Namespace) -> bool:
+    """Join the other processes, if there are any; whether this is the one that shows and writes."""
+    given = {name: getattr(options, name) for name in ("coordinator", "processes", "process")}
+    if options.distributed:
+        devices.join(**given)
+        return jax.process_index() == 0
+    for name, value in given.items():
+        if value is not None:
+            raise ArgumentError(f"--{name} = {value}; allowed: with --distributed")
+    return True
+
+
+def _experiment(options: argparse.Namespace) -> config.Experiment:
+    """What is to be searched: CONFIG, or that of the run to resume, with all settings."""
+    if options.config is None and options.resume is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
+            experiment = begun(Path(options.resume)).experiment
+    else:
+        experiment = config.as_experiment(options.config)
+    replaced = {"run.seed": options.seed, "search.iterations": options.iterations}
+    given = [f"{key}={value}" for key, value in replaced.items() if value is not None]
+    return config.override(experiment, [*options.set, *given])

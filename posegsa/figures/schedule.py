@@ -1,0 +1,240 @@
+"""The figures of a tuned schedule: its terms, its control surface and the use of its rules."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from posegsa.arguments import check_type
+from posegsa.config import INPUT_RANGE, TERMS
+from posegsa.figures import style
+from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.style import Style
+from posegsa.judging.trust import Trust
+from posegsa.model.fuzzy import FuzzyController
+
+_RESOLUTION = 401  # points along each side of the control surface
+
+
+@style.styled
+def plot_input_terms(controller: FuzzyController) -> Figure:
+    """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
+    check_type("controller", controller, FuzzyController)
+    figure, (ax,) = style.panels(1, 3.2)
+    _plot_terms(ax, np.asarray(controller.input_terms), INPUT_RANGE)
+    ax.set_xlabel("Scaled error, scaled rate [-]")
+    _hatch(figure, ax, _gaps(controller), [ax.axvspan], "no rule fires")
+    return figure
+
+
+@style.styled
+def plot_output_terms(controller: FuzzyController) -> Figure:
+    """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
+    check_type("controller", controller, FuzzyController)
+    figure, (ax,) = style.panels(1, 3.2)
+    _plot_terms(ax, np.asarray(controller.output_terms), controller.output_range)
+    ax.set_xlabel(r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid")
+    return figure
+
+
+@style.styled
+def plot_surface(controller: FuzzyController) -> Figure:
+    """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
+
+    The axes go by the square root, because a filter spends its time at small errors. Where no rule
+    fires the surface is blank and hatched; the legend says what the gain is there.
+    """
+    check_type("controller", controller, FuzzyController)
+    figure, (ax,) = style.panels(1, 4.3)
+    axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
+    gain = np.asarray(_gains(controller, axis), np.float64)
+    gaps = _gaps(controller)
+    idle = np.zeros(axis.shape, bool)
+    for start, end in gaps:
+        idle |= (start <= axis) & (axis <= end)
+    gain = np.ma.masked_array(gain, idle | idle[:, None])
+
+    ax.set_xscale("function", functions=(_root, _square))
+    ax.set_yscale("function", functions=(_root, _square))
+    ax.set(xlim=(0, 1), ylim=(0, 1))
+    mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
+    style.colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
+    if gain.count():
+        _plot_contours(ax, axis, gain)
+    low, high = controller.output_range
+    held, middle = "the last gain is held", f"$K$ = {1 + 0.5 * (low + high):g} 1/s"
+    meaning = held if controller.no_rule == "hold" else middle
+    _hatch(figure, ax, gaps, [ax.axvspan, ax.axhspan], f"no rule fires: {meaning}", zorder=3)
+    for side in (ax.xaxis, ax.yaxis):
+        side.set_ticks((0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1))
+        side.set_major_formatter("{x:g}")
+    ax.set(xlabel="Scaled error [-]", ylabel="Scaled rate, per sample [-]")
+    return figure
+
+
+@style.styled
+def plot_rules(trust: Trust) -> Figure:
+    """Mean firing strength [-] of each rule over a held-out trajectory, by the terms of its inputs.
+
+    Shades go by the square root, because the rules of small errors fire most of the time; a rule
+    that never fires is left blank.
+    """
+    weights = np.asarray(trust.rule_weights, np.float64)
+    figure, (ax,) = style.panels(1, 4.0)
+    top = max(float(np.max(weights)), 1e-9)
+    shown = np.ma.masked_array(weights, ~(weights > 0))
+    image = ax.imshow(
+        shown, cmap="cividis", norm=PowerNorm(0.5, 0, top), origin="lower", aspect="auto"
+    )
+    for (rate, error), weight in np.ndenumerate(weights):
+        dark = 0 < weight < 0.3 * top
+        text = f"{weight:.2g}" if weight > 0 else "never"
+        colour = "white" if dark else "black" if weight > 0 else "0.5"
+        ax.text(error, rate, text, ha="center", va="center", color=colour, size=style.TICK_SIZE)
+    names = _term_names(len(weights))
+    ax.set_xticks(range(len(weights)), names)
+    ax.set_yticks(range(len(weights)), names)
+    ax.tick_params(length=0)
+    ax.set(xlabel="Term of the scaled error [-]", ylabel="Term of the scaled rate [-]")
+    style.colour_bar(figure, image, ax, "Mean firing strength [-]")
+    return figure
+
+
+def _plot_terms(ax: Axes, terms: np.ndarray, universe: tuple[float, float]) -> None:
+    """Triangles (n, 3) over their universe, each named above its peak."""
+    low, high = universe
+    names = _term_names(len(terms))
+    order = np.argsort(terms[:, 1], kind="stable")
+    places = np.empty(len(terms))
+    places[order] = _apart(terms[order, 1], 0.055 * (high - low))
+    for i, ((a, b, c), name, place) in enumerate(zip(terms, names, places, strict=True)):
+        look = style.CURVES[i % len(style.CURVES)]
+        ax.plot([a, b, c], [0, 1, 0], clip_on=False, linewidth=1.8, **look)
+        ax.annotate(
+            name,
+            (b, 1.01),
+            (place, 1.09),
+            annotation_clip=False,
+            ha="center",
+            color=look["color"],
+            arrowprops={"arrowstyle": "-", "linewidth": 0.7, "color": "0.5", "shrinkB": 0},
+        )
+    margin = 0.015 * (high - low)
+    ax.set(xlim=(low - margin, high + margin), ylim=(0, 1), ylabel="Membership [-]")
+
+
+def _term_names(count: int) -> list[str]:
+    """Names of so many terms of a fuzzy variable: VS to VL, or numbers where they are not five."""
+    return list(TERMS) if count == len(TERMS) else [str(i + 1) for i in range(count)]
+
+
+def _apart(places: np.ndarray, distance: float) -> np.ndarray:
+    """Ascending places moved as little and as evenly as needed to be at least `distance` apart."""
+    steps = distance * np.arange(len(places))
+    right = np.maximum.accumulate(places - steps) + steps
+    left = np.minimum.accumulate((places - steps)[::-1])[::-1] + steps
+    return 0.5 * (right + left)
+
+
+@jax.jit
+def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
+    """Gains (rate, error) [1/s]; compiled, so that a sampled centroid's samples take no memory."""
+    over_error = jax.vmap(controller, in_axes=(0, None))
+    return jax.vmap(over_error, in_axes=(None, 0))(axis, axis)
+
+
+def _gaps(controller: FuzzyController) -> list[tuple[float, float]]:
+    """Intervals of [0, 1] that no input term covers.
+
+    Every pair of input terms has a rule: none fires just where the error or the rate is in a gap.
+    """
+    terms = np.clip(np.asarray(controller.input_terms, np.float64), 0, 1)
+    gaps, covered = [], 0.0
+    for foot, _, end in sorted(terms.tolist()):
+        if foot > covered:
+            gaps.append((covered, foot))
+        covered = max(covered, end)
+    if covered < 1:
+        gaps.append((covered, 1.0))
+    return gaps
+
+
+def _root(x: np.ndarray) -> np.ndarray:
+    """Square root with the sign of x."""
+    return np.copysign(np.sqrt(np.abs(x)), x)
+
+
+def _square(x: np.ndarray) -> np.ndarray:
+    """Inverse of `_root`."""
+    return np.copysign(np.square(x), x)
+
+
+def _hatch(
+    figure: Figure,
+    ax: Axes,
+    gaps: Sequence[tuple[float, float]],
+    spans: Sequence[Callable[..., object]],
+    label: str,
+    zorder: int = 1,
+) -> None:
+    """Hatch intervals where no rule fires across the axes, and say so in a legend."""
+    look: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "////", "linewidth": 0.6}
+    for start, end in gaps:
+        for span in spans:
+            span(start, end, label=label, zorder=zorder, **look)
+    if gaps:
+        style.legend_above(figure, ax)
+
+
+def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
+    """Contour lines of a surface (y, x), each labelled with its level."""
+    low, high = gain.min(), gain.max()
+    levels = [level for level in MaxNLocator(7).tick_values(low, high) if low < level < high]
+    if levels:
+        colours = ["white" if level < 0.5 * (low + high) else "black" for level in levels]
+        lines = ax.contour(axis, axis, gain, levels=levels, colors=colours, linewidths=0.8)
+        labels = ax.clabel(lines, fmt="%g", fontsize=style.TICK_SIZE, colors="black", inline=False)
+        for label in labels:
+            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.8})
+            label.set_rotation(0)
+
+
+FIGURES = (
+    ResultFigure(
+        name="control_surface",
+        title="Control surface",
+        caption="The gain that the schedule asks for. Both axes go by the square root, because a "
+        "filter spends its time in the lower left corner. Hatched regions have no rule that fires.",
+        shows="controller",
+        plot=plot_surface,
+    ),
+    ResultFigure(
+        name="rules",
+        title="Use of the rules",
+        caption="Rules that never fire had little or no part in the cost: what the schedule does "
+        "where they apply is largely chance.",
+        shows="trust",
+        plot=plot_rules,
+    ),
+    ResultFigure(
+        name="input_terms",
+        title="Input terms",
+        caption="How the scaled error and its rate are read as very small (VS) to very large (VL).",
+        shows="controller",
+        plot=plot_input_terms,
+    ),
+    ResultFigure(
+        name="output_terms",
+        title="Output terms",
+        caption="What the rules ask for; the gain is 1 plus the centroid of these terms as they "
+        "fire.",
+        shows="controller",
+        plot=plot_output_terms,
+    ),
+)

@@ -1,0 +1,60 @@
+"""The figure of a search: how its costs fell."""
+
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from posegsa.figures import style
+from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.style import Style, finite
+from posegsa.optimisers import History
+
+
+@style.styled
+def plot_convergence(history: History) -> Figure:
+    """Best cost so far, mean and worst training cost [-] of each iteration of the search.
+
+    Costs that are not finite are left out of the curves; a second panel counts them, if any.
+    """
+    failures = np.asarray(history.non_finite)
+    iteration = np.arange(1, len(failures) + 1)
+    marker = "o" if len(iteration) < 30 else None
+    ratios = (3, 1) if failures.any() else (1,)
+    figure, (ax, *below) = style.panels(len(ratios), 3.6, height_ratios=ratios)
+    curves: tuple[tuple[str, Array, Style], ...] = (
+        ("best so far", history.best, {"color": style.BLUE, "linewidth": 2.2}),
+        ("mean", history.mean, {"color": style.GREEN, "linestyle": "--"}),
+        (
+            "worst",
+            history.worst,
+            {"color": style.PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.2},
+        ),
+    )
+    for name, values, look in curves:
+        ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **look)
+    costs = np.concatenate([values for _, values, _ in curves])
+    style.scale_costs(ax, "y", costs[np.isfinite(costs)])
+    ax.set_ylabel("Cost [-]")
+    for panel in below:
+        panel.bar(iteration, failures, width=1.0, color="0.35")
+        panel.set_ylabel("Not\nfinite [-]")
+        panel.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+    last = (ax, *below)[-1]
+    last.set_xlabel("Iteration [-]")
+    last.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
+    ax.set_xlim(0.5, len(iteration) + 0.5)
+    style.legend_above(figure, ax)
+    return figure
+
+
+FIGURES = (
+    ResultFigure(
+        name="convergence",
+        title="Convergence",
+        caption="A best cost that still falls at the end asks for more iterations. These are "
+        "training costs: what they are worth is the held-out cost.",
+        shows="history",
+        plot=plot_convergence,
+    ),
+)
