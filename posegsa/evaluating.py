@@ -23,7 +23,7 @@ from posegsa.model.schedules import GainSchedule
 from posegsa.search import memory
 from posegsa.search.build import scenario, scenario_batch
 from posegsa.search.keys import held_out_keys
-from posegsa.settings.fields import MOST
+from posegsa.settings.fields import MAX_COUNT
 
 
 def evaluate(
@@ -53,7 +53,7 @@ def evaluate(
         MemoryLimitError: So many scenarios would need more memory than there is.
     """
     check_type("result", result, TuneResult)
-    check_whole("scenarios", scenarios, 2, MOST)
+    check_whole("scenarios", scenarios, 2, MAX_COUNT)
     if seed is not None:
         check_whole("seed", seed, 0, 2**31 - 1)
     check_callable("progress", progress)

@@ -30,7 +30,7 @@ _PATIENCE = {
     "--xla_cpu_collective_call_terminate_timeout_seconds": 7 * 24 * 3600,
     "--xla_cpu_collective_timeout_seconds": 7 * 24 * 3600,  # between processes
 }
-_MOST_DEVICES = 4096  # more than any machine has cores
+_MAX_DEVICES = 4096  # more than any machine has cores
 _EXTRA = "--xla_backend_extra_options="
 # With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
 # many outputs instead of one kernel for each: 3 times faster on 100 agents.
@@ -54,7 +54,7 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     if devices is None:
         devices = usable_cores()
     else:
-        check_whole("devices", devices, 1, _MOST_DEVICES)
+        check_whole("devices", devices, 1, _MAX_DEVICES)
     own = [word for word in words if word.startswith(_EXTRA)]
     options = [option for word in own for option in word.removeprefix(_EXTRA).split(",") if option]
     named = {option.split("=")[0] for option in options}

@@ -204,7 +204,7 @@ def _tune(options: argparse.Namespace) -> int:
     out = options.out
     if out is None and options.resume is None:
         out = DEFAULT_OUT
-    with TuneBar(experiment.search.iterations, quiet=options.quiet or not first) as show:
+    with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
         result = tune(
             experiment,
             out=out,

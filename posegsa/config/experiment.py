@@ -1,27 +1,23 @@
 """The whole experiment, and the sections that are about running, filtering and judging."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BaseModel, Field, create_model
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.optimisers import (
-    AdamConfig,
-    DeConfig,
-    EvosaxConfig,
-    GsaConfig,
-    PsoConfig,
-    PycmaConfig,
-    SearchConfig,
-)
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.optimisers import GSA, OPTIMISERS, Optimiser
+from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Count, Index, NonNegative, Positive, Section
 from posegsa.settings.violations import Violation
 
 Window = tuple[Index, Index]
 """First and last sample, both included."""
+ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
+"""What [search] can be."""
 
 
 class RunConfig(Section):
@@ -119,22 +115,16 @@ class Experiment(Section):
     """What a schedule is judged by."""
     objective: ObjectiveConfig = ObjectiveConfig()
     """What of the costs on several scenarios is minimised."""
-    search: SearchConfig = SearchConfig()
-    """The optimiser and its size."""
-    gsa: GsaConfig = GsaConfig()
-    """The gravitational search algorithm."""
+    search: Annotated[Optimiser, ONE_OPTIMISER] = GSA()
+    """The optimiser, by the name `search.optimiser`, with its size and its settings."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
-    pso: PsoConfig = PsoConfig()
-    """Particle swarm."""
-    de: DeConfig = DeConfig()
-    """Differential evolution."""
-    adam: AdamConfig = AdamConfig()
-    """Gradient descent."""
-    evosax: EvosaxConfig = EvosaxConfig()
-    """Strategies of the evosax library."""
-    pycma: PycmaConfig = PycmaConfig()
-    """CMA-ES of the pycma library."""
+
+    @classmethod
+    def described_by(cls, values: object) -> type[BaseModel]:
+        """The experiment with the optimiser that these values name."""
+        search = values.get("search") if isinstance(values, Mapping) else None
+        return _searched_by(ONE_OPTIMISER.kind(search))
 
     def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples
@@ -152,3 +142,9 @@ class Experiment(Section):
             yield from (p.under(("parameters",)) for p in self.parameters.disorder())
         if self.fuzzy.coverage:
             yield from (p.under(("parameters",)) for p in self.parameters.gaps())
+
+
+@cache
+def _searched_by(kind: type[Optimiser]) -> type[Experiment]:
+    """An experiment whose search can only be of one kind."""
+    return create_model("Experiment", __base__=Experiment, search=(kind, kind()))

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from posegsa.errors import ScenarioError
 from posegsa.model.observability import are_collinear, check_observability
 from posegsa.settings.fields import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     Flag,
     Matrix3,
     NonNegative,
@@ -162,10 +162,10 @@ class ScenarioConfig(Section):
 
     def _conflicts(self) -> Iterator[Violation]:
         ratio = self.duration / self.sampling_time
-        if not (2 <= round(ratio) <= MOST_SAMPLES and abs(ratio - round(ratio)) <= 1e-6):
+        if not (2 <= round(ratio) <= MAX_SAMPLES and abs(ratio - round(ratio)) <= 1e-6):
             yield Violation(
                 "duration",
-                f"allowed: a whole number of samples, 2 to {MOST_SAMPLES}; with sampling_time = "
+                f"allowed: a whole number of samples, 2 to {MAX_SAMPLES}; with sampling_time = "
                 f"{self.sampling_time} these are {ratio:.9g}",
                 self.duration,
             )

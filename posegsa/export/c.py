@@ -24,7 +24,6 @@ from posegsa.export.c_source import (
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.search.named_optimisers import size_in_words
 from posegsa.settings.fields import Section
 
 _WIDTH = 96
@@ -101,7 +100,7 @@ def _head(result: TuneResult, controller: FuzzyController) -> list[str]:
         "Fuzzy gain schedule of a pose filter on SE(3), as C99; also valid C++.",
         *_text(
             f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
-            f"{search.optimiser}, {size_in_words(experiment)}, seed {run.seed}."
+            f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
         ),
         "",
         *_costs(result),

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 from posegsa.config import Experiment, ObjectiveConfig
 from posegsa.judging.result import TuneResult
-from posegsa.search.named_optimisers import TITLES, size_in_words
 from posegsa.words import counted
 
 
@@ -22,7 +21,7 @@ def _search(result: TuneResult) -> str:
     over = counted(run.training_scenarios, "training scenario")
     bad = result.non_finite
     return (
-        f"{TITLES[search.optimiser]} with {size_in_words(result.experiment, ' over ')} minimised "
+        f"{search.title} with {search.size_in_words(' over ')} minimised "
         f"{_objective(result.experiment.objective)} {over}. It made "
         f"{counted(result.evaluations, 'evaluation')} in {result.search_seconds:.2f} s, "
         f"after {result.compile_seconds:.2f} s of compiling; {bad or 'none'} of them had no finite "

@@ -5,24 +5,28 @@ All are bounded, so that nothing absurd is computed with, or allocated.
 Arrays become tuples, so that every section can be hashed, compared, and static under JAX's jit.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
 from posegsa.settings.violations import Refused, Violation, config_error
 
 LARGEST, SMALLEST = 1e9, 1e-9
 """What numbers may be, so that float32 holds them, and products of some of them, with room."""
-MOST = 10**6
+MAX_COUNT = 10**6
 """What counts may be; what all of them together need is for `memory` to say."""
-MOST_SAMPLES = 10**7
+MAX_SAMPLES = 10**7
 
 Number = Annotated[float, Strict(), Field(ge=-LARGEST, le=LARGEST)]
 NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST)]
 Positive = Annotated[float, Strict(), Field(ge=SMALLEST, le=LARGEST)]
-Count = Annotated[int, Strict(), Field(ge=1, le=MOST)]
-Index = Annotated[int, Strict(), Field(ge=0, le=MOST_SAMPLES)]
+Epsilon = Annotated[float, Strict(), Field(ge=float(np.finfo(np.float32).tiny), le=LARGEST)]
+"""What is added against division by zero: a smaller number would be 0 in float32."""
+Share = Annotated[float, Strict(), Field(ge=0, le=1)]
+Count = Annotated[int, Strict(), Field(ge=1, le=MAX_COUNT)]
+Index = Annotated[int, Strict(), Field(ge=0, le=MAX_SAMPLES)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Number, Number, Number]
 Vector6 = tuple[Number, Number, Number, Number, Number, Number]
@@ -38,6 +42,19 @@ class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+    @classmethod
+    def described_by(cls, values: object) -> type[BaseModel]:
+        """The type that says what is allowed in these values: this one, unless a key decides."""
+        return cls
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_numbers_of_python(cls, values: Any) -> Any:
+        """Strict fields would refuse NumPy's scalars."""
+        if not isinstance(values, Mapping):
+            return values
+        return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
 
     def _conflicts(self) -> Iterator[Violation]:
         """What is wrong between the fields, each of them valid in itself."""
@@ -57,7 +74,7 @@ class Section(BaseModel):
                 super().__init__(**values)
             except ValidationError as error:
                 title = f"not a valid {type(self).__name__}"
-                raise config_error(title, error, values, type(self)) from None
+                raise config_error(title, error, values, self.described_by(values)) from None
 
         # So marked, only calls from outside pass through here: pydantic validates sections inside
         # sections directly, and their problems arrive above with their full key.
