@@ -26,8 +26,9 @@ from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import Found, Progress, first_search, run_search, run_timed
+from posegsa.settings.fields import MAX_COUNT
 
-USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared)
+USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
 """What is compared unless something else is asked for."""
 POINTS = 250
 """Iterations of a search whose best cost is kept, and some more of the first."""
@@ -269,7 +270,8 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
         key = setting.partition("=")[0].strip()
         if key not in keys:
             raise ConfigError(f"{key!r} of {text!r}; allowed: {', '.join(keys)}")
-    settings = [f"search.optimiser={name}", "search.iterations=1"]
+    # No search has more iterations than evaluations: what those pay for is found below.
+    settings = [f"search.optimiser={name}", f"search.iterations={min(evaluations, MAX_COUNT)}"]
     settings += [f"search.{setting}" for setting in own]
     return config.override(experiment, settings).search.within(evaluations)
 

@@ -49,8 +49,9 @@ class Optimiser(Section):
     title: ClassVar[str] = "An optimiser"
     """What it is, as the beginning of a sentence."""
     agent_noun: ClassVar[str] = "agent"
-    """What an agent is called, and an iteration."""
+    """What one of its agents is called."""
     iteration_noun: ClassVar[str] = "iteration"
+    """What one of its iterations is called."""
     on_host: ClassVar[bool] = False
     """Whether `ask` and `tell` are ordinary Python, which JAX can't compile."""
     wants_gradients: ClassVar[bool] = False
@@ -59,7 +60,7 @@ class Optimiser(Section):
     """What it is told of a cost that is not finite."""
     fixed_length: ClassVar[str] = ""
     """Why a search can't go on past its iterations; empty where it can."""
-    compared: ClassVar[bool] = True
+    compared_by_default: ClassVar[bool] = True
     """Whether `compare` runs it unless other names are asked for."""
 
     @abstractmethod

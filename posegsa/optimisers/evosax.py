@@ -45,7 +45,7 @@ class Evosax(Optimiser):
     """Standard deviation at the start, in widths of the box, of strategies that have one."""
 
     title: ClassVar[str] = "A strategy of evosax"
-    compared: ClassVar[bool] = False
+    compared_by_default: ClassVar[bool] = False
 
     def check_usable(self) -> None:
         """See that evosax is installed and has the strategy.
@@ -114,7 +114,7 @@ class CMAES(Evosax):
     """Its name in `evosax.algorithms`."""
 
     title: ClassVar[str] = "CMA-ES (evosax)"
-    compared: ClassVar[bool] = True
+    compared_by_default: ClassVar[bool] = True
 
 
 def _strategies() -> dict[str, Any]:

@@ -21,7 +21,7 @@ from jax import Array
 from posegsa.arguments import check_choice, check_number, check_whole, refuse
 from posegsa.optimisers.search_box import Box, box
 
-_SCHWEFEL = 420.96874633  # where z sin(sqrt(z)) is largest, and
+_SCHWEFEL = 420.96874633  # the z in [-500, 500] at which z sin(sqrt(|z|)) is largest
 _SCHWEFEL_TOP = 418.98288727  # its value there
 
 

@@ -141,8 +141,8 @@ def advance(
     states = [search.state] if len(phases) == 1 else list(search.state)
     for i, phase in enumerate(phases):
         if i > 0:
-            states[i] = choose(
-                (search.iteration == begin) & (jnp.asarray(stop) > begin),  # once, in any chunks
+            states[i] = choose(  # once, in whatever chunks
+                (search.iteration == begin) & (jnp.asarray(stop) > begin),
                 phase.begin_at,
                 lambda state, _: state,
                 states[i],

@@ -55,8 +55,9 @@ def minimise(
         callback: Called with the search after each chunk, for progress or to save it
             (`posegsa.save_search`).
         target: Stop once the best cost is at most this.
-        patience: Stop once the best cost has not fallen for this many iterations,
-        tolerance: or has fallen by no more than this share of itself; only with `patience`.
+        patience: Stop once the best cost has not fallen for this many iterations by more than
+            `tolerance`.
+        tolerance: Share of itself by which the best cost has to fall; only with `patience`.
         evaluations: Stop before the iteration that would go past this many evaluations; a cost
             with its gradient counts as several (`Optimiser.evaluations_per_agent`).
         seconds: Stop after the chunk in which this much time has passed, compiling included; where
@@ -65,8 +66,8 @@ def minimise(
             called once for each iteration between compiled steps. Where gradients are wanted it
             returns costs and gradients.
         search: A search to go on with, such as `posegsa.load_search` or a callback gives; by
-            default a new one.
-            It goes on as if it had never stopped, to the last bit, and `key` is not used.
+            default a new one. It goes on as if it had never stopped, to the last bit, and `key` is
+            not used.
 
     Returns:
         The search, finished or stopped.
@@ -162,7 +163,7 @@ def _check_arguments(objective: Any, box: Any, optimiser: Any, key: Any) -> None
         kind = type(box).__name__
         refuse(f"minimise: box is a {kind}", "a Box, as posegsa.box(lower, upper) makes it")
     if not isinstance(optimiser, Optimiser):
-        kind = type(optimiser).__name__
+        kind = "type" if isinstance(optimiser, type) else type(optimiser).__name__
         refuse(f"minimise: optimiser is a {kind}", "settings such as posegsa.GSA(agents=50)")
     dtype = getattr(key, "dtype", None)
     if dtype is None or not jnp.issubdtype(dtype, jax.dtypes.prng_key) or key.ndim > 1:

@@ -1,22 +1,23 @@
 """A search, and then a descent from the best position that it found."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from posegsa.errors import ConfigError
 from posegsa.optimisers.adam import Adam, DescentSettings
 from posegsa.optimisers.base import Optimiser
 from posegsa.optimisers.gsa import GSA
-from posegsa.settings.fields import Count
+from posegsa.settings.fields import MAX_COUNT, Count
+from posegsa.settings.violations import Violation
 
 
 class Polish(DescentSettings, Optimiser):
-    """A descent by Adam that follows a search; both share agents x iterations evaluations.
+    """A descent by Adam after a search; a class of both is made like `PolishedGSA`."""
 
-    A search of another kind is polished by a class of its own, made like `PolishedGSA`.
-    """
-
+    iterations: Count = 250
+    """Iterations of the search if it were alone: both together make at most agents x iterations
+    evaluations."""
     starts: Count = 8
     """Number of starts of the descent, at and around the best position found."""
     share: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.5
@@ -28,25 +29,28 @@ class Polish(DescentSettings, Optimiser):
 
     @property
     def phases(self) -> tuple[Optimiser, ...]:
-        """The search and the descent.
-
-        Raises:
-            ConfigError: The descent's evaluations are not enough for one step.
-        """
-        searched = max(1, round(self.iterations * (1 - self.share)))
-        left = self.agents * (self.iterations - searched)
-        step = self.starts * self.gradient_price
-        if left < step:
-            raise ConfigError(
-                f"share = {self.share} of {self.optimiser} leaves {left} of {self.agents} x "
-                f"{self.iterations} evaluations for the descent; allowed: at least {step}, one "
-                "step, starts x gradient_price"
-            )
+        """The search and the descent."""
+        searched, left, step = self._divided()
         mine: dict[str, Any] = dict(self) | {"iterations": searched}
         search = {name: mine[name] for name in self.searching.model_fields if name != "optimiser"}
         descent = {name: mine[name] for name in DescentSettings.model_fields}
-        steps = left // step
+        steps = min(left // step, MAX_COUNT)
         return self.searching(**search), Adam(agents=self.starts, iterations=steps, **descent)
+
+    def _divided(self) -> tuple[int, int, int]:
+        """Iterations of the search, evaluations left for the descent, and those of one step."""
+        searched = max(1, round(self.iterations * (1 - self.share)))
+        left = self.agents * (self.iterations - searched)
+        return searched, left, self.starts * self.gradient_price
+
+    def _conflicts(self) -> Iterator[Violation]:
+        _, left, step = self._divided()
+        if left < step:
+            reason = (
+                f"leaves {left} of {self.agents} x {self.iterations} evaluations for the descent; "
+                f"allowed: at least {step}, one step, starts x gradient_price"
+            )
+            yield Violation("share", reason, self.share)
 
 
 class PolishedGSA(Polish, GSA):

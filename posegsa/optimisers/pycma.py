@@ -39,7 +39,7 @@ class PyCMA(Optimiser):
 
     title: ClassVar[str] = "CMA-ES (pycma)"
     on_host: ClassVar[bool] = True
-    compared: ClassVar[bool] = False
+    compared_by_default: ClassVar[bool] = False
 
     def check_usable(self) -> None:
         """See that pycma is installed.

@@ -43,7 +43,7 @@ def setting_refusal(*texts: str) -> str:
             "an array of at most 64, each a table with the keys dir",
         ),
         ("filter.law=1979-05-27", "filter.law = ", '"gradient" or "printed"'),
-        ("gsa.random=true", "gsa.random = true", '"dimension" or "agent"'),
+        ("search.random=true", "search.random = true", '"dimension" or "agent"'),
         # not finite, out of range
         (
             "filter.gamma=nan",
@@ -65,8 +65,8 @@ def setting_refusal(*texts: str) -> str:
         ("run.training_scenarios=0", "run.training_scenarios = 0", ">= 1"),
         ("fuzzy.sampled_points=2", "fuzzy.sampled_points = 2", ">= 3"),
         ("search.agents=1", "search.agents = 1", ">= 2"),
-        ("gsa.final_percent=0", "gsa.final_percent = 0", "> 0 and <= 100"),
-        ("gsa.final_percent=101", "gsa.final_percent = 101", "> 0 and <= 100"),
+        ("search.final_percent=-1", "search.final_percent = -1", ">= 0 and <= 100"),
+        ("search.final_percent=101", "search.final_percent = 101", ">= 0 and <= 100"),
         # negative noise
         (
             "scenario.angular_velocity_noise=-0.1",
@@ -180,7 +180,7 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("filter.substep=3", 'filter.substep unknown key; did you mean "filter.substeps"?'),
         ("fliter.substeps=3", 'fliter unknown key; did you mean "filter"?'),
         ("gain.Signal=pose", 'gain.Signal unknown key; did you mean "gain.signal"?'),
-        ("gsa.agents=3", 'gsa.agents unknown key; did you mean "search.agents"?'),
+        ("run.agents=3", 'run.agents unknown key; did you mean "search.agents"?'),
         ("scenario.vectors.0.nose=3", 'did you mean "scenario.vectors.0.noise"?'),
         ("scenario.normalize_vectors=false", 'did you mean "scenario.normalise_vectors"?'),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
@@ -213,6 +213,8 @@ def test_sections_made_by_hand_say_the_same() -> None:
     assert "substeps = 0 allowed: an integer >= 1" in refusal(config.FilterConfig, substeps=0)
     text = refusal(Experiment, filter={"substeps": 0})
     assert "filter.substeps = 0 allowed: an integer >= 1" in text
+    text = refusal(Experiment, search={"optimiser": "de", "agents": 3})
+    assert "search.agents = 3 allowed: an integer >= 4" in text
     short = config.ScenarioConfig(duration=5.0)
     assert "cost.steady_window = [400, 1400]" in refusal(Experiment, scenario=short)
 

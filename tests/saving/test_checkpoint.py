@@ -103,7 +103,7 @@ def test_more_iterations_are_room_in_the_history(whole):
         (lambda: start(GSA(agents=6, iterations=7), BOX, KEY), r"\.position has shape \(5, 2\)"),
         (lambda: start(GSA(agents=5, iterations=8), BOX, KEY), r"\.best has shape \(7,\)"),
         (lambda: start(SMALL, box([0.0], [1.0]), KEY), r"best_position has shape|\.position has"),
-        (lambda: start(RandomSearch(5, 7), BOX, KEY), r"has \.state\.velocity"),
+        (lambda: start(RandomSearch(agents=5, iterations=7), BOX, KEY), r"has \.state\.velocity"),
         (lambda: start(SMALL, BOX, jax.random.PRNGKey(1)), r"\.state\.key is key<fry>"),
         (lambda: 5, "like: a int"),
     ],
@@ -222,7 +222,7 @@ def test_what_cannot_be_written_leaves_the_old_file(whole, saved):
 def test_minimise_refuses_a_search_of_another_optimiser(whole):
     for other, said in (
         (start(GSA(agents=6, iterations=7), BOX, KEY), r"search\.state\.position is float32"),
-        (start(RandomSearch(5, 7), BOX, KEY), "of this optimiser"),
+        (start(RandomSearch(agents=5, iterations=7), BOX, KEY), "of this optimiser"),
     ):
         with pytest.raises(ValueError, match=said):
             minimise(sphere, BOX, SMALL, KEY, search=other)
