@@ -47,12 +47,13 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
-def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
-    """What reads an argument as a whole number from `least`, up to `most` if there is a bound."""
-    allowed = f"a whole number from {least}" + ("" if most is None else f" to {most}")
+def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:
+    """What reads an argument as a whole number that keeps to these bounds."""
+    allowed = f"a whole number from {minimum}" + ("" if maximum is None else f" to {maximum}")
 
     def read(text: str) -> int:
-        if not (text.isdecimal() and least <= int(text) and (most is None or int(text) <= most)):
+        inside = text.isdecimal() and minimum <= int(text)
+        if not inside or (maximum is not None and int(text) > maximum):
             raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
         return int(text)
 

@@ -44,7 +44,7 @@ class Progress(NamedTuple):
     iterations: int
     """Iterations in all."""
     best_cost: float
-    """Best cost so far, of a batch the least; infinite before any finite one."""
+    """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
 

@@ -107,7 +107,7 @@ def test_the_folder_holds_what_is_promised(run):
     result, folder, _ = run
     data = json.loads((folder / "result.json").read_text())
     held_out = result.evaluation.contenders[TUNED].metrics.cost
-    assert data["schema"] == 1
+    assert data["schema"] == run_folder.SCHEMA
     assert data["version"] == posegsa.__version__
     assert data["best_cost"] == result.best_cost
     assert list(data["parameters"]) == [f"k{i}" for i in range(1, 23)]
@@ -360,15 +360,15 @@ def test_a_batch_gives_what_single_runs_give(run):
 
 
 def test_a_batch_of_traced_values_is_compiled_once():
-    from posegsa.search.run import _advance_batch
+    from posegsa.optimisers.driver import _advance
 
     many = [tiny(f"filter.gamma={g}", f"scenario.velocity_noise={g / 100}") for g in (2.0, 8.0)]
     costs = [r.best_cost for r in posegsa.tune_batch(many).results]
     assert costs[0] != costs[1]
-    compiled = _advance_batch._cache_size()
+    compiled = _advance._cache_size()
     again = [config.override(one, ["gain.error_scale=0.7", "run.seed=9"]) for one in many]
     posegsa.tune_batch(again)
-    assert _advance_batch._cache_size() == compiled
+    assert _advance._cache_size() == compiled
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,16 @@ import pytest
 from bits import assert_same
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
-from posegsa.optimisers import GSA, RandomSearch, advance, box, lengthened, minimise, start
+from posegsa.optimisers import (
+    GSA,
+    PolishedGSA,
+    RandomSearch,
+    advance,
+    box,
+    lengthened,
+    minimise,
+    start,
+)
 from posegsa.saving.checkpoint import FORMAT, load_search, objects_in, read, save_search
 
 BOX = box([-1.0, -1.0], [1.0, 2.0])
@@ -73,6 +82,16 @@ def test_random_search_and_float64_likewise(tmp_path, x64):
     loaded = load_search(path, start(optimiser, wide, KEY))
     assert loaded.best_position.dtype == np.float64
     assert_same(loaded, half)
+
+
+def test_a_search_of_several_phases_goes_on_from_any_of_them(tmp_path):
+    polish, seen = PolishedGSA(agents=5, iterations=40, share=0.9, starts=2), []
+    whole = minimise(sphere, BOX, polish, KEY, chunk=1, callback=seen.append)
+    assert [phase.iterations for phase in polish.phases] == [4, 3]
+    for search in seen:
+        save_search(tmp_path / "search", search)
+        loaded = load_search(tmp_path / "search", start(polish, BOX, KEY))
+        assert_same(minimise(sphere, BOX, polish, KEY, search=loaded), whole)
 
 
 def test_an_optimiser_with_old_style_keys_and_a_state_of_its_own(tmp_path):
