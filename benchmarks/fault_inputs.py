@@ -14,11 +14,11 @@ sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
 
 STRUCTURES = (
     (),
-    ("gsa.random=agent", "gsa.bounds=clip", "gsa.force_power=2.0"),
+    ("search.random=agent", "search.bounds=clip", "search.force_power=2.0"),
     ("search.optimiser=random_search", "objective.name=worst", "filter.gain_limit=off"),
     ("filter.law=printed", "gain.signal=pose", "fuzzy.no_rule=midrange"),
     ("fuzzy.centroid=sampled", "fuzzy.ordering=false", "fuzzy.coverage=false"),
-    ("run.dtype=float64", "objective.name=cvar", "gsa.bounds=reflect"),
+    ("run.dtype=float64", "objective.name=cvar", "search.bounds=reflect"),
     ("search.optimiser=pso", "objective.name=mean_std"),
     ("search.optimiser=de", "search.agents=4"),
 )

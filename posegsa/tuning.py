@@ -32,7 +32,7 @@ from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.judging.trajectory import simulate_scenario
 from posegsa.model.schedules import FuzzyGain
-from posegsa.optimisers import evaluations_spent, lengthened
+from posegsa.optimisers import lengthened
 from posegsa.runtime import environment
 from posegsa.saving import resume as checkpoints
 from posegsa.saving.checkpoint import objects_in
@@ -42,7 +42,6 @@ from posegsa.saving.run import load, write
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
-from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.run import Found, Progress, first_search, run_search, search_batch
 
 
@@ -124,8 +123,8 @@ def _saved_run(
         search, before = first_search(task), (0.0, 0.0)
         if begun is not None:
             before = begun.search_seconds, begun.compile_seconds
-            like = first_search(task._replace(optimiser=make_optimiser(begun.experiment)))
-            search = lengthened(begun.checkpoint.search(like), experiment.search.iterations)
+            like = first_search(task._replace(experiment=begun.experiment))
+            search = lengthened(begun.checkpoint.search(like), experiment.search.total_iterations)
         if objects_in(search):
             warnings.warn(
                 f"search.optimiser = {experiment.search.optimiser!r} keeps a state that can't be "
@@ -298,7 +297,7 @@ def _result(task: TuningProblem, found: Found) -> TuneResult:
         trust=trust.check(
             experiment, parameters, everywhere, tuned_tracks, trajectory.error, trajectory.rate
         ),
-        evaluations=int(evaluations_spent(task.optimiser)[-1]),
+        evaluations=experiment.search.evaluations,
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,
         search_seconds=found.search_seconds,

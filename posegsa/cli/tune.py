@@ -58,7 +58,7 @@ def _tune(options: argparse.Namespace) -> int:
     first = _join(options)
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    with TuneBar(experiment.search.iterations, quiet=options.quiet or not first) as show:
+    with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
         result = tuning.tune(
             experiment,
             out=out,

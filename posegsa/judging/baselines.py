@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +15,9 @@ from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH
 from posegsa.judging.result import TuneResult
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
-from posegsa.optimisers import Box, Optimiser, advance, start
+from posegsa.optimisers import Box, Optimiser, runner, start
 from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
 from posegsa.search.keys import keys, oracle_keys, training_keys
-from posegsa.search.named_optimisers import gsa_of
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
 from posegsa.search.run import run_search
 
@@ -72,7 +70,6 @@ def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
     return Box(jnp.asarray(lower, dtype), jnp.asarray(upper, dtype))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
 def search_schedule(
     optimiser: Optimiser,
     schedule: Callable[[Array], GainSchedule],
@@ -91,12 +88,24 @@ def search_schedule(
         training: The training scenarios.
         key: Random key of the search.
     """
+    run = runner(optimiser, _Objective(schedule, objective), box, training)
+    return run(start(optimiser, box, key), optimiser.total_iterations).best_position
 
-    def costs(vectors: Array) -> Array:
-        return over_scenarios(agent_costs(jax.vmap(schedule)(vectors), training), objective)
 
-    found = advance(optimiser, costs, box, start(optimiser, box, key), optimiser.iterations)
-    return found.best_position
+class _Objective(NamedTuple):
+    """What is minimised, for programs that are compiled for it."""
+
+    schedule: Callable[[Array], GainSchedule]
+    objective: ObjectiveConfig
+
+    def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
+        """As a function of vectors (A, d), on training scenarios."""
+
+        def costs(vectors: Array) -> Array:
+            schedules = jax.vmap(self.schedule)(vectors)
+            return over_scenarios(agent_costs(schedules, training), self.objective)
+
+        return costs
 
 
 @jax.jit
@@ -175,7 +184,7 @@ def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
 def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     """How to find each baseline of a run, by name."""
     experiment, seed = result.experiment, result.experiment.run.seed
-    space, search = parameter_space(experiment), experiment.search
+    space = parameter_space(experiment)
     training = scenario_batch(
         experiment, one, training_keys(seed, experiment.run.training_scenarios)
     )
@@ -195,7 +204,7 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
 
     def smooth() -> tuple[GainSchedule, dict[str, Any]]:
         box = smooth_box(gains, dtype)
-        optimiser = gsa_of(experiment, search.iterations)
+        optimiser = override(experiment, ["search.optimiser=gsa"]).search
         found = search_schedule(
             optimiser, smooth_gain, objective, box, training, keys(seed).baselines
         )

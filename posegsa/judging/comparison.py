@@ -10,7 +10,7 @@ import numpy as np
 
 from posegsa.judging.statistics import holm, signed_rank
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the file's layout."""
 NO_MATTER = "checkpoint"
 """The section of an experiment that a comparison does not use; files of before have it."""

@@ -22,7 +22,6 @@ from posegsa.model.rollout import Estimates, run_filter
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
-from posegsa.search.named_optimisers import size_in_words
 from posegsa.words import counted
 
 VERSION = version("posegsa")
@@ -49,7 +48,7 @@ class TuneResult:
     """Numerical sensitivity and use of the rules."""
     evaluations: int
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
-    as the `gradient_price` of the optimiser that asks for it."""
+    as several (`search.gradient_price`)."""
     non_finite: int
     """Number of agents whose cost, or gradient where there is one, was not finite; each counts as
     one."""
@@ -136,7 +135,7 @@ class TuneResult:
 
         return "\n".join(
             [
-                f"{search.optimiser}: {size_in_words(self.experiment)} on "
+                f"{search.optimiser}: {search.size_in_words()} on "
                 f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
                 f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
                 f"(+ {self.compile_seconds:.2f} s to compile)",

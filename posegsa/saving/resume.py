@@ -24,7 +24,7 @@ from posegsa.saving.checkpoint import Checkpoint, read, save_search
 from posegsa.saving.files import PART
 from posegsa.saving.folder import CHECKPOINTS, SUFFIX, writing
 from posegsa.saving.interrupt import Asked
-from posegsa.settings.violations import Violation, report
+from posegsa.settings.violations import Refused, Violation, report
 
 COMPARED = ("posegsa", "jax", "numpy", "platform", "device")
 """What of the machine may change the last bits of a result."""
@@ -89,46 +89,33 @@ def _begun(checkpoint: Checkpoint) -> Begun:
 def agreed(stored: config.Experiment, asked: config.Experiment) -> config.Experiment:
     """The experiment to go on with: the stored one, with what may change as it is asked for.
 
-    That is when checkpoints are made, and more iterations. Past the iterations that the run began
-    with, G and K_best hold their final values, and `gsa.decay_iterations` says so.
+    That is when checkpoints are made, and more iterations, as the optimiser allows them.
 
     Raises:
         ConfigError: They differ in anything else, or fewer iterations are asked for; names it.
     """
-    have, want = (dict(_leaves(e.model_dump(mode="json"))) for e in (stored, asked))
-    open_to_change = {"search.iterations"}
-    if asked.gsa.decay_iterations == "all":
-        open_to_change.add("gsa.decay_iterations")
+    have, want = (
+        dict(_leaves(one.model_dump(mode="json", exclude={"search", "checkpoint"})))
+        for one in (stored, asked)
+    )
     problems = [
         Violation(key, f"the run has {have.get(key, 'no such value')}; allowed: the same", value)
         for key, value in want.items()
         if have.get(key) != value
-        and key not in open_to_change
-        and not key.startswith("checkpoint.")
     ]
     problems += [
         Violation(key, f"missing; the run has {value}")
         for key, value in have.items()
         if key not in want
     ]
-    first, iterations = stored.search.iterations, asked.search.iterations
-    if iterations < first:
-        reason = f"the run has {first}; allowed: as many or more"
-        problems.append(Violation("search.iterations", reason, iterations))
-    if iterations > first and "adam" in stored.search.optimiser:
-        reason = f"the run has {first}; allowed: the same, as Adam's steps shrink towards the end"
-        problems.append(Violation("search.iterations", reason, iterations))
+    search = stored.search
+    try:
+        search = search.resumed(asked.search)
+    except Refused as refused:
+        problems += [problem.under(("search",)) for problem in refused.violations]
     if problems:
         raise report("the run to go on with is of another experiment", problems)
-    decay = stored.gsa.decay_iterations
-    if decay == "all" and iterations > first and stored.search.optimiser == "gsa":
-        decay = first
-    changes: dict[str, Any] = {
-        "search": stored.search.model_copy(update={"iterations": iterations}),
-        "gsa": stored.gsa.model_copy(update={"decay_iterations": decay}),
-        "checkpoint": asked.checkpoint,
-    }
-    return stored.model_copy(update=changes)
+    return stored.model_copy(update={"search": search, "checkpoint": asked.checkpoint})
 
 
 def _leaves(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -195,7 +182,10 @@ class Saver:
         """
         self._last = search, search_seconds, compile_seconds
         self._iteration = int(search.iteration)
-        intervals, iterations = self._experiment.checkpoint, self._experiment.search.iterations
+        intervals, iterations = (
+            self._experiment.checkpoint,
+            self._experiment.search.total_iterations,
+        )
         if (
             self._saved is None
             or self._asked.signal_number is not None
@@ -273,9 +263,10 @@ class Saver:
         """Where the search stands, and how to go on from what is saved of it."""
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
         best = float(self._last[0].best_cost) if self._last else float("inf")
+        iterations = self._experiment.search.total_iterations
         return (
-            f"after iteration {self._iteration} of {self._experiment.search.iterations}{saved}, "
-            f"best cost {best:.4g}; go on with: posegsa tune --resume {self._folder}"
+            f"after iteration {self._iteration} of {iterations}{saved}, best cost {best:.4g}; go "
+            f"on with: posegsa tune --resume {self._folder}"
         )
 
 

@@ -21,7 +21,7 @@ from posegsa.report import report_html
 from posegsa.saving.folder import FIGURES, RESULT, as_path, claimed, read, replace_files
 from posegsa.saving.history import history_csv, read_history
 
-SCHEMA = 1
+SCHEMA = 2
 """Number of the layout of result.json; it changes when a key changes its meaning."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"

@@ -21,10 +21,8 @@ from posegsa.model.rollout import Samples, samples_of
 from posegsa.model.scenario import Profile, Scenario
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
-from posegsa.optimisers import AnyOptimiser
 from posegsa.search import memory
 from posegsa.search.keys import held_out_keys, training_keys
-from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
 
@@ -38,7 +36,6 @@ class TuningProblem(NamedTuple):
     """Training scenarios, then held-out ones."""
     training: ScenarioBatch
     space: ParameterSpace
-    optimiser: AnyOptimiser
 
     @property
     def held_out(self) -> ScenarioBatch:
@@ -47,7 +44,7 @@ class TuningProblem(NamedTuple):
 
 
 def tuning_problem(experiment: config.Experiment) -> TuningProblem:
-    """An experiment's scenarios, parameter space and optimiser.
+    """An experiment's scenarios and parameter space.
 
     Raises:
         MemoryLimitError: It would need more memory than there is.
@@ -66,7 +63,6 @@ def tuning_problem(experiment: config.Experiment) -> TuningProblem:
         everywhere=everywhere,
         training=everywhere.select(slice(run.training_scenarios)),
         space=parameter_space(experiment),
-        optimiser=make_optimiser(experiment),
     )
 
 

@@ -121,10 +121,18 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
         if fields or isinstance(step, int):
             path = (*path, step)
         if fields:
-            tables = [table for field in fields for table in _tables(field.annotation)]
+            tables = [table for field in fields for table in _tables_of(field)]
         else:
             tables = [t for t in tables if _is_tag_of(step, t)] or tables
     return path, tables
+
+
+def _tables_of(field: FieldInfo) -> list[_Table]:
+    """The tables that may stand in a field."""
+    for choice in field.metadata:
+        if kinds := getattr(choice, "kinds", None):  # `settings.choice`
+            return [kind.model_fields for kind in kinds.values()]
+    return _tables(field.annotation)
 
 
 def _tables(annotation: Any) -> list[_Table]:
@@ -144,7 +152,7 @@ def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:
     if nearest := _nearest(key, [known for table in tables for known in table]):
         return f"unknown key; did you mean {_dotted((*above, nearest))}?"
     for section, field in model.items():
-        if section not in above and any(key in table for table in _tables(field.annotation)):
+        if section not in above and any(key in table for table in _tables_of(field)):
             return f"unknown key; did you mean {section}.{key}?"
     return f"unknown key; known here: {_listed(tables)}"
 

@@ -124,7 +124,7 @@ def on_sphere(tmp_path_factory: pytest.TempPathFactory):
     folder, told = tmp_path_factory.mktemp("compare") / "out", []
     comparison = posegsa.compare(
         tiny(),
-        optimisers=["gsa", "random"],
+        optimisers=["gsa", "random_search"],
         repeats=3,
         evaluations=32,
         function=SPHERE,
@@ -137,14 +137,16 @@ def on_sphere(tmp_path_factory: pytest.TempPathFactory):
 def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     comparison, _, told = on_sphere
     key = jax.random.fold_in(keys(0).search, 2)
-    alone = minimise(SPHERE, SPHERE.box, GSA(6, 5), key)
+    alone = minimise(SPHERE, SPHERE.box, GSA(agents=6, iterations=5), key)
     third = comparison.repeats["gsa"][2]
     assert third.cost == float(alone.best_cost)
     assert third.evaluations == [6, 12, 18, 24, 30]
     assert third.held_out is None
     np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
     assert np.all(np.diff(third.times) >= 0)
-    assert told[-1] == Status("random", 2, 3, 1.0, comparison.repeats["random"][2].cost)
+    assert told[-1] == Status(
+        "random_search", 2, 3, 1.0, comparison.repeats["random_search"][2].cost
+    )
 
 
 def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None:
@@ -160,12 +162,17 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None
         lambda *args: searched.append(args[1]) or search(*args),
     )
     more = posegsa.compare(
-        tiny(), optimisers=["random"], repeats=4, evaluations=32, function=SPHERE, out=folder
+        tiny(),
+        optimisers=["random_search"],
+        repeats=4,
+        evaluations=32,
+        function=SPHERE,
+        out=folder,
     )
     assert len(searched) == 1, "only the fourth repeat is new"
-    assert list(more.repeats) == ["random", "gsa"], "what the folder held is kept"
+    assert list(more.repeats) == ["random_search", "gsa"], "what the folder held is kept"
     assert more.repeats["gsa"] == comparison.repeats["gsa"]
-    assert more.repeats["random"][:3] == comparison.repeats["random"]
+    assert more.repeats["random_search"][:3] == comparison.repeats["random_search"]
     assert "3 to 4 repeats" in more.heading()
     assert set(more.versus_first()) == {"gsa"}
 
@@ -180,7 +187,7 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
         with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
             posegsa.compare(tiny(), **(same | changed))
     with pytest.raises(RunFolderError, match="holds a comparison"):
-        posegsa.compare(tiny("gsa.g0=3.0"), evaluations=32, **same)
+        posegsa.compare(tiny("search.g0=3.0"), evaluations=32, **same)
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
         load_comparison(tmp_path)
@@ -207,8 +214,8 @@ def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) ->
         posegsa.compare(tiny(), optimisers=["gsa", "pso"], progress=interrupted, **same)
     assert {n: len(r) for n, r in load_comparison(tmp_path).repeats.items()} == {"gsa": 1}
     assert "1 repeats" in load_comparison(tmp_path).table()
-    more = posegsa.compare(tiny(), optimisers=["random"], **same)
-    assert {n: len(r) for n, r in more.repeats.items()} == {"random": 2, "gsa": 1}
+    more = posegsa.compare(tiny(), optimisers=["random_search"], **same)
+    assert {n: len(r) for n, r in more.repeats.items()} == {"random_search": 2, "gsa": 1}
 
 
 def test_what_replaces_a_comparison_takes_its_table_and_figure_away(on_sphere, tmp_path) -> None:
@@ -299,12 +306,12 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     words = ["compare", "--function", "sphere", "--dimensions", "2", "--evaluations", "32"]
-    words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random"]
+    words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random_search"]
     assert main([*words, "--levels", "9000", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
     assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
     assert "to 9000" in said.out
-    assert "random 2/2" in said.err
+    assert "random_search 2/2" in said.err
     assert "done" in said.err
     assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
@@ -330,7 +337,7 @@ def test_the_bar_says_that_it_stopped_unless_nothing_had_begun(begun, said, caps
         (["--optimisers", ","], "optimisers: none"),
         (["--function", "spher"], "name = 'spher'"),
         (["--function", "sphere", "--shift", "2"], "shift = 2.0"),
-        (["--evaluations", "10"], "evaluations = 10 of 'gsa'; allowed: at least 100"),
+        (["--evaluations", "10"], "evaluations = 10; allowed: at least 100, one iteration of gsa"),
     ],
 )
 def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) -> None:

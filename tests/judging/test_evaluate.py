@@ -158,7 +158,7 @@ def test_interval_of_known_values():
 def test_the_grids_constant_is_as_good_as_a_search_finds(training):
     box = Box(jnp.float32([1]), jnp.float32([101]))
     found = search_schedule(
-        *(GSA(20, 20), lambda v: ConstantGain(v[0]), ObjectiveConfig(), box),
+        *(GSA(agents=20, iterations=20), lambda v: ConstantGain(v[0]), ObjectiveConfig(), box),
         *(training, jax.random.key(0)),
     )
     grid = best_constant(training, (0.0, 100.0), ObjectiveConfig())

@@ -60,6 +60,6 @@ def test_it_finds_a_minimum_slowly() -> None:
 @pytest.mark.parametrize("field", ["agents", "iterations"])
 @pytest.mark.parametrize("value", [0, -3, 1.5, True, "many", None])
 def test_settings_are_checked(field: str, value: Any) -> None:
-    message = f"RandomSearch: {field} = {value!r}; allowed: an integer of at least 1"
+    message = rf"not a valid RandomSearch\n\n  {field} = .*\n    allowed: an integer >= 1 and"
     with pytest.raises(ValueError, match=message):
         RandomSearch(**{field: value})

@@ -23,7 +23,6 @@ from posegsa.saving import resume
 from posegsa.saving.checkpoint import read
 from posegsa.saving.interrupt import Asked
 from posegsa.search.build import tuning_problem
-from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.run import first_search, run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
@@ -156,8 +155,10 @@ def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
         ("filter.gamma=5.0", "filter.gamma"),
         ("scenario.landmarks.0.noise=0.2", "scenario.landmarks.0.noise"),
         ("run.held_out_scenarios=4", "run.held_out_scenarios"),
-        ("search.iterations=7", "as many or more"),
-        ("gsa.decay_iterations=5", "gsa.decay_iterations"),
+        ("search.iterations=7", "search.iterations = 7\\s+the run has 8; allowed: as many or more"),
+        ("search.g0=7.0", "search.g0 = 7.0\\s+the run has 100.0"),
+        ("search.optimiser=de", 'search.optimiser = "de"\\s+the run has gsa'),
+        ("search.decay_iterations=5", r"search.decay_iterations = 5\s+the run has all"),
     ],
 )
 def test_another_experiment_is_refused_by_what_differs(setting, said):
@@ -168,9 +169,9 @@ def test_another_experiment_is_refused_by_what_differs(setting, said):
 def test_intervals_and_more_iterations_may_differ():
     asked = config.override(LONG, ["checkpoint.keep=5", "search.iterations=20"])
     agreed = resume.agreed(LONG, asked)
-    assert agreed == config.override(asked, ["gsa.decay_iterations=8"])
+    assert agreed == config.override(asked, ["search.decay_iterations=8"])
     again = resume.agreed(agreed, config.override(LONG, ["search.iterations=30"]))
-    assert again.gsa.decay_iterations == 8
+    assert again.search.decay_iterations == 8
     assert again.search.iterations == 30
     by_chance = config.override(LONG, ["search.optimiser=random_search"])
     more = config.override(by_chance, ["search.iterations=30"])
@@ -229,12 +230,12 @@ def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, t
     search_in(tmp_path, task)
     begun = resume.begun(tmp_path)
     more = resume.agreed(begun.experiment, config.override(LONG, ["search.iterations=11"]))
-    longer = task._replace(experiment=more, optimiser=make_optimiser(more))
+    longer = task._replace(experiment=more)
     going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
     extended = run_search(longer, search=going_on).search
     assert_same(extended, run_search(longer).search)
     assert (extended.history.best[:8] == whole.history.best).all()
-    held, longest = (o.schedule()[0] for o in (longer.optimiser, GSA(6, 11)))
+    held, longest = (o.schedule()[0] for o in (more.search, GSA(agents=6, iterations=11)))
     assert (held[:8] < longest[:8]).all(), "it is not the longer run"
 
 
