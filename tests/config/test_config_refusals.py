@@ -62,7 +62,7 @@ def setting_refusal(*texts: str) -> str:
         ("run.training_scenarios=0", "run.training_scenarios = 0", "greater than or equal to 1"),
         ("fuzzy.sampled_points=2", "fuzzy.sampled_points = 2", "greater than or equal to 3"),
         ("search.agents=1", "search.agents = 1", "greater than or equal to 2"),
-        ("search.final_percent=0", "search.final_percent = 0", "greater than 0"),
+        ("search.final_percent=-1", "search.final_percent = -1", "greater than or equal to 0"),
         ("search.final_percent=101", "search.final_percent = 101", "less than or equal to 100"),
         # negative noise
         (
@@ -193,7 +193,7 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("filter.substep=3", "filter.substep unknown key; did you mean filter.substeps?"),
         ("fliter.substeps=3", "fliter unknown key; did you mean filter?"),
         ("gain.Signal=pose", "gain.Signal unknown key; did you mean gain.signal?"),
-        ("search.agents=3", "search.agents unknown key; did you mean search.agents?"),
+        ("filter.agents=3", "filter.agents unknown key; did you mean search.agents?"),
         ("scenario.vectors.0.nose=3", "did you mean scenario.vectors.0.noise?"),
         ("scenario.normalize_vectors=false", "did you mean scenario.normalise_vectors?"),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
