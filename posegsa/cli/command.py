@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         enable_fast_path()
         enable_compilation_cache()
         try:
-            with interrupt.at_once(_say_stopping):
+            with interrupt.immediate_signals(_say_stopping):
                 return options.command(options)
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
@@ -142,14 +142,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from posegsa.evaluating import evaluate
-    from posegsa.saving.folder import claimed
-    from posegsa.saving.run import load, write
+    from posegsa.saving.folder import locked_folder
+    from posegsa.saving.run import load, write_run
 
     load(options.run)  # where there is no run, nothing is made
-    with claimed(options.run, overwrite=True) as folder:  # before the minutes, not after
+    with locked_folder(options.run, overwrite=True) as folder:  # before the minutes, not after
         result = load(folder)  # again: another process may have replaced it in between
         result = evaluate(result, scenarios=options.scenarios, seed=options.seed, progress=_say)
-        write(result, folder)
+        write_run(result, folder)
     print(result.evaluation.table())
     print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0
@@ -185,14 +185,14 @@ def _say_stopping() -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from posegsa import config
-    from posegsa.saving.resume import begun
+    from posegsa.saving.resume import newest_checkpoint
     from posegsa.tuning import tune
 
     first = _join(options)
     if options.config is None and options.resume is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
-            experiment = begun(Path(options.resume)).experiment
+            experiment = newest_checkpoint(Path(options.resume)).experiment
     else:
         experiment = config.as_experiment(options.config)
     settings = list(options.set)
@@ -230,9 +230,9 @@ def _join(options: argparse.Namespace) -> bool:
         return True
     import jax
 
-    from posegsa.search.devices import join
+    from posegsa.search.devices import join_processes
 
-    join(**given)
+    join_processes(**given)
     return jax.process_index() == 0
 
 

@@ -4,7 +4,6 @@ Numbers are written with as many digits as they have: what is read back, at the 
 what the run computed with.
 """
 
-import json
 from typing import Any
 
 import jax
@@ -14,6 +13,7 @@ from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import VERSION, TuneResult
+from posegsa.settings.plain import json_text, plain
 
 SCHEMA = 1
 """Number of the layout of the JSON; it changes when a key changes its meaning."""
@@ -60,22 +60,18 @@ def export_json(result: TuneResult) -> str:
             "no_rule": controller.no_rule,
             "initial_gain_1_s": initial_gain,
         },
-        "gain": experiment.gain.model_dump(mode="json"),
-        "filter": experiment.filter.model_dump(mode="json"),
-        "parameters": dict(zip(PARAMETERS, result.parameters.tolist(), strict=True)),
+        "gain": experiment.gain,
+        "filter": experiment.filter,
+        "parameters": dict(zip(PARAMETERS, result.parameters, strict=True)),
         "costs": {
             "tuned": _costs(result, TUNED, result.training_costs),
             "constant_gain_1_s": result.constant_gain,
             "constant": _costs(result, CONSTANT, result.constant_training_costs),
         },
         "sensitive": result.trust.sensitive,
-        "control_surface": {
-            "error": error.tolist(),
-            "rate": rate.tolist(),
-            "gain_1_s": gains.tolist(),
-        },
+        "control_surface": {"error": error, "rate": rate, "gain_1_s": gains},
     }
-    return _json_text(data) + "\n"
+    return json_text(plain(data)) + "\n"
 
 
 def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
@@ -106,8 +102,8 @@ def _surface(result: TuneResult, resolution: int) -> tuple[np.ndarray, np.ndarra
         return np.asarray(error), np.asarray(rate), np.asarray(gains)
 
 
-def _terms(terms: jax.Array) -> dict[str, list[float]]:
-    return dict(zip(TERMS, np.asarray(terms).tolist(), strict=True))
+def _terms(terms: jax.Array) -> dict[str, np.ndarray]:
+    return dict(zip(TERMS, np.asarray(terms), strict=True))
 
 
 def _costs(result: TuneResult, name: str, training: np.ndarray) -> dict[str, Any]:
@@ -116,28 +112,9 @@ def _costs(result: TuneResult, name: str, training: np.ndarray) -> dict[str, Any
     held_out = result.evaluation.contenders[name].metrics.cost
     return {
         "training_scenarios": len(training),
-        "training_mean": _number(np.mean(training)),
+        "training_mean": np.mean(training),
         "held_out_scenarios": len(held_out),
-        "held_out_mean": _number(mean),
-        "held_out_interval": [_number(low), _number(high)],
-        "held_out_worst": _number(np.max(held_out)),
+        "held_out_mean": mean,
+        "held_out_interval": [low, high],
+        "held_out_worst": np.max(held_out),
     }
-
-
-def _number(value: float | np.floating) -> float | str:
-    return float(value) if np.isfinite(value) else str(float(value))
-
-
-def _json_text(value: Any, indent: str = "") -> str:
-    """JSON with an object's keys on lines of their own and a list of numbers on one line."""
-    inner = indent + "  "
-    if isinstance(value, dict):
-        parts = [f"{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items()]
-        opening, closing = "{", "}"
-    elif isinstance(value, list | tuple) and any(isinstance(v, list | tuple) for v in value):
-        parts = [_json_text(v, inner) for v in value]
-        opening, closing = "[", "]"
-    else:
-        return json.dumps(value, allow_nan=False)
-    lines = ",\n".join(inner + part for part in parts)
-    return f"{opening}\n{lines}\n{indent}{closing}"

@@ -22,7 +22,7 @@ from posegsa.figures.style import (
     style_ticks,
     styled,
 )
-from posegsa.judging.comparison import Comparison
+from posegsa.judging.comparison import OptimiserComparison
 
 _STYLES: tuple[Style, ...] = (
     {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
@@ -46,7 +46,7 @@ LINE, HANDLE = 72, 7
 
 
 @styled
-def plot_comparison(comparison: Comparison) -> Figure:
+def plot_comparison(comparison: OptimiserComparison) -> Figure:
     """Best cost so far against evaluations: median and quartiles over repeats of each optimiser.
 
     A cost with its gradient counts as its price. Costs that differ by more than LOG_RATIO are drawn
@@ -59,7 +59,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
 
 
 @styled
-def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figure:
+def plot_comparisons(comparisons: Sequence[OptimiserComparison], across: int = 2) -> Figure:
     """The same for several comparisons of the same optimisers, a panel each."""
     down = -(-len(comparisons) // across)
     figure = Figure(figsize=(WIDTH, 0.8 + 2.4 * down), layout="constrained")
@@ -73,7 +73,7 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
     return figure
 
 
-def _draw(ax: Axes, comparison: Comparison, size: str) -> None:
+def _draw(ax: Axes, comparison: OptimiserComparison, size: str) -> None:
     """Bands and medians of all optimisers."""
     bands, low, high, positive = {}, np.inf, -np.inf, np.inf
     for name in comparison.repeats:
