@@ -32,7 +32,7 @@ def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     """Checkpoints cut short, with bits flipped, or with parts zeroed or swapped."""
     from posegsa.errors import DamagedCheckpointError
     from posegsa.saving.checkpoint import read
-    from posegsa.saving.resume import newest_checkpoint
+    from posegsa.saving.checkpointing import newest_checkpoint
 
     counts: Counter = Counter()
     small = [s for s in KILLED if "search" not in s]

@@ -14,19 +14,17 @@ from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
 from posegsa.judging.batch import TuneBatch
 from posegsa.judging.judge import judge
 from posegsa.judging.result import TuneResult
-from posegsa.saving.checkpointing import discard_checkpoints, search_with_checkpoints
-from posegsa.saving.folder import locked_folder
-from posegsa.saving.resume import (
+from posegsa.saving.checkpointing import (
     CheckpointedRun,
-    experiment_to_resume,
-    finished_result,
-    folder_to_resume,
     newest_checkpoint,
+    search_with_checkpoints,
 )
+from posegsa.saving.folder import locked_folder
+from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
 from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
-from posegsa.search.run import Progress, first_search, run_search, search_batch
+from posegsa.search.run import Progress, run_search, search_batch
 
 Tell = Callable[[Progress], object] | None
 """What is called with the progress of a search, if anything."""
@@ -136,13 +134,7 @@ def _tune_in_folder(
     """
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = tuning_problem(experiment)
-        if run is None:
-            discard_checkpoints(folder)
-            search, before = first_search(problem), (0.0, 0.0)
-        else:
-            search, before = run.search(problem), run.seconds
-        found = search_with_checkpoints(problem, search, folder, before, progress)
-        result = judge(problem, found)
+        result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
     try:
         write_run(result, folder)
     except RunFolderError as error:
@@ -165,8 +157,9 @@ def _resume(
         )
     with locked_folder(folder, overwrite=True):
         run = newest_checkpoint(folder)
-        asked = _chosen(run.experiment if experiment is None else experiment, seed, iterations)
-        agreed = experiment_to_resume(run.experiment, asked)
+        stored = run.about.experiment
+        asked = _chosen(stored if experiment is None else experiment, seed, iterations)
+        agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed)
         return finished or _tune_in_folder(agreed, folder, run, progress)
 

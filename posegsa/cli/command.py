@@ -185,14 +185,14 @@ def _say_stopping() -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from posegsa import config
-    from posegsa.saving.resume import newest_checkpoint
+    from posegsa.saving.checkpointing import newest_checkpoint
     from posegsa.tuning import tune
 
     first = _join(options)
     if options.config is None and options.resume is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
-            experiment = newest_checkpoint(Path(options.resume)).experiment
+            experiment = newest_checkpoint(Path(options.resume)).about.experiment
     else:
         experiment = config.as_experiment(options.config)
     settings = list(options.set)

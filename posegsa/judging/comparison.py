@@ -15,7 +15,6 @@ from posegsa.settings.fields import NonNegative
 DIGITS = 7
 """Significant digits of the costs over a search that are kept."""
 
-
 _Positive = Annotated[int, Field(ge=1)]
 
 
@@ -94,14 +93,16 @@ class OptimiserComparison:
         return replace(self, repeats=repeats, gradients=gradients)
 
     def disagreements(self) -> list[str]:
-        """What its parts say differently, each part being valid in itself."""
+        """Where its parts, each valid in itself, do not fit together."""
         found = []
         for name, repeats in self.repeats.items():
-            points = len(repeats[0].evaluations)
-            if any(r.evaluations != repeats[0].evaluations for r in repeats):
+            spent = repeats[0].evaluations
+            if any(r.evaluations != spent for r in repeats):
                 found.append(f"repeats.{name}: evaluations differ between repeats")
-            if any({len(r.best), len(r.times)} != {points} for r in repeats):
-                found.append(f"repeats.{name}: has not {points} of each of best and times")
+            if any({len(r.best), len(r.times)} != {len(spent)} for r in repeats):
+                found.append(f"repeats.{name}: needs {len(spent)} of each of best and times")
+            if name in self.gradients and self.gradients[name].begin >= spent[-1]:
+                found.append(f"gradients.{name}.begin: must be below {spent[-1]} evaluations")
         return found
 
     def costs(self, name: str, *, held_out: bool = False) -> np.ndarray:

@@ -116,7 +116,7 @@ def _contender_name(name: str) -> str:
 class Evaluation:
     """Schedules on the same S scenarios."""
 
-    seed: Annotated[int, Field(ge=0)] | None
+    seed: Annotated[int, Field(ge=0, lt=2**31)] | None
     """Which held-out set: None is the experiment's own, a number another one."""
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""

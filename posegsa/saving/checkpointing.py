@@ -1,4 +1,4 @@
-"""Checkpoints of a run, written while it searches."""
+"""Checkpoints of a run: written while it searches, read to go on with it."""
 
 import contextlib
 import time
@@ -11,17 +11,29 @@ from typing import NamedTuple, Self
 import jax
 
 from posegsa import config
-from posegsa.errors import CheckpointError, PosegsaWarning, SearchError, SearchInterrupted
-from posegsa.optimisers import Search
+from posegsa.errors import (
+    CheckpointError,
+    DamagedCheckpointError,
+    PosegsaWarning,
+    RunFolderError,
+    SearchError,
+    SearchInterrupted,
+)
+from posegsa.optimisers import Search, lengthened
 from posegsa.runtime import environment
-from posegsa.saving.checkpoint import objects_in, save_search
+from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
 from posegsa.saving.files import PART
 from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
 from posegsa.saving.interrupt import StopRequest, deferred_signals
+from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
-from posegsa.search.run import Found, Progress, run_search
+from posegsa.search.named_optimisers import make_optimiser
+from posegsa.search.run import Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
+
+ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
+"""Entries of the environment that may change the last bits of a result."""
 
 
 class About(NamedTuple):
@@ -37,21 +49,35 @@ class About(NamedTuple):
     """Where it was made."""
 
 
+class CheckpointedRun(NamedTuple):
+    """A run as a checkpoint has it."""
+
+    checkpoint: Checkpoint
+    about: About
+
+    def search(self, problem: TuningProblem) -> Search:
+        """Its search, with room for as many iterations as a problem asks for."""
+        begun = problem._replace(optimiser=make_optimiser(self.about.experiment))
+        search = self.checkpoint.search(first_search(begun))
+        return lengthened(search, problem.experiment.search.iterations)
+
+
 def search_with_checkpoints(
     problem: TuningProblem,
-    search: Search,
     folder: Path,
-    before: tuple[float, float],
+    run: CheckpointedRun | None,
     progress: Callable[[Progress], object] | None,
 ) -> Found:
-    """Run a search to its end; signals stop it where it can be resumed.
+    """Search to the end, or until a signal asks to stop where the search can be resumed.
 
     Args:
         problem: What to search.
-        search: Where to begin.
         folder: Where checkpoints go, locked.
-        before: Time that earlier processes have searched and compiled [s].
+        run: The run to go on with; None to begin.
         progress: As `tune`'s.
+
+    Returns:
+        What was found, with the time that all processes together have taken.
 
     Raises:
         SearchInterrupted: Ctrl-C or SIGTERM.
@@ -59,6 +85,12 @@ def search_with_checkpoints(
         CheckpointError: The first checkpoint can't be written.
     """
     experiment = problem.experiment
+    if run is None:
+        discard_checkpoints(folder)
+        search, before = first_search(problem), (0.0, 0.0)
+    else:
+        search = run.search(problem)
+        before = run.about.search_seconds, run.about.compile_seconds
     if objects_in(search):
         warnings.warn(
             f"search.optimiser = {experiment.search.optimiser!r} keeps a state that can't be "
@@ -77,6 +109,49 @@ def search_with_checkpoints(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
     )
+
+
+def newest_checkpoint(folder: Path) -> CheckpointedRun:
+    """A run from its newest good checkpoint; damaged ones are passed over with a warning.
+
+    Raises:
+        CheckpointError: There is no good one, or it is of another format.
+    """
+    if not folder.is_dir():
+        raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
+    damaged = []
+    for path in checkpoint_paths(folder):
+        try:
+            found = read(path)
+        except DamagedCheckpointError as error:
+            damaged.append(str(error))
+            continue
+        for message in damaged:
+            warnings.warn(f"{message}; going on from {path.name}", PosegsaWarning, stacklevel=2)
+        return _run_of(found)
+    none = f"{folder}: holds no checkpoint to go on from"
+    if not damaged:
+        none += "; a run with search.optimiser = 'pycma' makes none and can't be resumed"
+    raise CheckpointError("\n".join([*damaged, none]))
+
+
+def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
+    """The run that a checkpoint is of; warns if it was made where numbers may round differently."""
+    try:
+        about = from_plain(About, checkpoint.about, checkpoint.path)
+    except RunFolderError as error:
+        raise CheckpointError(f"{error}; needed: the checkpoint of a tuning run") from None
+    here = environment()
+    made = {name: about.environment.get(name, "unknown") for name in ROUNDING}
+    differs = [f"{k} {made[k]}, here {here[k]}" for k in ROUNDING if made[k] != here[k]]
+    if differs:
+        warnings.warn(
+            f"{checkpoint.path} was made elsewhere ({'; '.join(differs)}): the result may differ "
+            "by rounding from that of an uninterrupted run",
+            PosegsaWarning,
+            stacklevel=3,
+        )
+    return CheckpointedRun(checkpoint, about)
 
 
 class CheckpointWriter:

@@ -14,37 +14,18 @@ import csv
 import io
 import json
 import reprlib
+import typing
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import cache, partial, reduce
 from operator import or_
 from pathlib import Path
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    NoReturn,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-    is_typeddict,
-)
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    PlainValidator,
-    Strict,
-    TypeAdapter,
-    ValidationError,
-    create_model,
-)
-from pydantic.types import AllowInfNan
+import pydantic
+from pydantic import AfterValidator, BaseModel, Strict
 
 from posegsa.errors import RunFolderError
 from posegsa.settings.arrays import Columns
@@ -53,7 +34,7 @@ from posegsa.settings.plain import json_text, plain
 Record = TypeVar("Record")
 
 _SHOWN = 3
-"""Problems of one file that an error names."""
+"""How many problems of one file an error names."""
 
 
 # JSON ---------------------------------------------------------------------------------------------
@@ -65,7 +46,7 @@ def to_json(record: object, schema: int, summary: Mapping[str, Any] | None = Non
     Args:
         record: The record.
         schema: Number of the layout, so that a file of another one is known as that.
-        summary: What follows from the record, for readers other than posegsa, which passes over it.
+        summary: What follows from the record, for other readers; `from_json` passes over it.
     """
     head = {"schema": schema} | ({} if summary is None else {"summary": plain(summary)})
     return json_text(head | plain(record)) + "\n"
@@ -91,7 +72,7 @@ def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Recor
         raise RunFolderError(
             f"{source}: schema = {reprlib.repr(found)}, written by posegsa "
             f"{reprlib.repr(data.get('version', 'of an unknown version'))}; this version reads "
-            f"schema {schema}: make the file anew, or read it with the version that wrote it"
+            f"schema {schema}: run it again, or read it with the version that wrote it"
         )
     data.pop("summary", None)
     return from_plain(kind, data, source)
@@ -105,7 +86,7 @@ def from_plain(kind: type[Record], data: object, source: Path) -> Record:
     """
     try:
         return _adapter(kind).validate_python(data, context={})
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         problems = error.errors(include_url=False)
         words = "; ".join(_words(problem) for problem in problems[:_SHOWN])
         more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
@@ -136,8 +117,8 @@ def _words(problem: Mapping[str, Any]) -> str:
 
 
 @cache
-def _adapter(kind: Any) -> TypeAdapter:
-    return TypeAdapter(_strict(kind))
+def _adapter(kind: Any) -> pydantic.TypeAdapter:
+    return pydantic.TypeAdapter(_strict(kind))
 
 
 def _printable(text: str) -> str:
@@ -149,7 +130,7 @@ def _printable(text: str) -> str:
 _SCALARS = {
     bool: Annotated[bool, Strict()],
     int: Annotated[int, Strict()],
-    float: Annotated[float, Strict(), AllowInfNan(False)],
+    float: Annotated[float, Strict(), pydantic.AllowInfNan(False)],
     str: Annotated[str, Strict(), AfterValidator(_printable)],
 }
 
@@ -161,9 +142,9 @@ def _strict(kind: Any) -> Any:
     if _is_record(kind):
         return _strict_record(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return Annotated[kind, PlainValidator(partial(_section, kind))]
-    origin: Any = get_origin(kind)
-    parts = get_args(kind)
+        return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
+    origin: Any = typing.get_origin(kind)
+    parts = typing.get_args(kind)
     if origin is Annotated:
         return Annotated[(_strict(parts[0]), *parts[1:])]
     if origin is None or origin is Literal:
@@ -180,15 +161,17 @@ def _section(kind: type[BaseModel], data: Any) -> BaseModel:
 
 
 def _is_record(kind: Any) -> bool:
-    if is_dataclass(kind) or is_typeddict(kind):
+    if is_dataclass(kind) or typing.is_typeddict(kind):
         return True
     return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
 def _strict_record(kind: Any) -> Any:
-    hints = get_type_hints(kind, include_extras=True)
+    hints = typing.get_type_hints(kind, include_extras=True)
     fields: dict[str, Any] = {name: (_strict(hint), ...) for name, hint in hints.items()}
-    model = create_model(kind.__name__, __config__=ConfigDict(extra="forbid"), **fields)
+    model = pydantic.create_model(
+        kind.__name__, __config__=pydantic.ConfigDict(extra="forbid"), **fields
+    )
     return Annotated[model, AfterValidator(lambda found: kind(**dict(found)))]
 
 
@@ -197,15 +180,15 @@ def _strict_record(kind: Any) -> Any:
 
 def to_csv(record: object) -> str:
     """A record of columns as CSV, a row for each sample or iteration under the columns' names."""
-    names, values = [], []
-    for field, columns in _columns(type(record)).items():
-        names += columns.names or (field,)
+    header, columns = [], []
+    for field, names in _columns(type(record)).items():
         array = np.asarray(getattr(record, field))
-        values += array.reshape(len(array), -1).T.tolist()
+        header += names
+        columns += array.reshape(len(array), -1).T.tolist()
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(zip(*values, strict=True))
+    writer.writerow(header)
+    writer.writerows(zip(*columns, strict=True))
     return text.getvalue()
 
 
@@ -221,36 +204,39 @@ def from_csv(kind: type[Record], text: str, source: Path) -> Record:
         RunFolderError: It is not such a table.
     """
     columns = _columns(kind)
-    names = [name for field, each in columns.items() for name in each.names or (field,)]
+    needed = [name for names in columns.values() for name in names]
     try:
         header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        if header != needed:
+            found = reprlib.repr(header)
+            raise ValueError(f"the columns are {found}; allowed: {', '.join(needed)}")
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(needed):
+                raise ValueError(f"row {number} has {len(row)} values; allowed: {len(needed)}")
+        table = [[_number(*cell) for cell in zip(needed, row, strict=True)] for row in rows]
     except (csv.Error, ValueError) as error:
-        raise RunFolderError(f"{source}: is not a table: {error}") from None
-    if header != names:
-        raise RunFolderError(
-            f"{source}: has the columns {reprlib.repr(header)}; allowed: {', '.join(names)}"
-        )
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(names):
-            raise RunFolderError(
-                f"{source}: row {number} has {len(row)} values; allowed: {len(names)}"
-            )
-    start, found, lengths = 0, {}, {}
-    for field, each in columns.items():
-        own = slice(start, start := start + max(1, len(each.names)))
-        try:
-            array = np.array([row[own] for row in rows], each.dtype)
-            found[field] = array.reshape(len(rows), *each.shape[1:])
-            each.check(found[field], lengths)
-        except (ValueError, OverflowError) as error:
-            raise RunFolderError(f"{source}: {', '.join(names[own])}: {error}") from None
-    return kind(**found)
+        raise RunFolderError(f"{source}: is not such a table: {error}") from None
+    data, start = {}, 0
+    for field, names in columns.items():
+        end = start + len(names)
+        data[field] = [row[start] if len(names) == 1 else row[start:end] for row in table]
+        start = end
+    return from_plain(kind, data, source)
 
 
-def _columns(kind: Any) -> dict[str, Columns]:
-    """What each field of a record of columns says of its own."""
-    hints = get_type_hints(kind, include_extras=True)
+def _number(name: str, cell: str) -> int | float:
+    """The number in a cell of a column."""
+    try:
+        return int(cell) if cell.isdecimal() else float(cell)
+    except ValueError:
+        raise ValueError(f"{name} = {cell!r}; allowed: numbers") from None
+
+
+def _columns(kind: Any) -> dict[str, tuple[str, ...]]:
+    """The names of the columns of each field of a record."""
     return {
-        field: next(each for each in hint.__metadata__ if isinstance(each, Columns))
-        for field, hint in hints.items()
+        field: said.names
+        for field, hint in typing.get_type_hints(kind, include_extras=True).items()
+        for said in hint.__metadata__
+        if isinstance(said, Columns)
     }

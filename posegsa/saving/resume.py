@@ -1,59 +1,18 @@
-"""Going on with a run: from which checkpoint, and with which experiment."""
+"""What a run may be resumed with: its own folder, and its own experiment or a longer one."""
 
-import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from posegsa import config
-from posegsa.errors import (
-    ArgumentError,
-    CheckpointError,
-    DamagedCheckpointError,
-    PosegsaWarning,
-    RunFolderError,
-)
+from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.judging.result import TuneResult
-from posegsa.optimisers import Search, lengthened
-from posegsa.runtime import environment
-from posegsa.saving.checkpoint import Checkpoint, read
-from posegsa.saving.checkpointing import About, checkpoint_paths
 from posegsa.saving.folder import as_path
-from posegsa.saving.records import from_plain
 from posegsa.saving.run import load
-from posegsa.search.build import TuningProblem
-from posegsa.search.named_optimisers import make_optimiser
-from posegsa.search.run import first_search
 from posegsa.settings.violations import Violation, report
 
-ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
-"""Entries of the environment that may change the last bits of a result."""
 
-
-class CheckpointedRun(NamedTuple):
-    """A run as its newest good checkpoint has it."""
-
-    checkpoint: Checkpoint
-    about: About
-
-    @property
-    def experiment(self) -> config.Experiment:
-        """What it searches."""
-        return self.about.experiment
-
-    @property
-    def seconds(self) -> tuple[float, float]:
-        """Time that it has searched and compiled [s]."""
-        return self.about.search_seconds, self.about.compile_seconds
-
-    def search(self, problem: TuningProblem) -> Search:
-        """Its search, with room for as many iterations as a problem asks for."""
-        begun = problem._replace(optimiser=make_optimiser(self.experiment))
-        search = self.checkpoint.search(first_search(begun))
-        return lengthened(search, problem.experiment.search.iterations)
-
-
-def folder_to_resume(resume: object, out: str | Path | None, overwrite: bool) -> Path:
+def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool) -> Path:
     """The folder of the run to go on with, if `tune`'s arguments make sense together.
 
     Raises:
@@ -68,49 +27,6 @@ def folder_to_resume(resume: object, out: str | Path | None, overwrite: bool) ->
     if not folder.is_dir():
         raise RunFolderError(f"{folder}: is not a folder; needed: that of a run to go on with")
     return folder
-
-
-def newest_checkpoint(folder: Path) -> CheckpointedRun:
-    """A run from its newest good checkpoint; damaged ones are passed over with a warning.
-
-    Raises:
-        CheckpointError: There is no good one, or it is of another format.
-    """
-    if not folder.is_dir():
-        raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
-    damaged = []
-    for path in checkpoint_paths(folder):
-        try:
-            found = read(path)
-        except DamagedCheckpointError as error:
-            damaged.append(str(error))
-            continue
-        for message in damaged:
-            warnings.warn(f"{message}; going on from {path.name}", PosegsaWarning, stacklevel=2)
-        return _run_of(found)
-    none = f"{folder}: holds no checkpoint to go on from"
-    if not damaged:
-        none += "; a run with search.optimiser = 'pycma' makes none and can't be resumed"
-    raise CheckpointError("\n".join([*damaged, none]))
-
-
-def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
-    """The run that a checkpoint is of; warns if it was made where numbers may round differently."""
-    try:
-        about = from_plain(About, checkpoint.about, checkpoint.path)
-    except RunFolderError as error:
-        raise CheckpointError(f"{error}; needed: the checkpoint of a tuning run") from None
-    here = environment()
-    made = {name: about.environment.get(name, "unknown") for name in ROUNDING}
-    differs = [f"{k} {made[k]}, here {here[k]}" for k in ROUNDING if made[k] != here[k]]
-    if differs:
-        warnings.warn(
-            f"{checkpoint.path} was made elsewhere ({'; '.join(differs)}): the result may differ "
-            "by rounding from that of an uninterrupted run",
-            PosegsaWarning,
-            stacklevel=3,
-        )
-    return CheckpointedRun(checkpoint, about)
 
 
 def finished_result(folder: Path, experiment: config.Experiment) -> TuneResult | None:

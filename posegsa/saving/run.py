@@ -37,23 +37,19 @@ numbers of at most 25 characters."""
 class HistoryTable(NamedTuple):
     """The history of a search as a table, a row an iteration."""
 
-    iteration: Annotated[np.ndarray, Columns(dtype=int)]
+    iteration: Annotated[np.ndarray, Columns("iteration", dtype=int)]
     """From 1."""
-    best: Annotated[np.ndarray, Columns(allow="infinite")]
-    mean: Annotated[np.ndarray, Columns(allow="any")]
-    worst: Annotated[np.ndarray, Columns(allow="any")]
-    non_finite: Annotated[np.ndarray, Columns(dtype=int)]
+    best: Annotated[np.ndarray, Columns("best", allow="infinite")]
+    mean: Annotated[np.ndarray, Columns("mean", allow="any")]
+    worst: Annotated[np.ndarray, Columns("worst", allow="any")]
+    non_finite: Annotated[np.ndarray, Columns("non_finite", dtype=int)]
 
 
-_ELSEWHERE = {"evaluation": EVALUATION, "history": HISTORY, "trajectory": TRAJECTORY}
+_ELSEWHERE = ("evaluation", "history", "trajectory")
 """The fields of a result that have a file of their own."""
+_TYPES = get_type_hints(TuneResult, include_extras=True)
 _StoredResult: Any = make_dataclass(
-    "StoredResult",
-    [
-        (name, kind)
-        for name, kind in get_type_hints(TuneResult, include_extras=True).items()
-        if name not in _ELSEWHERE
-    ],
+    "StoredResult", [(name, kind) for name, kind in _TYPES.items() if name not in _ELSEWHERE]
 )
 """The fields of a result that result.json holds."""
 
@@ -85,14 +81,14 @@ def write_run(result: TuneResult, folder: Path) -> None:
         RunFolderError: They can't be written; the folder is as it was.
     """
     pictures = {name: png(figure) for name, figure in draw(result).items()}
-    stored = _StoredResult(**{f.name: getattr(result, f.name) for f in fields(_StoredResult)})
+    held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
     texts = {
         HISTORY: to_csv(_table(result.history)),
         TRAJECTORY: to_csv(result.trajectory),
         EVALUATION: to_json(result.evaluation, SCHEMA, _evaluation_summary(result.evaluation)),
         TABLE: result.evaluation.table() + "\n",
         REPORT: report_html(result, pictures),
-        RESULT: to_json(stored, SCHEMA, _result_summary(result)),
+        RESULT: to_json(_StoredResult(**held), SCHEMA, _result_summary(result)),
     }
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     figures = {_figure(name): picture for name, picture in pictures.items()}

@@ -201,15 +201,20 @@ def test_every_field_of_a_comparison(comparison):
         ("result.json", ("trust", "rule_weights"), True, "trust.rule_weights = True"),
         ("result.json", ("trust", "rule_weights"), 0.5, "trust.rule_weights = 0.5"),
         ("result.json", ("trust", "rule_weights"), "nan", "trust.rule_weights = 'nan'"),
-        ("result.json", ("trust", "rule_weights"), [], "trust.rule_weights: of shape (0,)"),
+        (
+            "result.json",
+            ("trust", "rule_weights"),
+            [],
+            "trust.rule_weights: shape (0,); allowed: (5, 5)",
+        ),
         ("result.json", ("constant_gain",), "nan", "constant_gain = 'nan'"),
-        ("result.json", ("training_costs",), [1.0], "constant_training_costs: of shape (2,)"),
+        ("result.json", ("training_costs",), [1.0], "constant_training_costs: shape (2,)"),
         ("result.json", ("experiment", "run", "seed"), -1, "run.seed = -1"),
         (
             "evaluation.json",
             ("contenders", "oracle K(t)", "schedule", "time"),
             ["a", "b"],
-            "contenders.oracle K(t).schedule.open loop.time: allowed: finite numbers",
+            "contenders.oracle K(t).schedule.open loop.time.1 = 'b': ",
         ),
         (
             "evaluation.json",
@@ -221,7 +226,7 @@ def test_every_field_of_a_comparison(comparison):
             "evaluation.json",
             ("contenders", "oracle K(t)", "metrics", "cost"),
             [1.0],
-            "contenders.oracle K(t).metrics.cost: of shape (1,)",
+            "contenders.oracle K(t).metrics.cost: shape (1,)",
         ),
     ],
 )
@@ -257,6 +262,29 @@ def test_files_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, value
     posegsa.save(consistent(**values), tmp_path)
     with pytest.raises(RunFolderError, match=rf"{said}.* = .*; in result\.json: "):
         posegsa.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d["repeats"]["gsa"][1]["evaluations"].append(30), "repeats.gsa: evaluations"),
+        (lambda d: d["repeats"]["gsa"][1]["best"].pop(), "repeats.gsa: needs 2 of each of best"),
+        (lambda d: d["gradients"]["adam"].update(begin=20), "gradients.adam.begin: must be below"),
+        (lambda d: d["repeats"].clear(), "repeats: "),
+        (lambda d: d["repeats"]["gsa"].clear(), "repeats.gsa: "),
+    ],
+)
+def test_a_comparison_whose_parts_do_not_fit_together_is_refused(comparison, change, said):
+    file = comparison / "comparison.json"
+    good = file.read_text(encoding="utf-8")
+    data = json.loads(good)
+    change(data)
+    try:
+        file.write_text(json.dumps(data), encoding="utf-8")
+        with pytest.raises(RunFolderError, match=rf"comparison\.json: {said}"):
+            load_comparison(comparison)
+    finally:
+        file.write_text(good, encoding="utf-8")
 
 
 @pytest.mark.parametrize("missing", ["tuned fuzzy gain", "best constant gain"])

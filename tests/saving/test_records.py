@@ -167,9 +167,7 @@ def test_values_of_another_type_are_refused_by_the_path_of_their_field(path, val
 def test_lengths_of_one_name_are_equal_throughout_a_record():
     parts = whole().parts
     longer = parts["other"]._replace(costs=np.ones(4), measured=np.ones((4, 2)))
-    with pytest.raises(
-        RunFolderError, match=r"parts.other.costs: of shape \(4,\); .* scenarios = 3"
-    ):
+    with pytest.raises(RunFolderError, match=r"other\.costs: shape \(4,\); .*'scenarios': 3"):
         read(to_json(whole(parts=parts | {"other": longer}), 5))
 
 
@@ -258,35 +256,39 @@ def test_a_table_has_a_row_a_sample_under_names_with_units():
 class Table(NamedTuple):
     """A small one."""
 
-    step: Annotated[np.ndarray, Columns(dtype=int)]
+    step: Annotated[np.ndarray, Columns("step", dtype=int)]
     place: Annotated[np.ndarray, Columns("x_m", "y_m")]
     error: Annotated[np.ndarray, Columns("error_deg", allow="infinite")]
 
 
+NO_TABLE = "is not such a table: "
 GOOD = "step,x_m,y_m,error_deg\n1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (GOOD, "", "is not a table"),
-        (GOOD, '"', "is not a table"),
-        ("1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n", "", r"step: of shape \(0,\); allowed: whole numbers"),
-        ("x_m", "x_cm", r"has the columns \['step', 'x_cm', .*allowed: step, x_m, y_m, error_deg"),
-        ("step,", "", r"has the columns \['x_m'"),
-        ("error_deg", "error_deg,more", "has the columns"),
-        ("-1.0,inf", "-1.0", "row 1 has 3 values; allowed: 4"),
-        ("3.0,4.0", "3.0,4.0,5.0", "row 2 has 5 values; allowed: 4"),
-        ("3.0,4.0\n", "3.0,4.0\n\n", "row 3 has 0 values; allowed: 4"),
-        ("2,0.25", "2.0,0.25", "step: .*'2.0'"),
-        ("2,0.25", "x,0.25", "step: .*'x'"),
-        ("2,0.25", ",0.25", "step: "),
-        ("0.25", "broken", "x_m, y_m: .*'broken'"),
-        ("0.25", "", "x_m, y_m: "),
-        ("0.25", "true", "x_m, y_m: .*'true'"),
-        ("0.25", "inf", r"x_m, y_m: inf at \[1, 0\]; allowed: finite numbers"),
-        ("0.25", "nan", r"x_m, y_m: nan at \[1, 0\]; allowed: finite numbers"),
-        ("4.0", "nan", r"error_deg: nan at \[1\]; allowed: numbers, infinite ones too"),
+        (GOOD, "", NO_TABLE),
+        (GOOD, '"', NO_TABLE),
+        ("1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n", "", r"step: shape \(0,\); .*place: shape \(0,\)"),
+        (
+            "x_m",
+            "x_cm",
+            rf"{NO_TABLE}the columns are \['step', 'x_cm', .*; allowed: step, x_m, y_m",
+        ),
+        ("step,", "", rf"{NO_TABLE}the columns are \['x_m'"),
+        ("error_deg", "error_deg,more", f"{NO_TABLE}the columns are"),
+        ("-1.0,inf", "-1.0", f"{NO_TABLE}row 1 has 3 values; allowed: 4"),
+        ("3.0,4.0", "3.0,4.0,5.0", f"{NO_TABLE}row 2 has 5 values; allowed: 4"),
+        ("3.0,4.0\n", "3.0,4.0\n\n", f"{NO_TABLE}row 3 has 0 values; allowed: 4"),
+        ("2,0.25", "2.0,0.25", "step.1 = 2.0: Input should be a valid integer"),
+        ("2,0.25", "x,0.25", f"{NO_TABLE}step = 'x'; allowed: numbers"),
+        ("2,0.25", ",0.25", f"{NO_TABLE}step = ''; allowed: numbers"),
+        ("3.0,4.0", "broken,4.0", f"{NO_TABLE}y_m = 'broken'; allowed: numbers"),
+        ("3.0,4.0", "true,4.0", f"{NO_TABLE}y_m = 'true'; allowed: numbers"),
+        ("0.25", "inf", "place.1.0 = inf: Input should be a finite number"),
+        ("0.25", "nan", "place.1.0 = nan: Input should be a finite number"),
+        ("4.0", "nan", "error: nan; allowed: numbers, or infinite"),
     ],
 )
 def test_a_damaged_table_is_refused_by_column(old, new, said):

@@ -21,9 +21,9 @@ from posegsa.errors import (
 from posegsa.optimisers import GSA, lengthened
 from posegsa.saving import checkpointing
 from posegsa.saving.checkpoint import read
-from posegsa.saving.checkpointing import CheckpointWriter
+from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
 from posegsa.saving.interrupt import StopRequest
-from posegsa.saving.resume import experiment_to_resume, newest_checkpoint
+from posegsa.saving.resume import experiment_to_resume
 from posegsa.search.build import tuning_problem
 from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.run import first_search, run_search
@@ -230,7 +230,9 @@ def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, t
     """G and K_best hold from the eighth iteration on; the configuration says so."""
     search_in(tmp_path, task)
     begun = newest_checkpoint(tmp_path)
-    more = experiment_to_resume(begun.experiment, config.override(LONG, ["search.iterations=11"]))
+    more = experiment_to_resume(
+        begun.about.experiment, config.override(LONG, ["search.iterations=11"])
+    )
     longer = task._replace(experiment=more, optimiser=make_optimiser(more))
     going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
     extended = run_search(longer, search=going_on).search
