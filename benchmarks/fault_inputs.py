@@ -102,12 +102,11 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
 def calls(wanted: int, rng: np.random.Generator) -> Counter:
     """Calls of public functions: refused in words, or answered."""
     import generated
-    from test_bad_input import some_result
 
     from posegsa.errors import PosegsaError
 
     counts: Counter = Counter()
-    result = some_result()
+    result = generated.some_result()
     while counts["calls"] < wanted:
         counts["calls"] += 1
         try:

@@ -29,14 +29,15 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.comparing import compare, load_comparison, specify
+from posegsa.comparing import compare, specify
 from posegsa.figures.comparison import plot_comparison, plot_comparisons
 from posegsa.figures.style import png
-from posegsa.judging.comparison import Comparison
+from posegsa.judging.comparison import OptimiserComparison
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import OPTIMISERS, Optimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
+from posegsa.saving.comparison import load_comparison
 from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
@@ -201,7 +202,7 @@ def add_up(x: jax.Array) -> jax.Array:
     return jnp.sum(x, axis=1)
 
 
-def function_table(comparisons: Sequence[Comparison]) -> str:
+def function_table(comparisons: Sequence[OptimiserComparison]) -> str:
     """Median final cost, functions down and optimisers across."""
     names = list(comparisons[0].repeats)
     lines = [f"| function | {' | '.join(names)} |", "|" + " --- |" * (len(names) + 1)]
@@ -241,7 +242,7 @@ def speed_table(path: Path) -> str:
     )
 
 
-def summary(found: Comparison) -> dict:
+def summary(found: OptimiserComparison) -> dict:
     """The numbers behind a table and a figure."""
     optimisers = {}
     for name in found.repeats:

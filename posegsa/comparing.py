@@ -11,16 +11,14 @@ from jax import Array
 
 from posegsa import config
 from posegsa.arguments import check_callable, check_number, check_type, check_whole
-from posegsa.errors import ArgumentError, ConfigError, RunFolderError
-from posegsa.figures.comparison import plot_comparison
-from posegsa.figures.style import png
-from posegsa.judging.comparison import DIGITS, NO_MATTER, Comparison, Gradients, Repeat, from_json
+from posegsa.errors import ArgumentError, ConfigError
+from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
-from posegsa.saving.files import write_atomically
-from posegsa.saving.folder import as_path, claimed, read, replace_files, writing
+from posegsa.saving.comparison import continued, write_comparison, write_searches
+from posegsa.saving.folder import locked_folder
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
@@ -32,10 +30,6 @@ USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_defa
 """What is compared unless something else is asked for."""
 POINTS = 250
 """Iterations of a search whose best cost is kept, and some more of the first."""
-DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
-"""The files of a comparison."""
-MAX_BYTES = 2**27
-"""Size up to which a comparison is read: 128 MiB."""
 
 
 class Status(NamedTuple):
@@ -115,7 +109,7 @@ def compare(
     overwrite: bool = False,
     levels: Sequence[float] | None = None,
     progress: Callable[[Status], object] | None = None,
-) -> Comparison:
+) -> OptimiserComparison:
     """Run several optimisers many times on the same problem, each with the same evaluations.
 
     All searches of an experiment meet the same training scenarios; the repeats of an optimiser
@@ -168,67 +162,34 @@ def compare(
         if function is None:
             memory.check([_searched_by(optimiser, one)])
     # A run in that folder has files of other names: nothing of it is overwritten.
-    place = nullcontext() if out is None else claimed(out, overwrite=True)
+    place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     with place as folder, jax.enable_x64(one.run.dtype == "float64"):
         subject: Subject = _Filter(one) if function is None else _Function(function)
-        ran = Comparison(
-            subject.title,
-            evaluations,
-            _settings(one, function),
-            {name: [] for name in names},
-            {name: used for name, each in made.items() if (used := _gradients(each))},
-            environment(),
+        comparison = OptimiserComparison(
+            subject=subject.title,
+            budget=evaluations,
+            settings=_settings(one, function),
+            repeats={name: [] for name in names},
+            gradients={name: used for name, each in made.items() if (used := _gradients(each))},
+            environment=environment(),
         )
         if folder is not None:
-            _take_over(folder, ran, overwrite=overwrite)
+            comparison = continued(comparison, folder, overwrite=overwrite)
         for name, optimiser in made.items():
-            for repeat in range(len(ran.repeats[name]), repeats):
+            for repeat in range(len(comparison.repeats[name]), repeats):
                 key = jax.random.fold_in(keys(one.run.seed).search, repeat)
                 tell = _teller(progress, name, repeat, repeats)
-                ran.repeats[name].append(_search(subject, optimiser, key, tell))
+                comparison.repeats[name].append(_search(subject, optimiser, key, tell))
                 if folder is not None:
-                    _keep(folder, ran)
+                    write_searches(comparison, folder)
         if folder is not None:
-            _save(folder, ran, levels)
-    return ran
-
-
-def load_comparison(folder: str | Path) -> Comparison:
-    """The comparison that a folder holds.
-
-    Raises:
-        RunFolderError: It holds none, or one that can't be read.
-    """
-    folder = as_path("folder", folder)
-    try:
-        return from_json(read(folder, DATA, MAX_BYTES))
-    except RunFolderError:
-        raise
-    except OSError as error:
-        raise RunFolderError(f"{folder}: holds no comparison ({DATA}: {error.strerror})") from None
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise RunFolderError(f"{folder / DATA}: cannot be read as a comparison: {error}") from None
-
-
-def _keep(folder: Path, comparison: Comparison) -> None:
-    """Write what has been searched so far to its folder."""
-    with writing(folder):
-        write_atomically(folder / DATA, comparison.to_json())
-
-
-def _save(folder: Path, comparison: Comparison, levels: Sequence[float] | None) -> None:
-    """Write a comparison's JSON, table and figure to its folder."""
-    files = {
-        DATA: comparison.to_json().encode(),
-        TABLE: f"{comparison.table(levels)}\n".encode(),
-        FIGURE: png(plot_comparison(comparison)),
-    }
-    replace_files(folder, files, remove=())
+            write_comparison(comparison, folder, levels)
+    return comparison
 
 
 def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
     """What searches depend on: all but what `compare` sets itself or does not use."""
-    data = experiment.model_dump(mode="json", exclude={NO_MATTER})
+    data = experiment.model_dump(mode="json", exclude={"checkpoint"})
     del data["search"]["iterations"]
     if function is None:
         return data
@@ -274,32 +235,6 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
     settings = [f"search.optimiser={name}", f"search.iterations={min(evaluations, MAX_COUNT)}"]
     settings += [f"search.{setting}" for setting in own]
     return config.override(experiment, settings).search.within(evaluations)
-
-
-def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
-    """Put what a folder holds of this comparison into it; the others of it come after.
-
-    Raises:
-        RunFolderError: The folder holds another comparison, or one that can't be read.
-    """
-    if not (folder / DATA).exists():
-        return
-    try:
-        held = load_comparison(folder)
-        if (held.budget, held.settings) != (ran.budget, ran.settings):
-            raise RunFolderError(
-                f"{folder}: holds a comparison with another problem, budget or settings "
-                f"({held.subject}, {held.budget} evaluations); choose another folder, or replace "
-                "it (--overwrite; overwrite=True)"
-            )
-    except RunFolderError:
-        if not overwrite:
-            raise
-        # Else the old table and figure would stand beside the new searches until the end.
-        replace_files(folder, {DATA: ran.to_json().encode()}, remove=(TABLE, FIGURE))
-        return
-    ran.repeats.update(held.repeats)
-    ran.gradients.update(held.gradients)
 
 
 def _names(optimisers: Iterable[str]) -> list[str]:

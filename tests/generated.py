@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from experiments import tiny
 
 import posegsa
 from posegsa import config
@@ -117,6 +118,16 @@ def not_numbers(result: posegsa.TuneResult) -> list[str]:
         seen |= {f"trajectory.{key}": a for key, a in vars(result.trajectory).items()}
         seen["trust.rule_weights"] = trust.rule_weights
     return [name for name, values in seen.items() if np.isnan(values).any()]
+
+
+def some_result() -> posegsa.TuneResult:
+    """A result as far as its schedule and experiment go; it was never tuned."""
+    experiment = tiny()
+    parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
+    unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
+    return posegsa.TuneResult(
+        **unknown | {"experiment": experiment, "parameters": parameters, "constant_gain": 5.0}
+    )
 
 
 class Call(NamedTuple):

@@ -11,7 +11,17 @@ import optax
 from jax import Array
 
 from posegsa.config import ObjectiveConfig, override
-from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    ORACLE,
+    RANDOM,
+    SMOOTH,
+    ConstantDescription,
+    Description,
+    FuzzyDescription,
+    OpenLoopDescription,
+    SmoothDescription,
+)
 from posegsa.judging.result import TuneResult
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
@@ -41,7 +51,7 @@ ORACLE_RANGE = (0.5, 200.0)
 """Gains that the oracle may ask for [1/s]; wider than a controller's range."""
 
 
-Baseline = Callable[[], tuple[GainSchedule, dict[str, Any]]]
+Baseline = Callable[[], tuple[GainSchedule, Description]]
 """Finds a schedule, and says what it is."""
 
 
@@ -190,32 +200,36 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     )
     gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
 
-    def constant() -> tuple[GainSchedule, dict[str, Any]]:
+    def constant() -> tuple[GainSchedule, Description]:
         # The grid's best: with one number to find, a full search ends at the same cost.
         gain = jnp.asarray(result.constant_gain, dtype)
-        return ConstantGain(gain), {"gain": result.constant_gain}
+        return ConstantGain(gain), ConstantDescription(kind="constant", gain=result.constant_gain)
 
-    def random() -> tuple[GainSchedule, dict[str, Any]]:
+    def random() -> tuple[GainSchedule, Description]:
         # By name, because the library of the run's own optimiser may not be installed here.
         task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
         best = run_search(task).search.best_position
         controller = space.controller(best)
-        return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
+        k = np.asarray(space.vector(controller)).tolist()
+        return FuzzyGain(controller), FuzzyDescription(kind="fuzzy", k=k)
 
-    def smooth() -> tuple[GainSchedule, dict[str, Any]]:
+    def smooth() -> tuple[GainSchedule, Description]:
         box = smooth_box(gains, dtype)
         optimiser = override(experiment, ["search.optimiser=gsa"]).search
         found = search_schedule(
             optimiser, smooth_gain, objective, box, training, keys(seed).baselines
         )
         schedule = smooth_gain(found)
-        return schedule, {name: float(value) for name, value in vars(schedule).items()}
+        values = {name: float(value) for name, value in vars(schedule).items()}
+        return schedule, SmoothDescription(kind="smooth", **values)
 
-    def best_sequence() -> tuple[GainSchedule, dict[str, Any]]:
+    def best_sequence() -> tuple[GainSchedule, Description]:
         of = oracle_keys(seed, ORACLE_SCENARIOS)
         knots, how = oracle(scenario_batch(experiment, one, of))
         gain = np.exp(np.asarray(knots.log_gain, np.float64))
         time = np.asarray(knots.time, np.float64)
-        return knots, {"time": time.tolist(), "gain": gain.tolist(), **how}
+        return knots, OpenLoopDescription(
+            kind="open loop", time=time.tolist(), gain=gain.tolist(), **how
+        )
 
     return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

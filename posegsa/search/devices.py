@@ -23,7 +23,7 @@ WORTH = 32
 MAX_PROCESSES = 10**6
 
 
-def join(
+def join_processes(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> None:
     """Join several processes, on one machine or many, for searches together.

@@ -87,13 +87,16 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
     path, tables = _place(item["loc"], model)
     if isinstance(cause := context.get("error"), Refused):
         return [violation.under(path) for violation in cause.violations]
-    if "discriminator" in context:  # the key that says which table of a union is meant
+    is_table = isinstance(value, Mapping)
+    if "discriminator" in context and is_table:  # the key that says which of a union is meant
         key = context["discriminator"].strip("'")
         path, value = (*path, key), value.get(key, ABSENT)
     match item["type"]:
         case "extra_forbidden":
             path = (*path, item["loc"][-1])
             value, reason = ABSENT, _unknown_key(path, tables, model)
+        case "union_tag_not_found" if not is_table:
+            reason = f"Input should be a table with the keys {_listed(tables)}"
         case "missing" | "union_tag_not_found":
             value, reason = ABSENT, "missing"
         case "tuple_type":

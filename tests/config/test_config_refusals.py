@@ -208,6 +208,9 @@ def test_missing_keys_and_wrong_tables_are_named() -> None:
     text = refusal(from_dict, {"run": 3, "scenario": {"landmarks": [{"positon": [1, 2, 3]}]}})
     assert "run = 3 should be a table with the keys seed, dtype" in text
     assert "scenario.landmarks.0.position missing" in text
+    assert "search = [] should be a table with the keys optimiser" in refusal(
+        from_dict, {"search": []}
+    )
     assert "landmarks.0.positon unknown key; did you mean scenario.landmarks.0.position?" in text
 
 

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,14 +14,16 @@ from scipy import stats
 import posegsa
 from posegsa.cli.command import main
 from posegsa.cli.progress import CompareBar
-from posegsa.comparing import Status, _search, load_comparison
+from posegsa.comparing import Status, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
-from posegsa.judging.comparison import Comparison, Gradients, Repeat, from_json, quantiles
+from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.saving.folder import claimed
+from posegsa.saving.comparison import SCHEMA, load_comparison
+from posegsa.saving.folder import locked_folder
+from posegsa.saving.records import from_json, to_json
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
@@ -35,10 +38,10 @@ def repeat(cost: float, held_out: float | None = None) -> Repeat:
     return Repeat(cost, held_out, [0.0], 2.0, 0.1, 0, [10, 20, 30, 40], best, [0.5, 1, 1.5, 2.0])
 
 
-def made(**costs: list[float]) -> Comparison:
+def made(**costs: list[float]) -> OptimiserComparison:
     """A comparison with these final costs; held out, each costs 1 more."""
     repeats = {name: [repeat(c, c + 1) for c in each] for name, each in costs.items()}
-    return Comparison("something", 40, {"a": 1}, repeats)
+    return OptimiserComparison("something", 40, {"a": 1}, repeats)
 
 
 A, B = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5], [1.5, 3.0, 4.75, 4.25, 6.25, 5.9]
@@ -93,7 +96,8 @@ def test_infinite_costs_rank_last_and_survive_the_file() -> None:
     comparison = made(a=[1.0, np.inf, 2.0], b=[np.inf, np.inf, 3.0])
     assert comparison.costs("a").tolist() == [1, np.inf, 2]
     assert comparison.versus_first()["b"].difference == -1
-    assert from_json(comparison.to_json()) == comparison
+    text = to_json(comparison, SCHEMA)
+    assert from_json(OptimiserComparison, text, SCHEMA, Path("comparison.json")) == comparison
     assert "inf" in comparison.table()
     plot_comparison(comparison)
 
@@ -188,18 +192,21 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
             posegsa.compare(tiny(), **(same | changed))
     with pytest.raises(RunFolderError, match="holds a comparison"):
         posegsa.compare(tiny("search.g0=3.0"), evaluations=32, **same)
-    (tmp_path / "comparison.json").write_text("{}")
-    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+    (tmp_path / "comparison.json").write_text('{"schema": 1}')
+    with pytest.raises(RunFolderError, match=r"comparison\.json: schema = 1, written by"):
         load_comparison(tmp_path)
     (tmp_path / "comparison.json").write_text("[" * 100000)
-    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+    with pytest.raises(RunFolderError, match=r"comparison\.json: is not JSON"):
         load_comparison(tmp_path)
     with pytest.raises(RunFolderError, match="holds no comparison"):
         load_comparison(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(RunFolderError, match="is not a folder"):
         posegsa.compare(tiny(), **(same | {"out": tmp_path / "file", "evaluations": 32}))
-    with claimed(folder, overwrite=True), pytest.raises(RunFolderError, match="another run is"):
+    with (
+        locked_folder(folder, overwrite=True),
+        pytest.raises(RunFolderError, match="another run is"),
+    ):
         posegsa.compare(tiny(), **(same | {"evaluations": 32}))
 
 
@@ -262,16 +269,13 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
 
 
 def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
-    """How often checkpoints are made; comparisons of before have it among their settings."""
+    """How often checkpoints are made is not among a comparison's settings."""
     monkeypatch.setattr(
         sys.modules["posegsa.comparing"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
     )
     monkeypatch.setattr(sys.modules["posegsa.comparing"], "_Filter", Unsearched)
     same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
     posegsa.compare(tiny(), repeats=1, **same)
-    data = json.loads((tmp_path / "comparison.json").read_text())
-    data["settings"]["checkpoint"] = {"iterations": 100, "seconds": 10.0, "keep": 2}
-    (tmp_path / "comparison.json").write_text(json.dumps(data))
     more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
     assert len(more.repeats["gsa"]) == 2
     with pytest.raises(RunFolderError, match="holds a comparison with another problem"):

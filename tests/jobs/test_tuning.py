@@ -20,7 +20,8 @@ from posegsa.errors import ConfigError, MeasurementError, RunFolderError, Search
 from posegsa.judging.evaluation import TUNED
 from posegsa.optimisers import RandomSearch
 from posegsa.saving import run as run_folder
-from posegsa.saving.folder import read
+from posegsa.saving.folder import read_text
+from posegsa.saving.records import to_csv
 from posegsa.search.build import scenario, scenario_batch, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import evaluate_population
@@ -110,14 +111,14 @@ def test_the_folder_holds_what_is_promised(run):
     assert data["schema"] == run_folder.SCHEMA
     assert data["version"] == posegsa.__version__
     assert data["best_cost"] == result.best_cost
-    assert list(data["parameters"]) == [f"k{i}" for i in range(1, 23)]
+    assert data["parameters"] == result.parameters.tolist()
     assert data["evaluations"] == 24
     assert data["compile_seconds"] > 0
     assert data["search_seconds"] > 0
     assert data["non_finite"] == 0
-    assert data["tuned"]["held_out_mean"] == pytest.approx(np.mean(held_out))
-    assert data["tuned"]["held_out_worst"] == np.max(held_out)
-    assert config.from_dict(data["config"]) == result.experiment
+    assert data["summary"]["held_out_mean"][TUNED] == pytest.approx(np.mean(held_out))
+    assert data["summary"]["held_out_scenarios"] == 3
+    assert config.from_dict(data["experiment"]) == result.experiment
     assert {"jax", "numpy", "device"} <= set(data["environment"])
     header, *rows = (folder / "history.csv").read_text().splitlines()
     assert header == "iteration,best,mean,worst,non_finite"
@@ -153,19 +154,20 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
         field.name: np.full_like(getattr(result.trajectory, field.name), -1.2345678901234567e-300)
         for field in dataclasses.fields(result.trajectory)
     }
-    text = type(result.trajectory)(**longest).csv()
+    text = to_csv(type(result.trajectory)(**longest))
     assert len(text.splitlines()[1]) <= run_folder.MAX_ROW / 1.2
     shutil.copytree(folder, tmp_path / "run")
     alter(tmp_path / "run" / "result.json", '"duration": 2.0', '"duration": 90000.0')
     limits = {}
 
-    def noted(folder: Path, name: str, limit: int) -> str:
+    def noted(folder: Path, name: str, limit: int, of: str) -> str:
         limits[name] = limit
-        return read(folder, name, limit)
+        return read_text(folder, name, limit, of)
 
-    monkeypatch.setattr(run_folder, "read", noted)
-    samples = posegsa.load(tmp_path / "run").experiment.scenario.samples
-    assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * samples > run_folder.MAX_BYTES
+    monkeypatch.setattr(run_folder, "read_text", noted)
+    with pytest.raises(RunFolderError, match="number of times = 200; in result"):
+        posegsa.load(tmp_path / "run")
+    assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * 9_000_000 > run_folder.MAX_BYTES
     assert set(limits.values()) == {run_folder.MAX_BYTES}
 
 
@@ -272,9 +274,15 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     [
         (lambda f: (f / "result.json").unlink(), "no finished run"),
         (lambda f: (f / "result.json").write_text("{"), "not JSON"),
-        (lambda f: (f / "result.json").write_text("[]"), "not a result"),
-        (lambda f: (f / "result.json").write_text('{"schema": 99}'), "schema 99"),
-        (lambda f: (f / "history.csv").write_text("a,b\n1,2\n"), "history"),
+        (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
+        (
+            lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
+            "schema = 1, written by posegsa '0.1'; this version reads schema 2",
+        ),
+        (
+            lambda f: (f / "history.csv").write_text("a,b\n1,2\n"),
+            "history.csv: is not such a table: the columns are",
+        ),
         (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
         (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
         (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
@@ -285,8 +293,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
             lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
             "points",
         ),
-        (lambda f: alter(f / "evaluation.json", '"scenarios": 3', '"scenarios": 4'), "each metric"),
-        (lambda f: alter(f / "evaluation.json", "best constant gain", "x"), "best constant gain"),
+        (lambda f: alter(f / "evaluation.json", '"best constant gain"', '"x"'), "contenders.x"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
