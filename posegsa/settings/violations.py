@@ -108,9 +108,9 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
             reason = f"Input should be {expected}"
             if nearest := _nearest(value, re.findall("'([^']*)'", expected)):
                 reason += f"; did you mean '{nearest}'?"
-    return [
-        Violation(_dotted(path), re.sub("^(Input|Tuple) | after validation", "", reason), value)
-    ]
+    reason = re.sub("^(Input|Tuple) | after validation", "", reason)
+    reason = re.sub(r"0\.0{4}\d+", lambda small: f"{float(small[0]):g}", reason)
+    return [Violation(_dotted(path), reason, value)]
 
 
 def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:

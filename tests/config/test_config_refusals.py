@@ -55,7 +55,7 @@ def setting_refusal(*texts: str) -> str:
         (
             "filter.gain_limit=0",
             "filter.gain_limit = 0",
-            "should be greater than or equal to 0.000000001, or should be 'off'",
+            "should be greater than or equal to 1e-09, or should be 'off'",
         ),
         ("run.seed=4294967296", "run.seed = 4294967296", "less than or equal to 4294967295"),
         ("run.seed=-1", "run.seed = -1", "greater than or equal to 0"),

@@ -102,8 +102,11 @@ def _rastrigin(z: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"agents": 3}, "agents = 3\n    allowed: an integer >= 4"),
-        ({"strategy": "rand/2"}, 'strategy = "rand/2"\n    allowed: "rand/1/bin" or "best/1/bin"'),
+        ({"agents": 3}, "agents = 3\n    should be greater than or equal to 4"),
+        (
+            {"strategy": "rand/2"},
+            "strategy = \"rand/2\"\n    should be 'rand/1/bin' or 'best/1/bin'",
+        ),
         ({"factor": 2.5}, "factor = 2.5"),
         ({"crossover": 1.1}, "crossover = 1.1"),
     ],

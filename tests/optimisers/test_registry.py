@@ -100,10 +100,10 @@ def test_another_optimiser_keeps_the_size_or_the_budget_of_the_one_before() -> N
         (["search.optimiser=gas"], r'search.optimiser = "gas"\s+allowed: "gsa" or "random_search"'),
         (["search.optimiser=3"], r"search.optimiser = 3\s+allowed: "),
         (["search.optimiser=de", "search.g0=1.0"], r"search.g0\s+unknown key; known .* strategy"),
-        (["search.optimiser=de", "search.agents=3"], r"agents = 3\s+allowed: an integer >= 4"),
-        (["search.optimiser=adam", "search.agents=0"], r"agents = 0\s+allowed: an integer >= 1"),
+        (["search.optimiser=de", "search.agents=3"], r"agents = 3\s+should be .* equal to 4"),
+        (["search.optimiser=adam", "search.agents=0"], r"agents = 0\s+should be .* equal to 1"),
         (["search.optimiser=adam", "search.agents=2000"], "at least 46000, one iteration of adam"),
-        (["search.optimiser=cma_es", "search.strategy=SNES"], r'allowed: "CMA_ES"'),
+        (["search.optimiser=cma_es", "search.strategy=SNES"], "should be 'CMA_ES'"),
         (
             ["search.optimiser=gsa+adam", "search.agents=2", "search.iterations=9"],
             "leaves 10 of 2 x 9",
