@@ -14,11 +14,11 @@ sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
 
 STRUCTURES = (
     (),
-    ("gsa.random=agent", "gsa.bounds=clip", "gsa.force_power=2.0"),
+    ("search.random=agent", "search.bounds=clip", "search.force_power=2.0"),
     ("search.optimiser=random_search", "objective.name=worst", "filter.gain_limit=off"),
     ("filter.law=printed", "gain.signal=pose", "fuzzy.no_rule=midrange"),
     ("fuzzy.centroid=sampled", "fuzzy.ordering=false", "fuzzy.coverage=false"),
-    ("run.dtype=float64", "objective.name=cvar", "gsa.bounds=reflect"),
+    ("run.dtype=float64", "objective.name=cvar", "search.bounds=reflect"),
     ("search.optimiser=pso", "objective.name=mean_std"),
     ("search.optimiser=de", "search.agents=4"),
 )
@@ -102,12 +102,11 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
 def calls(wanted: int, rng: np.random.Generator) -> Counter:
     """Calls of public functions: refused in words, or answered."""
     import generated
-    from test_bad_input import some_result
 
     from posegsa.errors import PosegsaError
 
     counts: Counter = Counter()
-    result = some_result()
+    result = generated.some_result()
     while counts["calls"] < wanted:
         counts["calls"] += 1
         try:

@@ -31,8 +31,8 @@ COUNTS = Path(__file__).with_suffix(".json")
 def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
     """Checkpoints cut short, with bits flipped, or with parts zeroed or swapped."""
     from posegsa.errors import DamagedCheckpointError
-    from posegsa.saving import resume
     from posegsa.saving.checkpoint import read
+    from posegsa.saving.checkpointing import newest_checkpoint
 
     counts: Counter = Counter()
     small = [s for s in KILLED if "search" not in s]
@@ -67,7 +67,7 @@ def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
             pass
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = resume.begun(run).checkpoint.path
+            found = newest_checkpoint(run).checkpoint.path
         counts["damaged checkpoints passed over for the one before"] += found == before
     counts["damaged checkpoints accepted"] += 0
     return counts
@@ -75,24 +75,24 @@ def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
 
 def searched(experiment: config.Experiment, folder: Path) -> None:
     """Search with checkpoints in a folder, without judging."""
-    from posegsa.saving import resume
-    from posegsa.saving.interrupt import Asked
+    from posegsa.saving.checkpointing import CheckpointWriter
+    from posegsa.saving.interrupt import StopRequest
     from posegsa.search.build import tuning_problem
     from posegsa.search.run import run_search
 
     folder.mkdir(parents=True, exist_ok=True)
-    with resume.Saver(folder, experiment, Asked()) as keep:
+    with CheckpointWriter(folder, experiment, StopRequest()) as keep:
         run_search(tuning_problem(experiment), keep=keep)
 
 
 def overhead(repeats: int, folder: Path) -> dict[str, float]:
     """Time of the default search with and without checkpoints, alternating [s]."""
-    from posegsa.saving import resume
-    from posegsa.saving.interrupt import Asked
+    from posegsa.saving.checkpointing import CheckpointWriter
+    from posegsa.saving.interrupt import StopRequest
     from posegsa.search.build import tuning_problem
     from posegsa.search.run import run_search
 
-    class Counted(resume.Saver):
+    class Counted(CheckpointWriter):
         count = 0
 
         def _save(self) -> None:
@@ -108,7 +108,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
         times["without"].append(run_search(task).search_seconds)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        with Counted(folder, experiment, Asked()) as keep:
+        with Counted(folder, experiment, StopRequest()) as keep:
             found = run_search(task, keep=keep)
         times["with"].append(found.search_seconds)
         count = keep.count
@@ -117,7 +117,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     assert found is not None
     search = found.search
     often = config.override(experiment, ["checkpoint.iterations=1", "search.iterations=1000"])
-    saver = resume.Saver(folder, often, Asked())
+    saver = CheckpointWriter(folder, often, StopRequest())
     begun = time.perf_counter()
     for i in range(20):
         saver(search._replace(iteration=search.iteration + i), 0.0, 0.0)

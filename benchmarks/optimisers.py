@@ -6,10 +6,12 @@
     python benchmarks/optimisers.py scenarios --repeats 3
     python benchmarks/optimisers.py speed
     python benchmarks/optimisers.py write
+    python benchmarks/optimisers.py list
 
 Every call adds to a folder what it lacks (`--folder`), so that a long comparison can be made in
 pieces; `write` puts what is there into docs/optimisers.md, benchmarks/optimisers.json and two
-figures. `--quick` makes everything small, in a folder of its own, and writes nothing.
+figures. `list` writes the page's list of optimisers from their types. `--quick` makes everything
+small, in a folder of its own, and writes nothing.
 """
 
 import argparse
@@ -27,29 +29,29 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.comparing import compare, load_comparison
+from posegsa.comparing import compare, specify
 from posegsa.figures.comparison import plot_comparison, plot_comparisons
 from posegsa.figures.style import png
-from posegsa.judging.comparison import Comparison
+from posegsa.judging.comparison import OptimiserComparison
 from posegsa.model.schedules import FuzzyGain
-from posegsa.optimisers import AnyOptimiser, minimise
+from posegsa.optimisers import OPTIMISERS, Optimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
+from posegsa.saving.comparison import load_comparison
 from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
-from posegsa.search.named_optimisers import make_optimiser, specify
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import run_search
 
 BEST = "de:strategy=best/1/bin"
-FILTER = ("gsa", "random", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
+FILTER = ("gsa", "random_search", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")
 VARIANTS = (
     *("gsa", "gsa:alpha=5.0", "gsa:g0=10.0", "gsa:g0=1.0"),
     *("gsa:final_percent=20.0", "gsa:final_percent=100.0", "gsa:force_power=2.0"),
 )
 """GSA with slower decay, weaker forces, more agents that attract until the end, and the paper's
 D^2."""
-ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random", "pso", "de", BEST, "cma_es", "adam")
+ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random_search", "pso", "de", BEST, "cma_es", "adam")
 DIMENSIONS = 30
 FUNCTIONS = (
     ClassicalFunction("sphere", DIMENSIONS),
@@ -135,7 +137,8 @@ def scenarios(options: argparse.Namespace) -> None:
             simulations = (50 if options.quick else 25000) * 8
             settings = [f"run.training_scenarios={count}", f"run.seed={seed}"]
             experiment = config.override(config.Experiment(), settings)
-            task = tuning_problem(specify(experiment, name, max(100, simulations // count)))
+            search = specify(experiment, name, max(100, simulations // count))
+            task = tuning_problem(experiment.model_copy(update={"search": search}))
             found = run_search(task).search
             # The same validation scenarios for all; held-out ones are not read.
             key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
@@ -175,15 +178,15 @@ def speed(options: argparse.Namespace) -> None:
     """Time of each optimiser's own step: 100 agents, 22 dimensions, an objective that is a sum."""
     seconds = {}
     for name in (*FILTER[:-1], "pycma"):
-        made = make_optimiser(specify(config.Experiment(), name, 2000 if options.quick else 25000))
-        seconds[name] = step_seconds(made)
+        optimiser = specify(config.Experiment(), name, 2000 if options.quick else 25000)
+        seconds[name] = step_seconds(optimiser)
         print(f"{name:<24}{1e6 * seconds[name]:10.1f} us an iteration")
     path = options.folder / "speed.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"seconds": seconds, "environment": environment()}) + "\n")
 
 
-def step_seconds(optimiser: AnyOptimiser) -> float:
+def step_seconds(optimiser: Optimiser) -> float:
     """Seconds of an iteration, the least of ten searches."""
     where, key = posegsa.box(np.zeros(22), np.ones(22)), jax.random.key(0)
     times = []
@@ -191,7 +194,7 @@ def step_seconds(optimiser: AnyOptimiser) -> float:
         begun = time.perf_counter()
         jax.block_until_ready(minimise(add_up, where, optimiser, key).best_cost)
         times.append(time.perf_counter() - begun)
-    return min(times[1:]) / optimiser.iterations
+    return min(times[1:]) / optimiser.total_iterations
 
 
 def add_up(x: jax.Array) -> jax.Array:
@@ -199,7 +202,7 @@ def add_up(x: jax.Array) -> jax.Array:
     return jnp.sum(x, axis=1)
 
 
-def function_table(comparisons: Sequence[Comparison]) -> str:
+def function_table(comparisons: Sequence[OptimiserComparison]) -> str:
     """Median final cost, functions down and optimisers across."""
     names = list(comparisons[0].repeats)
     lines = [f"| function | {' | '.join(names)} |", "|" + " --- |" * (len(names) + 1)]
@@ -239,7 +242,7 @@ def speed_table(path: Path) -> str:
     )
 
 
-def summary(found: Comparison) -> dict:
+def summary(found: OptimiserComparison) -> dict:
     """The numbers behind a table and a figure."""
     optimisers = {}
     for name in found.repeats:
@@ -260,6 +263,22 @@ def summary(found: Comparison) -> dict:
         "environment": found.environment,
         "optimisers": optimisers,
     }
+
+
+def registered() -> str:
+    """The optimisers, each with its settings."""
+    lines = ["| `search.optimiser` | class | | settings |", "| --- | --- | --- | --- |"]
+    for name, kind in OPTIMISERS.items():
+        what = (kind.__doc__ or "").partition("\n")[0].rstrip(".")
+        settings = ", ".join(f"`{key}`" for key in kind.model_fields if key != "optimiser")
+        lines.append(f"| `{name}` | `{kind.__name__}` | {what} | {settings} |")
+    return "\n".join(lines)
+
+
+def write_list(options: argparse.Namespace) -> None:
+    """Write the page's list of optimisers."""
+    del options
+    write_block("optimisers", registered(), PAGE)
 
 
 def write(options: argparse.Namespace) -> None:
@@ -299,6 +318,7 @@ def main() -> None:
         "scenarios": scenarios,
         "speed": speed,
         "write": write,
+        "list": write_list,
     }
     parser.add_argument("part", choices=parts)
     parser.add_argument("--folder", type=Path, default=ROOT / "runs" / "optimisers")
@@ -311,8 +331,8 @@ def main() -> None:
         options.folder = options.folder.with_name(options.folder.name + "-quick")
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    if options.part == "write" and options.quick:
-        parser.error("write: allowed without --quick only")
+    if options.part in ("write", "list") and options.quick:
+        parser.error(f"{options.part}: allowed without --quick only")
     parts[options.part](options)
 
 

@@ -14,7 +14,8 @@ from posegsa.evaluating import evaluate
 from posegsa.export import export_c, export_csv, export_json
 from posegsa.figures.result import draw
 from posegsa.figures.schedule import plot_input_terms, plot_output_terms, plot_surface
-from posegsa.judging.comparison import Comparison
+from posegsa.judging.batch import TuneBatch
+from posegsa.judging.comparison import OptimiserComparison
 from posegsa.judging.result import VERSION as __version__
 from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings, FilterState, initial_state, step
@@ -27,6 +28,7 @@ from posegsa.optimisers import (
     GSA,
     Adam,
     DifferentialEvolution,
+    Optimiser,
     ParticleSwarm,
     RandomSearch,
     box,
@@ -34,14 +36,14 @@ from posegsa.optimisers import (
 )
 from posegsa.runtime import enable_fast_path
 from posegsa.saving.checkpoint import load_search, save_search
+from posegsa.saving.comparison import load_comparison
 from posegsa.saving.run import load, save
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
-from posegsa.tuning import TuneBatch, tune, tune_batch
+from posegsa.tuning import tune, tune_batch
 
 __all__ = [
     "GSA",
     "Adam",
-    "Comparison",
     "ConstantGain",
     "DifferentialEvolution",
     "Estimates",
@@ -51,6 +53,8 @@ __all__ = [
     "FuzzyController",
     "FuzzyGain",
     "Measurements",
+    "Optimiser",
+    "OptimiserComparison",
     "ParticleSwarm",
     "PosegsaError",
     "PosegsaWarning",
@@ -72,6 +76,7 @@ __all__ = [
     "filter_settings",
     "initial_state",
     "load",
+    "load_comparison",
     "load_config",
     "load_search",
     "minimise",

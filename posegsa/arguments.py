@@ -1,13 +1,25 @@
 """Checks of what users hand to public functions: what can't be used is refused by its name."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from numbers import Integral
-from typing import Any
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from numbers import Integral, Real
+from typing import Any, NoReturn
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 
 from posegsa.errors import ArgumentError, PosegsaError
+
+MAX_INTEGER = 2**31 - 1
+"""The largest integer that JAX counts with."""
+
+
+def refuse(problem: str, allowed: str) -> NoReturn:
+    """Raise the ArgumentError that says what was given and what is allowed."""
+    raise ArgumentError(f"{problem}; allowed: {allowed}")
 
 
 def check_type(name: str, value: object, *kinds: type, allowed: str = "") -> None:
@@ -21,20 +33,41 @@ def check_type(name: str, value: object, *kinds: type, allowed: str = "") -> Non
     """
     if not isinstance(value, kinds):
         words = allowed or " or ".join(f"a {kind.__name__}" for kind in kinds)
-        raise ArgumentError(f"{name}: a {type(value).__name__}; allowed: {words}")
+        refuse(f"{name}: a {type(value).__name__}", words)
 
 
 def check_callable(name: str, value: object) -> None:
     """Raise an ArgumentError unless a value can be called, or is None."""
     if value is not None and not callable(value):
-        raise ArgumentError(f"{name}: a {type(value).__name__}; allowed: a function, or None")
+        refuse(f"{name}: a {type(value).__name__}", "a function, or None")
 
 
-def check_whole(name: str, value: Any, least: int, most: int) -> None:
-    """Raise an ArgumentError unless a value is a whole number in [least, most]."""
+def check_whole(name: str, value: Any, minimum: int, maximum: int = MAX_INTEGER) -> None:
+    """Raise an ArgumentError unless a value is a whole number in [minimum, maximum]."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (whole and least <= int(value) <= most):
-        raise ArgumentError(f"{name} = {value!r}; allowed: a whole number from {least} to {most}")
+    if not (whole and minimum <= int(value) <= maximum):
+        refuse(f"{name} = {value!r}", f"a whole number from {minimum} to {maximum}")
+
+
+def check_number(
+    name: str, value: Any, minimum: float = -math.inf, maximum: float = math.inf
+) -> None:
+    """Raise an ArgumentError unless a value is a finite number in [minimum, maximum]."""
+    number = math.nan
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with suppress(OverflowError):  # a whole number of hundreds of digits
+            number = float(value)
+    if not (math.isfinite(number) and minimum <= number <= maximum):
+        bounds = f" of at least {minimum:g}" if minimum > -math.inf else ""
+        if maximum < math.inf:
+            bounds = f" from {minimum:g} to {maximum:g}"
+        refuse(f"{name} = {value!r}", f"a finite number{bounds}")
+
+
+def check_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Raise an ArgumentError unless a value is one of these words."""
+    if not isinstance(value, str) or value not in choices:
+        refuse(f"{name} = {value!r}", " or ".join(map(repr, choices)))
 
 
 def check_dtype(name: str, dtype: Any) -> None:
@@ -44,7 +77,30 @@ def check_dtype(name: str, dtype: Any) -> None:
     except TypeError:
         floating = False
     if not floating:
-        raise ArgumentError(f"{name} = {dtype!r}; allowed: a floating type, float32 or float64")
+        refuse(f"{name} = {dtype!r}", "a floating type, float32 or float64")
+
+
+def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
+    """Numbers from a user as an array.
+
+    Raises:
+        ArgumentError: They are not real numbers, or rows of unequal length.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        refuse(f"{name}: rows of unequal length", "numbers (dimensions,)")
+    if array.dtype.kind not in "iuf" and array.dtype != jnp.bfloat16:
+        refuse(f"{name}: holds {array.dtype}", "real numbers")
+    return array
+
+
+def check_returned(name: str, found: Any) -> None:
+    """Raise an ArgumentError unless a function has returned an array of real numbers."""
+    if not hasattr(found, "dtype") or not jnp.issubdtype(found.dtype, jnp.number):
+        refuse(f"{name}: returns a {type(found).__name__}", "an array of numbers")
+    if jnp.issubdtype(found.dtype, jnp.complexfloating):
+        refuse(f"{name}: returns {found.dtype}", "real numbers")
 
 
 @contextmanager
@@ -57,3 +113,19 @@ def fitting(function: str) -> Iterator[None]:
     except (TypeError, ValueError) as error:
         what = str(error).split("\n", 1)[0]
         raise ArgumentError(f"{function}: the arguments do not fit together: {what}") from error
+
+
+@contextmanager
+def made_of_jax() -> Iterator[None]:
+    """What JAX says of an objective that it can't compile comes as an ArgumentError."""
+    try:
+        yield
+    except (
+        jax.errors.TracerArrayConversionError,
+        jax.errors.TracerIntegerConversionError,
+        jax.errors.ConcretizationTypeError,
+    ) as error:
+        raise ArgumentError(
+            "objective: uses the values of its positions outside JAX, as NumPy functions and "
+            f"Python's if and float do; allowed: jax.numpy ({str(error).splitlines()[0]})"
+        ) from error

@@ -1,9 +1,7 @@
 """`posegsa compare`: optimisers at equal budgets on the same scenarios, or on a test function."""
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -12,40 +10,26 @@ import numpy as np
 from jax import Array
 
 from posegsa import config
-from posegsa.arguments import check_callable, check_type, check_whole
-from posegsa.errors import ArgumentError, ConfigError, RunFolderError
-from posegsa.figures.comparison import plot_comparison
-from posegsa.figures.style import png
-from posegsa.judging.comparison import DIGITS, NO_MATTER, Comparison, Gradients, Repeat, from_json
+from posegsa.arguments import check_callable, check_number, check_type, check_whole
+from posegsa.errors import ArgumentError, ConfigError
+from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.model.schedules import FuzzyGain
-from posegsa.optimisers import (
-    AnyOptimiser,
-    Polish,
-    advance,
-    advance_on_host,
-    evaluations_spent,
-    start,
-)
-from posegsa.optimisers.checks import check_number
+from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
-from posegsa.saving.files import write_atomically
-from posegsa.saving.folder import as_path, claimed, read, replace_files, writing
+from posegsa.saving.comparison import continued, write_comparison, write_searches
+from posegsa.saving.folder import locked_folder
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
-from posegsa.search.named_optimisers import make_optimiser, specify
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Found, Progress, first_search, run_in_chunks, run_search
+from posegsa.search.run import Found, Progress, first_search, run_search, run_timed
+from posegsa.settings.fields import MAX_COUNT
 
-OPTIMISERS = ("gsa", "random", "pso", "de", "cma_es", "adam", "gsa+adam")
+USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
 """What is compared unless something else is asked for."""
 POINTS = 250
 """Iterations of a search whose best cost is kept, and some more of the first."""
-DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
-"""The files of a comparison."""
-MAX_BYTES = 2**27
-"""Size up to which a comparison is read: 128 MiB."""
 
 
 class Status(NamedTuple):
@@ -67,7 +51,7 @@ class Subject(Protocol):
     title: str
 
     def search(
-        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
     ) -> Found:
         """The finished search, and how long it took."""
         ...
@@ -87,9 +71,9 @@ class _Filter:
         self.title = f"fuzzy gain on {count} training scenarios"
 
     def search(
-        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
     ) -> Found:
-        task = self.task._replace(optimiser=optimiser)
+        task = self.task._replace(experiment=_searched_by(optimiser, self.task.experiment))
         return run_search(task, progress, search=first_search(task, key))
 
     def held_out(self, position: Array) -> float:
@@ -98,28 +82,17 @@ class _Filter:
         return float(np.mean(costs_by_scenario(one, self.unseen)))
 
 
-_advance = jax.jit(advance, static_argnums=(0, 1))
-
-
 class _Function:
     """A test function; a gradient is taken by reverse mode."""
 
     def __init__(self, function: ClassicalFunction) -> None:
-        self.function, self.box = function, function.box
-        self.costs = jax.jit(function)
-        self.title = function.title
+        self.function, self.box, self.title = function, function.box, function.title
 
     def search(
-        self, optimiser: AnyOptimiser, key: Array, progress: Callable[[Progress], object]
+        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
     ) -> Found:
-        on_host = getattr(optimiser, "on_host", False)
-        go = (
-            partial(advance_on_host, optimiser, self.costs, self.box, numpy_objective=False)
-            if on_host
-            else partial(_advance, optimiser, self.function, self.box)
-        )
-        begin = start(optimiser, self.box, key)
-        return run_in_chunks(go, begin, optimiser.iterations, progress)
+        run, begin = runner(optimiser, self.function, self.box), start(optimiser, self.box, key)
+        return run_timed(run, begin, optimiser.total_iterations, progress)
 
     def held_out(self, position: Array) -> None:
         del position
@@ -128,7 +101,7 @@ class _Function:
 def compare(
     experiment: config.Experiment | str | Path | None = None,
     *,
-    optimisers: Iterable[str] = OPTIMISERS,
+    optimisers: Iterable[str] = USUAL,
     repeats: int = 20,
     evaluations: int = 25000,
     function: ClassicalFunction | None = None,
@@ -136,7 +109,7 @@ def compare(
     overwrite: bool = False,
     levels: Sequence[float] | None = None,
     progress: Callable[[Status], object] | None = None,
-) -> Comparison:
+) -> OptimiserComparison:
     """Run several optimisers many times on the same problem, each with the same evaluations.
 
     All searches of an experiment meet the same training scenarios; the repeats of an optimiser
@@ -144,14 +117,15 @@ def compare(
     run one after the other: a search fills the machine by itself.
 
     Args:
-        experiment: Problem and settings of the optimisers, or a TOML file; by default the
-            recommended experiment. Its search.optimiser and search.iterations are not used.
-        optimisers: Names as in search.optimiser ("random" for random_search), each with settings
-            of its own after colons if wanted, such as "gsa:g0=1.0" or "cma_es:agents=20". The
-            others are compared with the first.
+        experiment: Problem, and settings of the optimisers, or a TOML file; by default the
+            recommended experiment. The optimiser of its [search] has its settings from there, all
+            others only the number of agents.
+        optimisers: Names as in search.optimiser, each with settings of its own after colons if
+            wanted, such as "gsa:g0=1.0" or "cma_es:agents=20". The others are compared with the
+            first.
         repeats: Searches of each.
         evaluations: Evaluations of a search, rounded down to whole iterations. A cost with its
-            gradient counts as adam.gradient_price.
+            gradient counts as the optimiser's gradient_price.
         function: A test function to minimise instead of the experiment's cost.
         out: Folder to keep the comparison in. Its JSON is written after each search, table and
             figure at the end; searches that it holds already, of the same problem, budget and
@@ -179,117 +153,88 @@ def compare(
         check_type("levels", levels, Iterable, allowed="several numbers")
         levels = list(levels)
         for level in levels:
-            check_number("levels", level, least=-math.inf)
+            check_number("levels", level)
     check_whole("repeats", repeats, 1, 10**6)
     check_whole("evaluations", evaluations, 1, 10**12)
-    specified = {name: specify(one, name, evaluations) for name in names}
-    made = {name: make_optimiser(experiment) for name, experiment in specified.items()}
-    if function is None:
-        for experiment in specified.values():
-            memory.check([experiment])
+    made = {name: specify(one, name, evaluations) for name in names}
+    for optimiser in made.values():
+        optimiser.check_usable()
+        if function is None:
+            memory.check([_searched_by(optimiser, one)])
     # A run in that folder has files of other names: nothing of it is overwritten.
-    place = nullcontext() if out is None else claimed(out, overwrite=True)
+    place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     with place as folder, jax.enable_x64(one.run.dtype == "float64"):
         subject: Subject = _Filter(one) if function is None else _Function(function)
-        ran = Comparison(
-            subject.title,
-            evaluations,
-            _settings(one, function),
-            {name: [] for name in names},
-            {name: used for name, each in made.items() if (used := _gradients(each))},
-            environment(),
+        comparison = OptimiserComparison(
+            subject=subject.title,
+            budget=evaluations,
+            settings=_settings(one, function),
+            repeats={name: [] for name in names},
+            gradients={name: used for name, each in made.items() if (used := _gradients(each))},
+            environment=environment(),
         )
         if folder is not None:
-            _take_over(folder, ran, overwrite=overwrite)
+            comparison = continued(comparison, folder, overwrite=overwrite)
         for name, optimiser in made.items():
-            for repeat in range(len(ran.repeats[name]), repeats):
+            for repeat in range(len(comparison.repeats[name]), repeats):
                 key = jax.random.fold_in(keys(one.run.seed).search, repeat)
                 tell = _teller(progress, name, repeat, repeats)
-                ran.repeats[name].append(_search(subject, optimiser, key, tell))
+                comparison.repeats[name].append(_search(subject, optimiser, key, tell))
                 if folder is not None:
-                    _keep(folder, ran)
+                    write_searches(comparison, folder)
         if folder is not None:
-            _save(folder, ran, levels)
-    return ran
-
-
-def load_comparison(folder: str | Path) -> Comparison:
-    """The comparison that a folder holds.
-
-    Raises:
-        RunFolderError: It holds none, or one that can't be read.
-    """
-    folder = as_path("folder", folder)
-    try:
-        return from_json(read(folder, DATA, MAX_BYTES))
-    except RunFolderError:
-        raise
-    except OSError as error:
-        raise RunFolderError(f"{folder}: holds no comparison ({DATA}: {error.strerror})") from None
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise RunFolderError(f"{folder / DATA}: cannot be read as a comparison: {error}") from None
-
-
-def _keep(folder: Path, comparison: Comparison) -> None:
-    """Write what has been searched so far to its folder."""
-    with writing(folder):
-        write_atomically(folder / DATA, comparison.to_json())
-
-
-def _save(folder: Path, comparison: Comparison, levels: Sequence[float] | None) -> None:
-    """Write a comparison's JSON, table and figure to its folder."""
-    files = {
-        DATA: comparison.to_json().encode(),
-        TABLE: f"{comparison.table(levels)}\n".encode(),
-        FIGURE: png(plot_comparison(comparison)),
-    }
-    replace_files(folder, files, remove=())
+            write_comparison(comparison, folder, levels)
+    return comparison
 
 
 def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
     """What searches depend on: all but what `compare` sets itself or does not use."""
-    data = experiment.model_dump(mode="json", exclude={NO_MATTER})
-    for key in ("optimiser", "iterations"):
-        del data["search"][key]
+    data = experiment.model_dump(mode="json", exclude={"checkpoint"})
+    del data["search"]["iterations"]
     if function is None:
         return data
-    sections = ("run", "search", "gsa", "pso", "de", "adam", "evosax", "pycma")
-    return {"function": vars(function), **{name: data[name] for name in sections}}
+    return {"function": vars(function), "run": data["run"], "search": data["search"]}
 
 
-def _gradients(optimiser: AnyOptimiser) -> Gradients | None:
+def _gradients(optimiser: Optimiser) -> Gradients | None:
     """How an optimiser uses gradients, if it does."""
-    if isinstance(optimiser, Polish):
-        begin = int(evaluations_spent(optimiser.first)[-1])
-        return Gradients(optimiser.second.gradient_price, begin)
-    price = getattr(optimiser, "gradient_price", None)
-    return None if price is None else Gradients(price, 0)
+    before = 0
+    for phase in optimiser.phases:
+        if phase.wants_gradients:
+            return Gradients(phase.evaluations_per_agent, before)
+        before += phase.evaluations
+    return None
 
 
-def _take_over(folder: Path, ran: Comparison, *, overwrite: bool) -> None:
-    """Put what a folder holds of this comparison into it; the others of it come after.
+def _searched_by(optimiser: Optimiser, experiment: config.Experiment) -> config.Experiment:
+    return experiment.model_copy(update={"search": optimiser})
+
+
+def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optimiser:
+    """The optimiser that a text means, with so many evaluations at most.
+
+    Args:
+        experiment: Where settings that the text does not give come from.
+        text: A name, as in search.optimiser, and after colons settings of its own: "gsa:g0=1.0".
+        evaluations: Evaluations of the search.
 
     Raises:
-        RunFolderError: The folder holds another comparison, or one that can't be read.
+        ConfigError: The name or a setting is not valid, or the evaluations are not enough for one
+            iteration.
     """
-    if not (folder / DATA).exists():
-        return
-    try:
-        held = load_comparison(folder)
-        if (held.budget, held.settings) != (ran.budget, ran.settings):
-            raise RunFolderError(
-                f"{folder}: holds a comparison with another problem, budget or settings "
-                f"({held.subject}, {held.budget} evaluations); choose another folder, or replace "
-                "it (--overwrite; overwrite=True)"
-            )
-    except RunFolderError:
-        if not overwrite:
-            raise
-        # Else the old table and figure would stand beside the new searches until the end.
-        replace_files(folder, {DATA: ran.to_json().encode()}, remove=(TABLE, FIGURE))
-        return
-    ran.repeats.update(held.repeats)
-    ran.gradients.update(held.gradients)
+    name, *own = text.split(":")
+    if name not in OPTIMISERS:
+        allowed = ", ".join(OPTIMISERS)
+        raise ConfigError(f"optimiser {name!r} of {text!r}; allowed: {allowed}")
+    keys = [k for k in OPTIMISERS[name].model_fields if k not in ("optimiser", "iterations")]
+    for setting in own:
+        key = setting.partition("=")[0].strip()
+        if key not in keys:
+            raise ConfigError(f"{key!r} of {text!r}; allowed: {', '.join(keys)}")
+    # No search has more iterations than evaluations: what those pay for is found below.
+    settings = [f"search.optimiser={name}", f"search.iterations={min(evaluations, MAX_COUNT)}"]
+    settings += [f"search.{setting}" for setting in own]
+    return config.override(experiment, settings).search.within(evaluations)
 
 
 def _names(optimisers: Iterable[str]) -> list[str]:
@@ -325,7 +270,7 @@ def _teller(
 
 
 def _search(
-    subject: Subject, optimiser: AnyOptimiser, key: Array, tell: Callable[[Progress], object]
+    subject: Subject, optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]
 ) -> Repeat:
     """Search once, and judge what was found."""
     stamps = [(0, 0.0)]
@@ -336,7 +281,7 @@ def _search(
             tell(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
-    spent = evaluations_spent(optimiser)
+    spent = optimiser.evaluations_spent()
     kept = _kept(len(spent))
     done, since = np.array(stamps).T
     times = np.interp(kept + 1, done, since)

@@ -2,18 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import jax
 
 from posegsa.arguments import check_callable, check_type, check_whole
 from posegsa.judging.baselines import baselines
 from posegsa.judging.evaluation import (
-    CONSTANT,
-    ORACLE,
-    RANDOM,
-    SMOOTH,
+    CONTENDERS,
     TUNED,
+    Description,
+    FuzzyDescription,
     contender,
     evaluation,
 )
@@ -62,18 +60,17 @@ def evaluate(
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
         one = scenario(experiment)
-        # All are found, the oracle first, before any is compared.
-        found: dict[str, tuple[GainSchedule, dict[str, Any]]] = {}
+        tuned = FuzzyDescription(kind="fuzzy", k=result.parameters.tolist())
+        schedules: dict[str, tuple[GainSchedule, Description]] = {TUNED: (result.schedule, tuned)}
+        # All are found, the oracle first, before any is judged.
         for name, find in baselines(result, one).items():
             say(f"searching: {name}")
-            found[name] = find()
-        found[TUNED] = result.schedule, {"k": result.parameters.tolist()}
-        held_out = scenario_batch(
-            experiment, one, held_out_keys(experiment.run.seed, scenarios, seed)
-        )
+            schedules[name] = find()
+        keys = held_out_keys(experiment.run.seed, scenarios, seed)
+        held_out = scenario_batch(experiment, one, keys)
         contenders = {}
-        for name in (TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE):
+        for name in CONTENDERS:
             say(f"judging: {name}")
-            schedule, description = found[name]
+            schedule, description = schedules[name]
             contenders[name] = contender(error_tracks(schedule, held_out), held_out, description)
         return replace(result, evaluation=evaluation(contenders, held_out, seed))

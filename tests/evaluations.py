@@ -1,5 +1,7 @@
 """Evaluations and trust made of random numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from posegsa.judging.evaluation import (
@@ -18,11 +20,14 @@ TIME = np.linspace(0, 15, 61)
 
 
 SCHEDULES = {
-    TUNED: {"k": [0.5] * 22},
-    CONSTANT: {"gain": 53.5},
-    RANDOM: {"k": [0.5] * 22},
-    SMOOTH: {"low": 20.0, "high": 90.0, "half": 0.1},
-    ORACLE: {"time": [0.0, 7.5, 15.0], "gain": [90.0, 50.0, 10.0], "cost_fitted": 36.0},
+    TUNED: {"kind": "fuzzy", "k": [0.5] * 22},
+    CONSTANT: {"kind": "constant", "gain": 53.5},
+    RANDOM: {"kind": "fuzzy", "k": [0.5] * 22},
+    SMOOTH: {"kind": "smooth", "low": 20.0, "high": 90.0, "half": 0.1},
+    ORACLE: {
+        **{"kind": "open loop", "time": [0.0, 7.5, 15.0], "gain": [90.0, 50.0, 10.0]},
+        **{"cost_fitted": 36.0, "steps": 80, "converged": True},
+    },
 }
 
 
@@ -40,14 +45,14 @@ def evaluation(names=tuple(SCHEDULES), seed=None, **metrics) -> Evaluation:
     all_of_them = {
         name: contender(i, schedule=SCHEDULES.get(name), **metrics) for i, name in enumerate(names)
     }
-    return Evaluation(40, seed, TIME, all_of_them)
+    return Evaluation(seed=seed, time=TIME, contenders=all_of_them)
 
 
 def changed(given: Evaluation, name: str, **metrics) -> Evaluation:
     """An evaluation with some metrics of one contender changed."""
     one = given.contenders[name]
     one = one._replace(metrics=one.metrics._replace(**metrics))
-    return Evaluation(given.scenarios, given.seed, given.time, {**given.contenders, name: one})
+    return replace(given, contenders={**given.contenders, name: one})
 
 
 def trust(**values) -> Trust:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from experiments import tiny
 
 import posegsa
 from posegsa import config
@@ -29,7 +30,7 @@ HOSTILE: tuple[Any, ...] = (
 WORDS = ("gradient", "printed", "measured", "pose", "exact", "sampled", "sum", "trapezoid", "hold")
 WORDS += ("midrange", "mean", "median", "worst", "cvar", "mean_std", "gsa", "random_search", "all")
 WORDS += ("dimension", "agent", "redraw", "clip", "reflect", "float32", "float64", "VS", "VL")
-WORDS += ("pso", "de", "rand/1/bin", "best/1/bin")
+WORDS += ("pso", "de", "rand/1/bin", "best/1/bin", "adam", "gsa+adam", "spacing")
 
 
 def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
@@ -85,7 +86,7 @@ def structure(task: TuningProblem) -> tuple[Any, ...]:
     return (
         tree,
         tuple((a.shape, a.dtype) for a in leaves),
-        task.optimiser,
+        task.experiment.search,
         task.experiment.objective,
     )
 
@@ -117,6 +118,16 @@ def not_numbers(result: posegsa.TuneResult) -> list[str]:
         seen |= {f"trajectory.{key}": a for key, a in vars(result.trajectory).items()}
         seen["trust.rule_weights"] = trust.rule_weights
     return [name for name, values in seen.items() if np.isnan(values).any()]
+
+
+def some_result() -> posegsa.TuneResult:
+    """A result as far as its schedule and experiment go; it was never tuned."""
+    experiment = tiny()
+    parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
+    unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
+    return posegsa.TuneResult(
+        **unknown | {"experiment": experiment, "parameters": parameters, "constant_gain": 5.0}
+    )
 
 
 class Call(NamedTuple):
@@ -195,12 +206,15 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
             random=any_of("agent", "dimension"),
             bounds=any_of("clip"),
             final_percent=any_of(2.0),
-            epsilon=any_of(None),
-            decay_iterations=any_of(None, 3),
+            epsilon=any_of("spacing"),
+            decay_iterations=any_of("all", 3),
         ),
-        "RandomSearch": lambda: posegsa.RandomSearch(any_of(1, 5), any_of(1, 5)),
+        "RandomSearch": lambda: posegsa.RandomSearch(agents=any_of(1, 5), iterations=any_of(1, 5)),
         "minimise": lambda: posegsa.minimise(
-            hostile(), any_of(posegsa.box([0.0], [1.0])), any_of(posegsa.GSA(4, 2)), any_of(key)
+            hostile(),
+            any_of(posegsa.box([0.0], [1.0])),
+            any_of(posegsa.GSA(agents=4, iterations=2)),
+            any_of(key),
         ),
         "FuzzyController": lambda: posegsa.FuzzyController(
             input_terms=any_of(np.asarray(controller.input_terms), array(5, 3)),

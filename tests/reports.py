@@ -1,13 +1,16 @@
 """A result with everything in it, and its report as a reader finds it."""
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
-from evaluations import evaluation, trust
+from evaluations import ANGLES, TIME, evaluation, trust
 from pictures import history, trajectory
 
 from posegsa import config
+from posegsa.judging.evaluation import TUNED, Contender
+from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult
 from posegsa.report import report_html
 
@@ -43,6 +46,38 @@ def result(*settings: str, **values) -> TuneResult:
             "version": "1.2.3",
             **values,
         }
+    )
+
+
+def consistent(samples: int = 61, **values) -> TuneResult:
+    """A result whose parts fit together as those of a tuned one do: it can be saved and loaded.
+
+    Args:
+        samples: Of its trajectory and error bands, up to 61; with fewer there are 3 scenarios.
+        values: Fields that are to be something else.
+    """
+    given = evaluation(initial_angle=ANGLES)
+    scenarios = 40 if samples == len(TIME) else 3
+    contenders = {
+        name: Contender(
+            Metrics(*(each[:scenarios] for each in one.metrics)),
+            Bands(*(band[:, :samples] for band in one.bands)),
+            one.schedule,
+        )
+        for name, one in given.contenders.items()
+    }
+    k = {"kind": "fuzzy", "k": PARAMETERS.tolist()}
+    contenders[TUNED] = contenders[TUNED]._replace(schedule=k)
+    return result(
+        *("scenario.sampling_time=0.25", f"scenario.duration={0.25 * samples}"),
+        *("cost.transient_window=[0, 1]", f"cost.steady_window=[2, {samples - 1}]"),
+        "run.training_scenarios=2",
+        **{
+            "best_cost": float(history().best[-1]),
+            "evaluation": replace(given, time=TIME[:samples], contenders=contenders),
+            "trajectory": trajectory(samples, time=TIME[:samples]),
+            **values,
+        },
     )
 
 

@@ -34,10 +34,9 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
         "constant_gain": 27.5,
         "constant_training_costs": np.array([44.0, 45.0]),
         "evaluation": Evaluation(
-            3,
-            None,
-            np.zeros(1),
-            {
+            seed=None,
+            time=np.zeros(1),
+            contenders={
                 n: Contender(Metrics(*[c] * len(Metrics._fields)), nothing, {})
                 for n, c in costs.items()
             },

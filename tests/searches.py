@@ -1,18 +1,12 @@
 """Objectives and an optimiser whose every position is known."""
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.optimisers import (
-    Search,
-    advance,
-    start,
-)
-from posegsa.optimisers.base import box
+from posegsa.optimisers import Optimiser, Search, advance, box, start
 
 FIXED_BOX = box([0], [4])
 
@@ -29,8 +23,7 @@ class FixedState(NamedTuple):
     told: Array
 
 
-@dataclass(frozen=True)
-class Fixed:
+class Fixed(Optimiser):
     """Asks for the same positions 0, 1/4, ..., 1 on a line, and remembers the costs it is told."""
 
     agents: int = 5

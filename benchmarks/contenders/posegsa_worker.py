@@ -190,7 +190,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
     evaluate_population(vectors, task.training, task.space).block_until_ready()
     first = time.perf_counter() - ready
     runs = [run_search(task) for _ in range(options.repeats)]
-    optimiser = task.optimiser
+    optimiser = task.experiment.search
     box, key = Box(task.space.lower, task.space.upper), keys(0).search
 
     def sphere(k: jax.Array) -> jax.Array:
@@ -212,7 +212,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
         "optimiser_best": min(times),
         "optimiser_median": float(np.median(times)),
         "iterations": optimiser.iterations,
-        "agents": task.experiment.search.agents,
+        "agents": optimiser.agents,
     }
 
 

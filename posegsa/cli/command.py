@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         enable_fast_path()
         enable_compilation_cache()
         try:
-            with interrupt.at_once(_say_stopping):
+            with interrupt.immediate_signals(_say_stopping):
                 return options.command(options)
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.

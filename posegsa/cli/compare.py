@@ -28,7 +28,7 @@ def add(commands) -> None:
     parser.add_argument(
         "--optimisers",
         metavar="LIST",
-        default=",".join(comparing.OPTIMISERS),
+        default=",".join(comparing.USUAL),
         help="names with commas between, each with settings of its own after colons if wanted, "
         "such as gsa:g0=1.0; the others are compared with the first (default: %(default)s)",
     )
@@ -44,8 +44,8 @@ def add(commands) -> None:
         type=whole_number(1),
         default=25000,
         metavar="N",
-        help="evaluations of a search; a gradient counts as adam.gradient_price (default: "
-        "%(default)s)",
+        help="evaluations of a search; a gradient counts as gradient_price of them "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--levels",

@@ -5,7 +5,8 @@ import sys
 
 from posegsa import evaluating
 from posegsa.cli.arguments import whole_number
-from posegsa.saving import folder, run
+from posegsa.saving.folder import locked_folder
+from posegsa.saving.run import load, write_run
 
 
 def add(commands) -> None:
@@ -35,13 +36,13 @@ def add(commands) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    run.load(options.run)  # where there is no run, nothing is made
-    with folder.claimed(options.run, overwrite=True) as place:  # before the minutes, not after
-        result = run.load(place)  # again: another process may have replaced it in between
+    load(options.run)  # where there is no run, nothing is made
+    with locked_folder(options.run, overwrite=True) as folder:  # before the minutes, not after
+        result = load(folder)  # again: another process may have replaced it in between
         result = evaluating.evaluate(
             result, scenarios=options.scenarios, seed=options.seed, progress=_say
         )
-        run.write(result, place)
+        write_run(result, folder)
     print(result.evaluation.table())
     print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0

@@ -10,8 +10,8 @@ from posegsa import config, tuning
 from posegsa.cli.arguments import add_search_arguments
 from posegsa.cli.progress import TuneBar
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.saving.resume import begun
-from posegsa.search import devices
+from posegsa.saving.checkpointing import newest_checkpoint
+from posegsa.search.devices import join_processes
 
 OUT = "posegsa-run"
 """Folder that is written to where none is given."""
@@ -58,7 +58,7 @@ def _tune(options: argparse.Namespace) -> int:
     first = _join(options)
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    with TuneBar(experiment.search.iterations, quiet=options.quiet or not first) as show:
+    with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
         result = tuning.tune(
             experiment,
             out=out,
@@ -77,7 +77,7 @@ def _join(options: argparse.Namespace) -> bool:
     """Join the other processes, if there are any; whether this is the one that shows and writes."""
     given = {name: getattr(options, name) for name in ("coordinator", "processes", "process")}
     if options.distributed:
-        devices.join(**given)
+        join_processes(**given)
         return jax.process_index() == 0
     for name, value in given.items():
         if value is not None:
@@ -90,7 +90,7 @@ def _experiment(options: argparse.Namespace) -> config.Experiment:
     if options.config is None and options.resume is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
-            experiment = begun(Path(options.resume)).experiment
+            experiment = newest_checkpoint(Path(options.resume)).about.experiment
     else:
         experiment = config.as_experiment(options.config)
     replaced = {"run.seed": options.seed, "search.iterations": options.iterations}

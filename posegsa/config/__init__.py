@@ -14,16 +14,6 @@ from posegsa.config.experiment import (
 )
 from posegsa.config.family import FamilyConfig, Occasions
 from posegsa.config.files import as_experiment, from_dict, load, override, to_toml
-from posegsa.config.optimisers import (
-    AdamConfig,
-    DeConfig,
-    EvosaxConfig,
-    GsaConfig,
-    OptimiserName,
-    PsoConfig,
-    PycmaConfig,
-    SearchConfig,
-)
 from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
 from posegsa.config.schedule import (
     INPUT_RANGE,
@@ -39,28 +29,20 @@ __all__ = [
     "INPUT_RANGE",
     "PARAMETERS",
     "TERMS",
-    "AdamConfig",
     "CheckpointConfig",
     "CostConfig",
-    "DeConfig",
-    "EvosaxConfig",
     "Experiment",
     "FamilyConfig",
     "FilterConfig",
     "FuzzyConfig",
     "GainConfig",
-    "GsaConfig",
     "Landmark",
     "ObjectiveConfig",
     "Occasions",
-    "OptimiserName",
     "ParametersConfig",
     "Profile",
-    "PsoConfig",
-    "PycmaConfig",
     "RunConfig",
     "ScenarioConfig",
-    "SearchConfig",
     "Sine",
     "Vector",
     "as_experiment",

@@ -6,30 +6,17 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
-from posegsa.config.optimisers import (
-    AdamConfig,
-    DeConfig,
-    EvosaxConfig,
-    GsaConfig,
-    PsoConfig,
-    PycmaConfig,
-    SearchConfig,
-)
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.settings.fields import (
-    Ascending,
-    Count,
-    Flag,
-    Index,
-    NonNegative,
-    Positive,
-    Section,
-)
+from posegsa.optimisers import GSA, OPTIMISERS, Optimiser
+from posegsa.settings.choice import Choice
+from posegsa.settings.fields import Ascending, Count, Flag, Index, NonNegative, Positive, Section
 from posegsa.settings.violations import Violation
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
+ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
+"""What [search] can be."""
 
 
 class RunConfig(Section):
@@ -145,22 +132,10 @@ class Experiment(Section):
     """What a schedule is judged by."""
     objective: ObjectiveConfig = ObjectiveConfig()
     """What of the costs on several scenarios is minimised."""
-    search: SearchConfig = SearchConfig()
-    """The optimiser and its size."""
-    gsa: GsaConfig = GsaConfig()
-    """The gravitational search algorithm."""
+    search: Annotated[Optimiser, ONE_OPTIMISER] = GSA()
+    """The optimiser, by the name `search.optimiser`, with its size and its settings."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
-    pso: PsoConfig = PsoConfig()
-    """Particle swarm."""
-    de: DeConfig = DeConfig()
-    """Differential evolution."""
-    adam: AdamConfig = AdamConfig()
-    """Gradient descent."""
-    evosax: EvosaxConfig = EvosaxConfig()
-    """Strategies of the evosax library."""
-    pycma: PycmaConfig = PycmaConfig()
-    """CMA-ES of the pycma library."""
 
     def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples

@@ -11,8 +11,9 @@ import tomli_w
 from pydantic import ValidationError
 
 from posegsa.arguments import check_type
-from posegsa.config.experiment import Experiment
+from posegsa.config.experiment import ONE_OPTIMISER, Experiment
 from posegsa.errors import ArgumentError, ConfigError
+from posegsa.optimisers import Optimiser
 from posegsa.settings.violations import Violation, config_error, report
 
 MAX_BYTES = 2**20
@@ -77,7 +78,10 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
         experiment: Where the other values come from.
         settings: Texts like `filter.substeps=4`, `gain.signal=pose`, `scenario.vectors.0.noise=1`:
             a path of keys and array indices, and a value as TOML writes it; quotes around a word
-            may be left out. All are applied before the result is checked.
+            may be left out. All are applied before the result is checked. Where they name another
+            optimiser, the settings of the one before go, and what is not named of the new one's has
+            its default; it keeps agents and iterations or, if one of both descends by gradients,
+            the number of evaluations.
 
     Raises:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
@@ -88,10 +92,11 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     settings = list(settings)
     for text in settings:
         check_type("settings", text, str, allowed="texts such as filter.substeps=4")
-    data = experiment.model_dump(mode="json")
+    data = experiment.model_dump(mode="json") | {"search": {}}
     violations = [violation for text in settings if (violation := _set(data, text))]
     if violations:
         raise report("settings that cannot be applied", violations)
+    data["search"] = _search(experiment.search, data["search"])
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -100,6 +105,21 @@ def _validated(data: object, title: str) -> Experiment:
         return Experiment.model_validate(data)
     except ValidationError as error:
         raise config_error(title, error, Experiment) from None
+
+
+def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
+    """The table [search] after some of its values were named."""
+    kind = ONE_OPTIMISER.kind({"optimiser": before.optimiser} | named)
+    if kind is type(before):
+        return before.model_dump(mode="json") | named
+    if not (before.wants_gradients or kind.wants_gradients):
+        return {"agents": before.agents, "iterations": before.iterations} | named
+    if "iterations" in named:
+        return named
+    try:
+        return kind.model_validate(named).within(before.evaluations).model_dump(mode="json")
+    except ValidationError:
+        return named  # it is refused with the rest
 
 
 def _read(path: str | Path) -> str:

@@ -16,7 +16,6 @@ from posegsa.arguments import check_type
 from posegsa.config import PARAMETERS, TERMS, Experiment
 from posegsa.export.tables import INFERENCE, costs
 from posegsa.judging.result import VERSION, TuneResult
-from posegsa.search.named_optimisers import size_in_words
 from posegsa.settings.fields import Section
 from posegsa.words import toml
 
@@ -56,7 +55,7 @@ def export_c(result: TuneResult) -> str:
     low, high = map(float, controller.output_range)
     origin = (
         f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
-        f"{search.optimiser}, {size_in_words(experiment)}, seed {run.seed}."
+        f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
     )
     parameters = zip(PARAMETERS, result.parameters.tolist(), strict=True)
     here = files("posegsa.export")

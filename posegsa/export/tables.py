@@ -4,8 +4,6 @@ Numbers are written with as many digits as they have: what is read back, at the 
 what the run computed with.
 """
 
-import json
-import math
 from typing import Any
 
 import jax
@@ -15,6 +13,7 @@ from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import VERSION, TuneResult
+from posegsa.settings.plain import json_text, plain
 
 SCHEMA = 1
 """Number of the layout of the JSON; it changes when a key changes its meaning."""
@@ -63,18 +62,14 @@ def export_json(result: TuneResult) -> str:
             "no_rule": controller.no_rule,
             "initial_gain_1_s": initial_gain,
         },
-        "gain": experiment.gain.model_dump(mode="json"),
-        "filter": experiment.filter.model_dump(mode="json"),
-        "parameters": dict(zip(PARAMETERS, result.parameters.tolist(), strict=True)),
+        "gain": experiment.gain,
+        "filter": experiment.filter,
+        "parameters": dict(zip(PARAMETERS, result.parameters, strict=True)),
         "costs": {**costs(result), "constant_gain_1_s": result.constant_gain},
         "sensitive": result.trust.sensitive,
-        "control_surface": {
-            "error": error.tolist(),
-            "rate": rate.tolist(),
-            "gain_1_s": gains.tolist(),
-        },
+        "control_surface": {"error": error, "rate": rate, "gain_1_s": gains},
     }
-    return _json_text(data) + "\n"
+    return json_text(plain(data)) + "\n"
 
 
 def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
@@ -105,8 +100,8 @@ def _surface(result: TuneResult, resolution: int) -> tuple[np.ndarray, np.ndarra
         return np.asarray(error), np.asarray(rate), np.asarray(gains)
 
 
-def _terms(terms: jax.Array) -> dict[str, list[float]]:
-    return dict(zip(TERMS, np.asarray(terms).tolist(), strict=True))
+def _terms(terms: jax.Array) -> dict[str, np.ndarray]:
+    return dict(zip(TERMS, np.asarray(terms), strict=True))
 
 
 def costs(result: TuneResult) -> dict[str, dict[str, Any]]:
@@ -125,26 +120,3 @@ def costs(result: TuneResult) -> dict[str, dict[str, Any]]:
             "held_out_worst": float(np.max(held_out)),
         }
     return found
-
-
-def _json_text(value: Any, indent: str = "") -> str:
-    """JSON with an object's keys on lines of their own and a list of numbers on one line.
-
-    A number that is not finite becomes text.
-    """
-    inner = indent + "  "
-    match value:
-        case dict():
-            opening, closing = "{", "}"
-            parts = [f"{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items()]
-        case list() | tuple() if any(isinstance(v, list | tuple) for v in value):
-            opening, closing = "[", "]"
-            parts = [_json_text(v, inner) for v in value]
-        case list() | tuple():
-            return f"[{', '.join(map(_json_text, value))}]"
-        case float() if not math.isfinite(value):
-            return json.dumps(str(value))
-        case _:
-            return json.dumps(value)
-    lines = ",\n".join(inner + part for part in parts)
-    return f"{opening}\n{lines}\n{indent}{closing}"

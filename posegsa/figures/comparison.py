@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from posegsa.figures import style
 from posegsa.figures.style import Style, finite
-from posegsa.judging.comparison import Comparison
+from posegsa.judging.comparison import OptimiserComparison
 
 EARLY = 0.05
 """Share of the budget before which curves may leave the figure at the top."""
@@ -18,7 +18,7 @@ TITLE = 40
 
 
 @style.styled
-def plot_comparison(comparison: Comparison) -> Figure:
+def plot_comparison(comparison: OptimiserComparison) -> Figure:
     """Best cost so far against evaluations: median and quartiles over repeats of each optimiser.
 
     A cost with its gradient counts as its price. Costs that differ by more than LOG_RATIO are drawn
@@ -31,7 +31,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
 
 
 @style.styled
-def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figure:
+def plot_comparisons(comparisons: Sequence[OptimiserComparison], across: int = 2) -> Figure:
     """The same for several comparisons of the same optimisers, a panel each."""
     down = -(-len(comparisons) // across)
     figure, axes = style.grid(down, across, 0.8 + 2.4 * down)
@@ -43,7 +43,7 @@ def plot_comparisons(comparisons: Sequence[Comparison], across: int = 2) -> Figu
     return figure
 
 
-def _draw(ax: Axes, comparison: Comparison, size: str) -> None:
+def _draw(ax: Axes, comparison: OptimiserComparison, size: str) -> None:
     """Bands and medians of all optimisers."""
     bands = {name: comparison.bands(name) for name in comparison.repeats}
     lower = finite(np.concatenate([quartiles[0] for _, quartiles in bands.values()]))

@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +11,23 @@ import optax
 from jax import Array
 
 from posegsa.config import ObjectiveConfig, override
-from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    ORACLE,
+    RANDOM,
+    SMOOTH,
+    ConstantDescription,
+    Description,
+    FuzzyDescription,
+    OpenLoopDescription,
+    SmoothDescription,
+)
 from posegsa.judging.result import TuneResult
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
-from posegsa.optimisers import Box, Optimiser, advance, start
+from posegsa.optimisers import Box, Optimiser, runner, start
 from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
 from posegsa.search.keys import keys, oracle_keys, training_keys
-from posegsa.search.named_optimisers import gsa_of
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
 from posegsa.search.run import run_search
 
@@ -43,7 +51,7 @@ ORACLE_RANGE = (0.5, 200.0)
 """Gains that the oracle may ask for [1/s]; wider than a controller's range."""
 
 
-Baseline = Callable[[], tuple[GainSchedule, dict[str, Any]]]
+Baseline = Callable[[], tuple[GainSchedule, Description]]
 """Finds a schedule, and says what it is."""
 
 
@@ -72,7 +80,6 @@ def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
     return Box(jnp.asarray(lower, dtype), jnp.asarray(upper, dtype))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
 def search_schedule(
     optimiser: Optimiser,
     schedule: Callable[[Array], GainSchedule],
@@ -91,12 +98,24 @@ def search_schedule(
         training: The training scenarios.
         key: Random key of the search.
     """
+    run = runner(optimiser, _Objective(schedule, objective), box, training)
+    return run(start(optimiser, box, key), optimiser.total_iterations).best_position
 
-    def costs(vectors: Array) -> Array:
-        return over_scenarios(agent_costs(jax.vmap(schedule)(vectors), training), objective)
 
-    found = advance(optimiser, costs, box, start(optimiser, box, key), optimiser.iterations)
-    return found.best_position
+class _Objective(NamedTuple):
+    """What is minimised, for programs that are compiled for it."""
+
+    schedule: Callable[[Array], GainSchedule]
+    objective: ObjectiveConfig
+
+    def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
+        """As a function of vectors (A, d), on training scenarios."""
+
+        def costs(vectors: Array) -> Array:
+            schedules = jax.vmap(self.schedule)(vectors)
+            return over_scenarios(agent_costs(schedules, training), self.objective)
+
+        return costs
 
 
 @jax.jit
@@ -175,38 +194,42 @@ def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
 def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     """How to find each baseline of a run, by name."""
     experiment, seed = result.experiment, result.experiment.run.seed
-    space, search = parameter_space(experiment), experiment.search
+    space = parameter_space(experiment)
     training = scenario_batch(
         experiment, one, training_keys(seed, experiment.run.training_scenarios)
     )
     gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
 
-    def constant() -> tuple[GainSchedule, dict[str, Any]]:
+    def constant() -> tuple[GainSchedule, Description]:
         # The grid's best: with one number to find, a full search ends at the same cost.
         gain = jnp.asarray(result.constant_gain, dtype)
-        return ConstantGain(gain), {"gain": result.constant_gain}
+        return ConstantGain(gain), ConstantDescription(kind="constant", gain=result.constant_gain)
 
-    def random() -> tuple[GainSchedule, dict[str, Any]]:
+    def random() -> tuple[GainSchedule, Description]:
         # By name, because the library of the run's own optimiser may not be installed here.
         task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
         best = run_search(task).search.best_position
         controller = space.controller(best)
-        return FuzzyGain(controller), {"k": np.asarray(space.vector(controller)).tolist()}
+        k = np.asarray(space.vector(controller)).tolist()
+        return FuzzyGain(controller), FuzzyDescription(kind="fuzzy", k=k)
 
-    def smooth() -> tuple[GainSchedule, dict[str, Any]]:
+    def smooth() -> tuple[GainSchedule, Description]:
         box = smooth_box(gains, dtype)
-        optimiser = gsa_of(experiment, search.iterations)
+        optimiser = override(experiment, ["search.optimiser=gsa"]).search
         found = search_schedule(
             optimiser, smooth_gain, objective, box, training, keys(seed).baselines
         )
         schedule = smooth_gain(found)
-        return schedule, {name: float(value) for name, value in vars(schedule).items()}
+        values = {name: float(value) for name, value in vars(schedule).items()}
+        return schedule, SmoothDescription(kind="smooth", **values)
 
-    def best_sequence() -> tuple[GainSchedule, dict[str, Any]]:
+    def best_sequence() -> tuple[GainSchedule, Description]:
         of = oracle_keys(seed, ORACLE_SCENARIOS)
         knots, how = oracle(scenario_batch(experiment, one, of))
         gain = np.exp(np.asarray(knots.log_gain, np.float64))
         time = np.asarray(knots.time, np.float64)
-        return knots, {"time": time.tolist(), "gain": gain.tolist(), **how}
+        return knots, OpenLoopDescription(
+            kind="open loop", time=time.tolist(), gain=gain.tolist(), **how
+        )
 
     return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

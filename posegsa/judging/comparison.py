@@ -1,51 +1,51 @@
-"""What optimisers found at equal budgets, side by side: the table, and the file that keeps it."""
+"""What optimisers found at equal budgets, side by side."""
 
-import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field, JsonValue
 
 from posegsa.judging.statistics import holm, signed_rank
+from posegsa.settings.arrays import Cost
+from posegsa.settings.fields import NonNegative
 
-SCHEMA = 1
-"""Version of the file's layout."""
-NO_MATTER = "checkpoint"
-"""The section of an experiment that a comparison does not use; files of before have it."""
 DIGITS = 7
 """Significant digits of the costs over a search that are kept."""
+
+_Positive = Annotated[int, Field(ge=1)]
 
 
 class Repeat(NamedTuple):
     """One search of one optimiser."""
 
-    cost: float
+    cost: Cost
     """Best cost on what it searched."""
-    held_out: float | None
+    held_out: Cost | None
     """Cost of that on unseen scenarios; None where there are none."""
     position: list[float]
     """Where it is."""
-    seconds: float
+    seconds: NonNegative
     """Time of the search, without compiling."""
-    compile_seconds: float
-    non_finite: int
+    compile_seconds: NonNegative
+    non_finite: Annotated[int, Field(ge=0)]
     """Evaluations that were not finite."""
-    evaluations: list[int]
+    evaluations: Annotated[list[_Positive], Field(min_length=1)]
     """(n,) evaluations made after some or all iterations; a gradient counts at its price."""
-    best: list[float]
+    best: list[Cost]
     """(n,) best cost so far, then."""
-    times: list[float]
+    times: list[NonNegative]
     """(n,) seconds since the search began, then."""
 
 
 class Gradients(NamedTuple):
     """How an optimiser uses gradients."""
 
-    price: int
+    price: _Positive
     """Evaluations that a cost with its gradient counts as."""
-    begin: int
+    begin: Annotated[int, Field(ge=0)]
     """Evaluations before the first gradient."""
 
 
@@ -70,32 +70,40 @@ class Versus(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class OptimiserComparison:
     """Searches of several optimisers on the same problem, each with the same evaluations."""
 
     subject: str
     """What was minimised, in words."""
-    budget: int
+    budget: _Positive
     """Evaluations of a search."""
-    settings: dict[str, Any]
+    settings: dict[str, JsonValue]
     """What the searches depend on; a file is only added to where they are the same."""
-    repeats: dict[str, list[Repeat]] = field(default_factory=dict)
+    repeats: Annotated[dict[str, Annotated[list[Repeat], Field(min_length=1)]], Field(min_length=1)]
     """By optimiser, the first being what the others are compared with."""
     gradients: dict[str, Gradients] = field(default_factory=dict)
     """Of the optimisers that use gradients."""
     environment: dict[str, str] = field(default_factory=dict)
     """The machine that made them."""
 
-    def only(self, names: Sequence[str]) -> "Comparison":
+    def only(self, names: Iterable[str]) -> "OptimiserComparison":
         """The same with some of the optimisers, in this order."""
-        return Comparison(
-            self.subject,
-            self.budget,
-            self.settings,
-            {name: self.repeats[name] for name in names},
-            {name: self.gradients[name] for name in names if name in self.gradients},
-            self.environment,
-        )
+        repeats = {name: self.repeats[name] for name in names}
+        gradients = {name: self.gradients[name] for name in repeats if name in self.gradients}
+        return replace(self, repeats=repeats, gradients=gradients)
+
+    def disagreements(self) -> list[str]:
+        """Where its parts, each valid in itself, do not fit together."""
+        found = []
+        for name, repeats in self.repeats.items():
+            spent = repeats[0].evaluations
+            if any(r.evaluations != spent for r in repeats):
+                found.append(f"repeats.{name}: evaluations differ between repeats")
+            if any({len(r.best), len(r.times)} != {len(spent)} for r in repeats):
+                found.append(f"repeats.{name}: needs {len(spent)} of each of best and times")
+            if name in self.gradients and self.gradients[name].begin >= spent[-1]:
+                found.append(f"gradients.{name}.begin: must be below {spent[-1]} evaluations")
+        return found
 
     def costs(self, name: str, *, held_out: bool = False) -> np.ndarray:
         """Final costs (repeats,) of an optimiser."""
@@ -253,42 +261,6 @@ class Comparison:
         times = [np.median([r.seconds / r.evaluations[-1] for r in self.repeats[n]]) for n in plain]
         return float(min(times)) if times else None
 
-    def to_json(self) -> str:
-        """Everything, as JSON; `from_json` gives it back."""
-        data = {
-            "schema": SCHEMA,
-            "subject": self.subject,
-            "budget": self.budget,
-            "settings": self.settings,
-            "environment": self.environment,
-            "gradients": {name: used._asdict() for name, used in self.gradients.items()},
-            "optimisers": {
-                name: [_plain(r._asdict()) for r in repeats]
-                for name, repeats in self.repeats.items()
-            },
-        }
-        return json.dumps(_plain(data)) + "\n"
-
-
-def from_json(text: str) -> Comparison:
-    """Read what `Comparison.to_json` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: It is not a comparison.
-    """
-    data = json.loads(text)
-    if data["schema"] != SCHEMA:
-        raise ValueError(f"schema {data['schema']}; this version reads {SCHEMA}")
-    return Comparison(
-        str(data["subject"]),
-        int(data["budget"]),
-        {name: value for name, value in data["settings"].items() if name != NO_MATTER},
-        # An interrupted comparison also names those that it had not come to.
-        {name: [_repeat(r) for r in each] for name, each in data["optimisers"].items() if each},
-        {name: Gradients(**used) for name, used in data["gradients"].items()},
-        dict(data["environment"]),
-    )
-
 
 def quantiles(values: np.ndarray) -> np.ndarray:
     """Quartiles (3, ...) over the first axis; between two infinite values infinite."""
@@ -317,29 +289,3 @@ def _reached(evaluations: float, seconds: float, share: float) -> str:
     if not math.isfinite(evaluations):
         return "-" if share == 0 else f"- ({100 * share:.0f} %)"
     return f"{evaluations:.0f} ({seconds:.2g} s)"
-
-
-def _repeat(data: dict[str, Any]) -> Repeat:
-    held_out = data["held_out"]
-    return Repeat(
-        float(data["cost"]),
-        None if held_out is None else float(held_out),
-        [float(x) for x in data["position"]],
-        float(data["seconds"]),
-        float(data["compile_seconds"]),
-        int(data["non_finite"]),
-        [int(n) for n in data["evaluations"]],
-        [float(c) for c in data["best"]],
-        [float(t) for t in data["times"]],
-    )
-
-
-def _plain(value: Any) -> Any:
-    """The same in JSON's types; what is not finite becomes text, which `float` reads back."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
-    return value

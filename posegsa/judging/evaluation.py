@@ -1,24 +1,26 @@
 """What schedules are worth on scenarios that they were not tuned on, side by side."""
 
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypedDict
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
-from posegsa.judging.metrics import QUANTILES, Bands, Metrics, metrics_of
+from posegsa.config import PARAMETERS
+from posegsa.judging.metrics import Bands, Metrics, metrics_of
 from posegsa.model.rollout import ErrorTrack
 from posegsa.search.population import ScenarioBatch
+from posegsa.settings.arrays import Cost, Numbers
 
-TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE = (
+CONTENDERS = TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE = (
     "tuned fuzzy gain",
     "best constant gain",
     "fuzzy gain, random search",
     "smooth gain K(e)",
     "oracle K(t)",
 )
+"""Names of the schedules that may be judged, in the order in which they are shown."""
 BAND_POINTS = 300
 """Most points in time that error bands are kept at."""
 
@@ -31,26 +33,100 @@ class Interval(NamedTuple):
     high: float
 
 
+class FuzzyDescription(TypedDict):
+    """A fuzzy gain schedule."""
+
+    kind: Literal["fuzzy"]
+    k: Annotated[list[float], Numbers(len(PARAMETERS))]
+    """k1..k22, in order and repaired as configured."""
+
+
+class ConstantDescription(TypedDict):
+    """A constant gain."""
+
+    kind: Literal["constant"]
+    gain: float
+    """[1/s]"""
+
+
+class SmoothDescription(TypedDict):
+    """A gain that rises smoothly with the scaled error (`model.schedules.SmoothGain`)."""
+
+    kind: Literal["smooth"]
+    low: float
+    """At no error [1/s]."""
+    high: float
+    """Towards large errors [1/s]."""
+    half: float
+    """Scaled error at which it is half-way."""
+
+
+class OpenLoopDescription(TypedDict):
+    """A gain over time alone, and how it was found."""
+
+    kind: Literal["open loop"]
+    time: Annotated[list[float], Numbers("knots")]
+    """Knots [s]."""
+    gain: Annotated[list[float], Numbers("knots")]
+    """Gain at each knot [1/s]."""
+    cost_fitted: Cost
+    """Mean cost on the scenarios that it was fitted to."""
+    steps: int
+    """Steps of the descents."""
+    converged: bool
+    """Whether every descent ended because it no longer improved."""
+
+
+Description = Annotated[
+    FuzzyDescription | ConstantDescription | SmoothDescription | OpenLoopDescription,
+    Field(discriminator="kind"),
+]
+
+
 class Contender(NamedTuple):
     """A schedule's performance on every scenario."""
 
     metrics: Metrics
     bands: Bands
-    schedule: dict[str, Any]
+    schedule: Description
     """What the schedule is, by its own parameters."""
 
 
-@dataclass(frozen=True)
+class Summary(NamedTuple):
+    """What a contender's costs come to."""
+
+    cost: Interval
+    median: float
+    p95: float
+    """95th percentile: a cost that 95 % of the scenarios do not exceed."""
+    worst: float
+    diverged: float
+    """Share of the scenarios."""
+    tuned_minus_this: Interval
+    """Mean of the paired differences; below 0 tuned is better."""
+
+
+def _contender_name(name: str) -> str:
+    if name not in CONTENDERS:
+        raise ValueError(f"allowed: {', '.join(CONTENDERS)}")
+    return name
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evaluation:
     """Schedules on the same S scenarios."""
 
-    scenarios: int
-    seed: int | None
+    seed: Annotated[int, Field(ge=0, lt=2**31)] | None
     """Which held-out set: None is the experiment's own, a number another one."""
-    time: np.ndarray
+    time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""
-    contenders: dict[str, Contender]
+    contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
     """By name; the tuned schedule first."""
+
+    @property
+    def scenarios(self) -> int:
+        """S, the number of scenarios."""
+        return len(self.contenders[TUNED].metrics.cost)
 
     def cost(self, name: str) -> Interval:
         """Mean cost of a contender."""
@@ -70,22 +146,32 @@ class Evaluation:
         gap = constant - best
         return (constant - tuned) / gap if math.isfinite(gap) and gap > 0 else None
 
+    def summary(self, name: str) -> Summary:
+        """What a contender's costs come to."""
+        metrics = self.contenders[name].metrics
+        return Summary(
+            cost=self.cost(name),
+            median=float(np.median(metrics.cost)),
+            p95=float(np.quantile(metrics.cost, 0.95, method="higher")),
+            worst=float(np.max(metrics.cost)),
+            diverged=float(np.mean(metrics.diverged)),
+            tuned_minus_this=self.difference(name),
+        )
+
+    @np.errstate(over="ignore")
     def table(self) -> str:
-        """The comparison as text for a person."""
+        """The contenders side by side, as text for a person."""
         lines = [
             f"{'held-out cost, ' + str(self.scenarios) + ' scenarios':<36}{'mean':>8} +- 95 %"
             f"{'median':>9}{'95 %':>8}{'worst':>8}{'tuned minus this':>24}{'diverged':>10}"
         ]
-        for name, contender in self.contenders.items():
-            cost, m = self.cost(name), contender.metrics
-            versus = ""
-            if name != TUNED:
-                d = self.difference(name)
-                versus = f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
+        for name in self.contenders:
+            cost, median, p95, worst, diverged, difference = self.summary(name)
+            mean, low, high = difference
+            versus = "" if name == TUNED else f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
             lines.append(
                 f"{name:<36}{cost.mean:>8.2f} {0.5 * (cost.high - cost.low):>7.2f}"
-                f"{np.median(m.cost):>9.2f}{np.quantile(m.cost, 0.95, method='lower'):>8.2f}"
-                f"{np.max(m.cost):>8.2f}{versus:>24}{100 * np.mean(m.diverged):>9.1f}%"
+                f"{median:>9.2f}{p95:>8.2f}{worst:>8.2f}{versus:>24}{100 * diverged:>9.1f}%"
             )
         lines += [
             "",
@@ -110,59 +196,8 @@ class Evaluation:
             ]
         return "\n".join(lines)
 
-    def to_json(self) -> str:
-        """Everything, as JSON; `from_json` gives it back."""
-        contenders = {}
-        for name, (metrics, bands, schedule) in self.contenders.items():
-            summary = {
-                "cost": self.cost(name)._asdict(),
-                "median": np.median(metrics.cost),
-                "p95": np.quantile(metrics.cost, 0.95, method="higher"),
-                "worst": np.max(metrics.cost),
-                "diverged_fraction": np.mean(metrics.diverged),
-                "tuned_minus_this": self.difference(name)._asdict(),
-            }
-            contenders[name] = {
-                "summary": summary,
-                "schedule": schedule,
-                "metrics": metrics._asdict(),
-                "bands": bands._asdict(),
-            }
-        data = {
-            "scenarios": self.scenarios,
-            "seed": self.seed,
-            "gap_closed": self.gap_closed(),
-            "quantiles": QUANTILES,
-            "time": self.time,
-            "contenders": contenders,
-        }
-        return json.dumps(_plain(data)) + "\n"
 
-
-def from_json(text: str) -> Evaluation:
-    """Read what `Evaluation.to_json` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: It is not an evaluation.
-    """
-    data = json.loads(text)
-    contenders = {}
-    for name, each in data["contenders"].items():
-        metrics = {key: _array(each["metrics"][key]) for key in Metrics._fields}
-        metrics["diverged"] = metrics["diverged"].astype(bool)
-        bands = Bands(*(_array(each["bands"][key]) for key in Bands._fields))
-        contenders[str(name)] = Contender(Metrics(**metrics), bands, dict(each["schedule"]))
-    scenarios, seed, time = int(data["scenarios"]), data["seed"], _array(data["time"])
-    for name, (metrics, bands, _) in contenders.items():
-        if any(a.shape != (scenarios,) for a in metrics):
-            raise ValueError(f"{name}: does not have one of each metric for {scenarios} scenarios")
-        if any(a.shape != (len(QUANTILES), len(time)) for a in bands):
-            raise ValueError(f"{name}: does not have {len(QUANTILES)} bands over {len(time)} times")
-    for name in (TUNED, CONSTANT):
-        contenders[name]  # every result shows them
-    return Evaluation(scenarios, None if seed is None else int(seed), time, contenders)
-
-
+@np.errstate(over="ignore")
 def interval(values: np.ndarray) -> Interval:
     """Mean and 95 % interval of values (S,); not finite where a value is not."""
     mean = float(np.mean(values))
@@ -172,18 +207,15 @@ def interval(values: np.ndarray) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def contender(
-    tracks: ErrorTrack, held_out: ScenarioBatch, description: dict[str, Any]
-) -> Contender:
+def contender(tracks: ErrorTrack, held_out: ScenarioBatch, description: Description) -> Contender:
     """A schedule's performance from what it did on the held-out scenarios."""
     metrics, bands = metrics_of(tracks, held_out)
-    kept = band_samples(held_out)
+    kept = band_samples(held_out.samples.time.shape[1])
     return Contender(metrics, Bands(*(band[:, kept] for band in bands)), description)
 
 
-def band_samples(batch: ScenarioBatch) -> np.ndarray:
-    """The samples (n,) at which error bands are kept."""
-    samples = batch.samples.time.shape[1]
+def band_samples(samples: int) -> np.ndarray:
+    """Those (n,) of N samples at which error bands are kept."""
     return np.unique(np.linspace(0, samples - 1, BAND_POINTS).round().astype(int))
 
 
@@ -191,23 +223,5 @@ def evaluation(
     contenders: dict[str, Contender], held_out: ScenarioBatch, seed: int | None = None
 ) -> Evaluation:
     """Contenders that met the same held-out scenarios, side by side."""
-    time = np.asarray(held_out.samples.time[0], np.float64)[band_samples(held_out)]
-    return Evaluation(held_out.bias.shape[0], seed, time, contenders)
-
-
-def _plain(value: Any) -> Any:
-    """The same in JSON's types; what is not finite becomes text, which `float` reads back."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [
-            _plain(each) for each in (value.tolist() if isinstance(value, np.ndarray) else value)
-        ]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else str(float(value))
-    return value
-
-
-def _array(values: Any) -> np.ndarray:
-    """A list of numbers, or of rows of numbers, some of them written as text."""
-    return np.array([_array(v) if isinstance(v, list) else float(v) for v in values])
+    time = np.asarray(held_out.samples.time[0], np.float64)
+    return Evaluation(seed=seed, time=time[band_samples(len(time))], contenders=contenders)

@@ -1,6 +1,6 @@
 """How good a filter is on each of many scenarios: cost, settling, steady state, bias."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import numpy as np
@@ -9,6 +9,7 @@ from posegsa.model.filter import FilterState
 from posegsa.model.rollout import ErrorTrack, Samples, simulate_errors
 from posegsa.model.schedules import GainSchedule
 from posegsa.search.population import ScenarioBatch
+from posegsa.settings.arrays import Numbers
 
 SETTLED_ATTITUDE = 20.0
 """Attitude error under which the filter has settled if it stays there [deg]; the paper's noise
@@ -23,45 +24,50 @@ BATCH = 250
 """Scenarios simulated at once, to bound the memory of their error tracks."""
 
 
-class Metrics(NamedTuple):
-    """Each (S,), one entry for each scenario."""
+QUANTILES = (0.05, 0.5, 0.95)
+"""Of error bands."""
 
-    cost: np.ndarray
+CostPerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="infinite")]
+PerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="any")]
+Band = Annotated[np.ndarray, Numbers(len(QUANTILES), "times", allow="any")]
+
+
+class Metrics(NamedTuple):
+    """Each (S,), one entry for each scenario; not finite where the run diverged."""
+
+    cost: CostPerScenario
     """C; infinite where it is not finite."""
-    transient: np.ndarray
+    transient: PerScenario
     """Its weighted transient part."""
-    steady: np.ndarray
+    steady: PerScenario
     """Its weighted steady-state part."""
-    settling_attitude: np.ndarray
+    settling_attitude: PerScenario
     """Time after which the attitude error stays under SETTLED_ATTITUDE [s]; infinite if never."""
-    settling_position: np.ndarray
+    settling_position: PerScenario
     """Time after which the position error stays under SETTLED_POSITION [s]; infinite if never."""
-    rms_attitude: np.ndarray
+    rms_attitude: PerScenario
     """Root mean square attitude error in the steady-state window [deg]."""
-    rms_position: np.ndarray
+    rms_position: PerScenario
     """Root mean square position error in the steady-state window [m]."""
-    bias_angular: np.ndarray
+    bias_angular: PerScenario
     """Length of the last angular velocity bias error [rad/s]."""
-    bias_linear: np.ndarray
+    bias_linear: PerScenario
     """Length of the last linear velocity bias error [m/s]."""
-    diverged: np.ndarray
+    diverged: Annotated[np.ndarray, Numbers("scenarios", dtype=bool)]
     """Whether the cost is not finite, or the last second's mean errors exceed DIVERGED_..."""
-    initial_angle: np.ndarray
+    initial_angle: PerScenario
     """Attitude error at the start [deg]."""
 
 
 class Bands(NamedTuple):
-    """Quantiles over scenarios of the errors over time, each (3, N): 5 %, median, 95 %."""
+    """Quantiles over scenarios of the errors over time, each (3, N): QUANTILES, in this order."""
 
-    attitude: np.ndarray
+    attitude: Band
     """[deg]"""
-    position: np.ndarray
+    position: Band
     """[m]"""
-    gain: np.ndarray
+    gain: Band
     """[1/s]"""
-
-
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 @jax.jit

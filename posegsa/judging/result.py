@@ -3,14 +3,16 @@
 import warnings
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
+from pydantic import Field
 
 from posegsa.arguments import check_type
-from posegsa.config import Experiment
+from posegsa.config import PARAMETERS, Experiment
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
@@ -22,7 +24,8 @@ from posegsa.model.rollout import Estimates, run_filter
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
-from posegsa.search.named_optimisers import size_in_words
+from posegsa.settings.arrays import Cost, Numbers
+from posegsa.settings.fields import NonNegative
 from posegsa.words import counted
 
 VERSION = version("posegsa")
@@ -33,28 +36,28 @@ class TuneResult:
     """A tuned schedule, how it was found, and what it is worth."""
 
     experiment: Experiment
-    best_cost: float
+    best_cost: Cost
     """Least cost that the search found on the training scenarios."""
-    parameters: np.ndarray
+    parameters: Annotated[np.ndarray, Numbers(len(PARAMETERS))]
     """(22,) k1..k22, in order and repaired as configured."""
-    training_costs: np.ndarray
+    training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) its cost on each training scenario; infinite where it diverged."""
     constant_gain: float
     """The constant gain with the least mean cost on the training scenarios [1/s]."""
-    constant_training_costs: np.ndarray
+    constant_training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) what that costs on each of them."""
     evaluation: Evaluation
     """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
     trust: Trust
     """Numerical sensitivity and use of the rules."""
-    evaluations: int
+    evaluations: Annotated[int, Field(ge=1)]
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
-    as the `gradient_price` of the optimiser that asks for it."""
-    non_finite: int
+    as several (`search.gradient_price`)."""
+    non_finite: Annotated[int, Field(ge=0)]
     """Number of agents whose cost, or gradient where there is one, was not finite; each counts as
     one."""
-    compile_seconds: float
-    search_seconds: float
+    compile_seconds: NonNegative
+    search_seconds: NonNegative
     history: History
     """Best, mean and worst cost and the number that was not finite, of each iteration."""
     trajectory: Trajectory
@@ -136,7 +139,7 @@ class TuneResult:
 
         return "\n".join(
             [
-                f"{search.optimiser}: {size_in_words(self.experiment)} on "
+                f"{search.optimiser}: {search.size_in_words()} on "
                 f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
                 f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
                 f"(+ {self.compile_seconds:.2f} s to compile)",
@@ -180,5 +183,6 @@ class TuneResult:
         return found
 
 
+@np.errstate(over="ignore")  # a filter may diverge to any number
 def _rms(a: np.ndarray) -> float:
     return float(np.sqrt(np.mean(a**2)))

@@ -1,8 +1,8 @@
-"""One simulation over time as a person looks at it: degrees, metres, and a table."""
+"""One simulation over time as a person looks at it: in degrees and metres."""
 
-import csv
-import io
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -18,89 +18,48 @@ from posegsa.model.schedules import GainSchedule
 from posegsa.model.se3 import attitude_distance, euler_angles, quaternion, rotation_angle, unstack
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import family, filter_settings, prepare_scenario, signal_settings
+from posegsa.settings.arrays import Columns
 
-_COLUMNS = {
-    "time": ("time_s",),
-    "euler": ("roll_deg", "pitch_deg", "yaw_deg"),
-    "euler_est": ("roll_est_deg", "pitch_est_deg", "yaw_est_deg"),
-    "position": ("x_m", "y_m", "z_m"),
-    "position_est": ("x_est_m", "y_est_m", "z_est_m"),
-    "bias_est": (
-        *("bias_est_wx_rad_s", "bias_est_wy_rad_s", "bias_est_wz_rad_s"),
-        *("bias_est_vx_m_s", "bias_est_vy_m_s", "bias_est_vz_m_s"),
-    ),
-    "attitude_error": ("attitude_error_deg",),
-    "attitude_distance": ("attitude_distance",),
-    "position_error": ("position_error_m",),
-    "gain": ("gain_1_s",),
-    "gain_used": ("gain_used_1_s",),
-    "error": ("scaled_error",),
-    "rate": ("scaled_rate",),
-}
+_column = partial(Columns, allow="any")
+"""Columns of a filter that may have diverged."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Truth, estimates, errors and gain over N samples, as NumPy arrays."""
+    """Truth, estimates, errors and gain over N samples, a row a sample in a table."""
 
-    time: np.ndarray
+    time: Annotated[np.ndarray, Columns("time_s")]
     """(N,) [s]."""
-    euler: np.ndarray
+    euler: Annotated[np.ndarray, _column("roll_deg", "pitch_deg", "yaw_deg")]
     """(N, 3) true roll, pitch, yaw [deg]."""
-    euler_est: np.ndarray
+    euler_est: Annotated[np.ndarray, _column("roll_est_deg", "pitch_est_deg", "yaw_est_deg")]
     """(N, 3) estimated roll, pitch, yaw [deg]."""
-    position: np.ndarray
+    position: Annotated[np.ndarray, _column("x_m", "y_m", "z_m")]
     """(N, 3) true position, inertial frame [m]."""
-    position_est: np.ndarray
+    position_est: Annotated[np.ndarray, _column("x_est_m", "y_est_m", "z_est_m")]
     """(N, 3) estimated position, inertial frame [m]."""
-    bias_est: np.ndarray
+    bias_est: Annotated[
+        np.ndarray,
+        _column(
+            *("bias_est_wx_rad_s", "bias_est_wy_rad_s", "bias_est_wz_rad_s"),
+            *("bias_est_vx_m_s", "bias_est_vy_m_s", "bias_est_vz_m_s"),
+        ),
+    ]
     """(N, 6) estimated velocity bias, body frame [rad/s, m/s]."""
-    attitude_error: np.ndarray
+    attitude_error: Annotated[np.ndarray, _column("attitude_error_deg")]
     """(N,) angle of R_est R^T [deg]."""
-    attitude_distance: np.ndarray
+    attitude_distance: Annotated[np.ndarray, _column("attitude_distance")]
     """(N,) ||R_est R^T||_I, in [0, 1]."""
-    position_error: np.ndarray
+    position_error: Annotated[np.ndarray, _column("position_error_m")]
     """(N,) ||P_est - R_err P|| [m]."""
-    gain: np.ndarray
+    gain: Annotated[np.ndarray, _column("gain_1_s")]
     """(N,) K that the schedule asked for [1/s]."""
-    gain_used: np.ndarray
+    gain_used: Annotated[np.ndarray, _column("gain_used_1_s")]
     """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
-    error: np.ndarray
+    error: Annotated[np.ndarray, _column("scaled_error")]
     """(N,) the scaled error that the schedule saw, in [0, 1]."""
-    rate: np.ndarray
+    rate: Annotated[np.ndarray, _column("scaled_rate")]
     """(N,) the scaled rate that it saw, in [0, 1]."""
-
-    def csv(self) -> str:
-        """It as CSV, a row a sample; reading it back gives the same numbers."""
-        parts = [np.reshape(getattr(self, name), (len(self.time), -1)) for name in _COLUMNS]
-        text = io.StringIO(newline="")
-        writer = csv.writer(text)
-        writer.writerow([column for group in _COLUMNS.values() for column in group])
-        writer.writerows(np.concatenate(parts, axis=1).tolist())
-        return text.getvalue()
-
-
-def read_trajectory(text: str) -> Trajectory:
-    """Read what `Trajectory.csv` gave.
-
-    Raises:
-        ValueError: Its columns are not a trajectory's.
-    """
-    try:
-        header, *rows = csv.reader(io.StringIO(text, newline=""))
-        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
-    except (csv.Error, ValueError) as error:
-        raise ValueError(f"trajectory.csv: cannot be read as a trajectory: {error}") from None
-    columns = [column for group in _COLUMNS.values() for column in group]
-    if header != columns or len(rows) == 0 or table.shape[1] != len(columns):
-        raise ValueError(f"trajectory.csv: its columns are not those of a trajectory: {header}")
-    values, start = {}, 0
-    for field in fields(Trajectory):
-        width = len(_COLUMNS[field.name])
-        part = table[:, start : start + width]
-        values[field.name] = part[:, 0] if width == 1 else part
-        start += width
-    return Trajectory(**values)
 
 
 def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:

@@ -2,10 +2,12 @@
 
 import warnings
 from dataclasses import dataclass
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import Field
 
 from posegsa import config
 from posegsa.errors import PosegsaWarning
@@ -17,6 +19,7 @@ from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import parameter_space, scenario, scenario_batch
 from posegsa.search.keys import training_keys
 from posegsa.search.population import ScenarioBatch
+from posegsa.settings.arrays import Cost, Numbers
 
 PERTURBATION = 1e-6
 """Change of the initial estimate: about this much of each quaternion component, and [m]."""
@@ -30,18 +33,19 @@ RESOLUTION = 201
 class Trust:
     """What was checked of one tuned result, on its training scenarios."""
 
-    cost_float32: float
+    cost_float32: Cost
     """Mean training cost simulated in float32."""
-    cost_float64: float
+    cost_float64: Cost
     """The same in float64."""
-    cost_perturbed: float
+    cost_perturbed: Cost
     """The same in the experiment's precision from a start changed by PERTURBATION."""
     sensitive: bool
     """Whether one of them differs from the experiment's own by more than SENSITIVE."""
-    uncovered: float
+    uncovered: Annotated[float, Field(ge=0, le=1)]
     """Share of all pairs of scaled error and rate for which no rule fires."""
-    rule_weights: np.ndarray
-    """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL."""
+    rule_weights: Annotated[np.ndarray, Numbers(5, 5, allow="any")]
+    """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL; NaN if
+    the trajectory diverged to that."""
 
 
 def check(

@@ -6,20 +6,21 @@ along a half cosine (I. Loshchilov, F. Hutter, "SGDR", ICLR 2017, Eq. 5, without
 a constant step keeps circling a minimum with kinks.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax import Array, random
 from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import SMALLEST_EPSILON, check_count, check_number
+from posegsa.optimisers.base import Optimiser, uniform
+from posegsa.settings.fields import Count, Epsilon, Positive, Section, Share
 
-LARGEST_BETA = 0.999999
-"""A running mean that decays by nothing has a bias correction of 0 / 0; float32 rounds."""
+MAX_BETA = 0.999999
+"""At 1 the running mean's bias correction is 0 / 0; in float32, so it is just below."""
+Beta = Annotated[float, Field(strict=True, ge=0, le=MAX_BETA)]
 
 
 class AdamState(NamedTuple):
@@ -31,44 +32,44 @@ class AdamState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class Adam:
-    """Settings of the descents.
+class DescentSettings(Section):
+    """Settings of gradient descent, by itself or after a search."""
 
-    Attributes:
-        agents: Number of starts, drawn uniformly over the box, that descend side by side.
-        iterations: Steps of each.
-        learning_rate: Length of the first step of each coordinate, in widths of the box.
-        beta1: Decay of the gradient's running mean, below 1.
-        beta2: Decay of the squared gradient's running mean, below 1.
-        epsilon: Added to its root, against division by zero; above 0.
-        spread: Where the descents begin at a given position: all but the first are moved away
-            from it by up to this in each coordinate, in widths of the box.
-        gradient_price: How many evaluations a cost with its gradient counts as.
+    learning_rate: Positive = 0.03
+    """Length of the first step of each coordinate, in widths of the box; it falls to 0."""
+    spread: Share = 0.05
+    """Where a descent after a search begins: one at the best position found, the others moved away
+    from it by up to this in each coordinate, in widths of the box."""
+    gradient_price: Count = 23
+    """How many evaluations a cost with its gradient counts as: 1 and 22 for the parameters."""
 
-    Raises:
-        ArgumentError: If a setting is out of its range.
-    """
 
-    agents: int = 8
-    iterations: int = 135
-    learning_rate: float = 0.03
-    beta1: float = 0.9
-    beta2: float = 0.999
-    epsilon: float = 1e-8
-    spread: float = 0.05
-    gradient_price: int = 23
+class Adam(DescentSettings, Optimiser):
+    """Gradient descent (Kingma and Ba 2015) in the unit box, from many starts side by side."""
 
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("Adam: agents", self.agents)
-        check_count("Adam: iterations", self.iterations)
-        check_number("Adam: learning_rate", self.learning_rate)
-        check_number("Adam: beta1", self.beta1, most=LARGEST_BETA)
-        check_number("Adam: beta2", self.beta2, most=LARGEST_BETA)
-        check_number("Adam: epsilon", self.epsilon, least=SMALLEST_EPSILON)
-        check_number("Adam: spread", self.spread, most=1)
-        check_count("Adam: gradient_price", self.gradient_price)
+    optimiser: Literal["adam"] = "adam"
+    """Name of the optimiser."""
+    agents: Count = 8
+    """Number of starts, drawn uniformly over the box."""
+    iterations: Count = 135
+    """Steps of each."""
+    beta1: Beta = 0.9
+    """Decay of the gradient's running mean, no unit."""
+    beta2: Beta = 0.999
+    """Decay of the squared gradient's running mean, no unit."""
+    epsilon: Epsilon = 1e-8
+    """Added to the root of that mean, against division by zero."""
+
+    title: ClassVar[str] = "Gradient descent (Adam)"
+    agent_noun: ClassVar[str] = "start"
+    iteration_noun: ClassVar[str] = "step"
+    wants_gradients: ClassVar[bool] = True
+    fixed_length: ClassVar[str] = "Adam's steps shrink towards the end"
+
+    @property
+    def evaluations_per_agent(self) -> int:
+        """The price of a gradient."""
+        return self.gradient_price
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> AdamState:
         """Draw the starts uniformly over the unit box."""

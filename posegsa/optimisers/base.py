@@ -1,135 +1,175 @@
-"""The search box, and the ask/tell protocol that every optimiser keeps."""
+"""What every optimiser is: settings with three pure methods."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Protocol
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, random
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import DTypeLike
 
-from posegsa.optimisers.checks import real_array, refuse
+from posegsa.errors import ConfigError
+from posegsa.settings.fields import Count, Section
+from posegsa.settings.violations import Refused, Violation
+from posegsa.words import counted
 
 Objective = Callable[[Array], Array]
 """Maps positions (agents, dimensions), in the box's coordinates, to costs (agents,)."""
 
 FailureCost = Literal["largest", "worst so far", "worst now"]
-"""What an optimiser is told of a position whose cost is not finite; see `Optimiser`."""
+"""What an optimiser is told of a position whose cost is not finite, so that it never passes for a
+good one, now or later:
+
+    "largest": the largest finite number, for one that does nothing but compare costs.
+    "worst so far": a little more than the worst finite cost of the whole search, and before any
+        some 1e15 (in float64 1e123), for one that keeps costs and calculates with them.
+    "worst now": the worst finite cost of the iteration, for one that keeps none: an old, high cost
+        would make all of these look alike. Where they are equal it is a little more.
+"""
 
 
-class Box(NamedTuple):
-    """A box to search in; `box` builds a checked one."""
+class Optimiser(Section):
+    """Settings of an optimiser, and its three pure methods over an immutable state.
 
-    lower: Array  # (dimensions,)
-    upper: Array  # (dimensions,); equal to lower where a coordinate is fixed
-
-
-class Asking(Protocol):
-    """What optimisers of both kinds share; positions lie in the unit box.
-
-    An implementation is frozen and hashable, so that it can be static in a compiled function.
+    A subclass adds its settings as fields, and `init`, `ask` and `tell`. They see positions in the
+    unit box, and finite costs: the loop (`posegsa.optimisers.loop`) sees to both. Settings are
+    checked, frozen and hashable, so that they can be static in a compiled function. What is
+    registered (`posegsa.optimisers.registry`) can be named in a configuration, whose [search] it
+    then is.
     """
 
-    @property
-    def agents(self) -> int:
-        """Number of positions asked for at once."""
-        ...
+    optimiser: str = "own"
+    """Name of the optimiser."""
+    agents: Count = 100
+    """Number of positions that are evaluated at once."""
+    iterations: Count = 250
+    """Number of iterations of a whole search."""
 
-    @property
-    def iterations(self) -> int:
-        """Number of iterations that a whole search takes."""
-        ...
+    title: ClassVar[str] = "An optimiser"
+    """What it is, as the beginning of a sentence."""
+    agent_noun: ClassVar[str] = "agent"
+    """What one of its agents is called."""
+    iteration_noun: ClassVar[str] = "iteration"
+    """What one of its iterations is called."""
+    on_host: ClassVar[bool] = False
+    """Whether `ask` and `tell` are ordinary Python, which JAX can't compile."""
+    wants_gradients: ClassVar[bool] = False
+    """Whether `tell` is given the gradients of the costs as well."""
+    failure_cost: ClassVar[FailureCost] = "worst so far"
+    """What it is told of a cost that is not finite."""
+    fixed_length: ClassVar[str] = ""
+    """Why a search can't go on past its iterations; empty where it can."""
+    compared_by_default: ClassVar[bool] = True
+    """Whether `compare` runs it unless other names are asked for."""
 
+    @abstractmethod
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> Any:
         """Return the state before the first `ask`; it carries the key."""
-        ...
 
+    @abstractmethod
     def ask(self, state: Any) -> Array:
         """Return the positions (agents, dimensions) in [0, 1] whose costs are wanted next."""
-        ...
 
+    @abstractmethod
+    def tell(self, state: Any, costs: Array, *gradients: Array) -> Any:
+        """Return the state after learning the costs (agents,) of the positions asked for.
 
-class Optimiser(Asking, Protocol):
-    """Settings with three pure methods over an immutable state.
+        Gradients (agents, dimensions), where they are wanted, are with respect to the positions in
+        the unit box.
+        """
 
-    The costs it is told are finite: the loop (`posegsa.optimisers.loop`) sees to that. What stands
-    for one that is not must never pass for a good one, now or later. An optimiser may say by a
-    class attribute `failure_cost` what that takes:
+    def begin_at(self, state: Any, position: Array) -> Any:
+        """Return the state moved to a position (dimensions,) that an earlier phase has found."""
+        raise NotImplementedError(f"{type(self).__name__} can't begin at a given position")
 
-        "largest": the largest finite number, for one that does nothing but compare costs.
-        "worst so far": a little more than the worst finite cost of the whole search, and before
-            any some 1e15 (in float64 1e123), for one that keeps costs and calculates with them.
-            This is the default.
-        "worst now": the worst finite cost of the iteration, for one that keeps none: an old, high
-            cost would make all of these look alike. Where they are equal it is a little more.
-    """
+    def check_usable(self) -> None:
+        """See that it can run here.
 
-    def tell(self, state: Any, costs: Array) -> Any:
-        """Return the state after learning the costs (agents,) of the positions asked for."""
-        ...
-
-
-class GradientOptimiser(Asking, Protocol):
-    """The same for an optimiser that needs gradients; they are finite too."""
+        Raises:
+            ConfigError: It can't, because another library is not installed or does not know it.
+        """
 
     @property
-    def gradient_price(self) -> int:
-        """How many evaluations a cost with its gradient counts as."""
-        ...
+    def phases(self) -> tuple["Optimiser", ...]:
+        """The optimisers that run one after the other, each from the best that was found before."""
+        return (self,)
 
-    def tell(self, state: Any, costs: Array, gradients: Array) -> Any:
-        """Return the state after learning costs (agents,) and their gradients.
+    @property
+    def evaluations_per_agent(self) -> int:
+        """How many evaluations the cost of one agent, with its gradient if wanted, counts as."""
+        return 1
 
-        The gradients (agents, dimensions) are with respect to the positions in the unit box.
+    @property
+    def total_iterations(self) -> int:
+        """Number of iterations of all phases together."""
+        return sum(phase.iterations for phase in self.phases)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of a whole search."""
+        return int(self.evaluations_spent()[-1])
+
+    def evaluations_spent(self) -> np.ndarray:
+        """Number of evaluations made after each iteration, (total_iterations,)."""
+        prices = [
+            np.full(phase.iterations, phase.agents * phase.evaluations_per_agent)
+            for phase in self.phases
+        ]
+        return np.cumsum(np.concatenate(prices))
+
+    def changed(self, **settings: Any) -> Self:
+        """A copy with other values for some settings, checked."""
+        return type(self)(**dict(self) | settings)
+
+    def within(self, evaluations: int) -> Self:
+        """A copy with as many iterations as so many evaluations pay for.
+
+        Raises:
+            ConfigError: They don't pay for one.
         """
-        ...
+        each = self.agents * self.evaluations_per_agent
+        if evaluations < each:
+            raise ConfigError(
+                f"evaluations = {evaluations}; allowed: at least {each}, one iteration of "
+                f"{self.optimiser}"
+            )
+        return self.changed(iterations=evaluations // each)
 
+    def resumed(self, asked: "Optimiser") -> Self:
+        """The settings with which a search that was begun with these goes on.
 
-def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) -> Box:
-    """Build a box and check it; outside jit only.
+        Args:
+            asked: The settings that are asked for now; all but a larger number of iterations must
+                be the same.
 
-    Args:
-        lower: Smallest value of each coordinate, (dimensions,).
-        upper: Largest value of each coordinate, (dimensions,). A coordinate whose two bounds are
-            equal is fixed at that value.
+        Raises:
+            Refused: They are not.
+        """
+        keys = dict(self) if type(asked) is type(self) else ("optimiser",)
+        problems = [
+            Violation(key, f"the run has {getattr(self, key)}; allowed: the same", value)
+            for key in keys
+            if key != "iterations" and (value := getattr(asked, key)) != getattr(self, key)
+        ]
+        more = asked.iterations - self.iterations
+        if more < 0 or (more > 0 and self.fixed_length):
+            allowed = (
+                f"the same, as {self.fixed_length}" if self.fixed_length else "as many or more"
+            )
+            reason = f"the run has {self.iterations}; allowed: {allowed}"
+            problems.append(Violation("iterations", reason, asked.iterations))
+        if problems:
+            raise Refused(*problems)
+        return self.changed(iterations=asked.iterations)
 
-    Returns:
-        The box, in the bounds' own floating type as far as JAX has it; the search runs in that.
-
-    Raises:
-        ArgumentError: If the bounds are not numbers of one equal length of at least 1, if one is
-            not finite in their type, or if a lower bound lies above its upper one.
-    """
-    low, high = (real_array(f"box: {n}", a) for n, a in (("lower", lower), ("upper", upper)))
-    dtype = jax.dtypes.canonicalize_dtype(np.result_type(low, high, np.float32))
-    with np.errstate(over="ignore"):
-        low, high = low.astype(dtype), high.astype(dtype)
-    for name, bound in (("lower", low), ("upper", high)):
-        if bound.ndim != 1 or bound.size == 0:
-            refuse(f"box: {name} has shape {bound.shape}", "(dimensions,), dimensions >= 1")
-        for i in np.flatnonzero(~np.isfinite(bound)):
-            refuse(f"box: {name}[{i}] = {bound[i]}", f"a finite {dtype} number")
-    if low.shape != high.shape:
-        refuse(f"box: lower has shape {low.shape}, upper {high.shape}", "equal shapes")
-    for i in np.flatnonzero(low > high):
-        refuse(f"box: lower[{i}] = {low[i]}, upper[{i}] = {high[i]}", "lower <= upper")
-    return Box(jnp.asarray(low), jnp.asarray(high))
-
-
-def from_unit(box: Box, unit: Array) -> Array:
-    """Map positions in the unit box into `box`, never past its bounds.
-
-    Args:
-        box: The target box of d coordinates.
-        unit: Positions (..., d) in [0, 1].
-
-    Returns:
-        Positions (..., d); 0 and 1 give the bounds exactly, and a box of zero width its value.
-    """
-    lower = jnp.broadcast_to(box.lower, unit.shape)
-    upper = jnp.broadcast_to(box.upper, unit.shape)
-    return jnp.clip(lower * (1 - unit) + upper * unit, lower, upper)
+    def size_in_words(self, between: str = " x ") -> str:
+        """Agents and iterations of all phases, such as "100 agents x 250 iterations"."""
+        return ", then ".join(
+            f"{counted(phase.agents, phase.agent_noun)}{between}"
+            f"{counted(phase.iterations, phase.iteration_noun)}"
+            for phase in self.phases
+        )
 
 
 def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:

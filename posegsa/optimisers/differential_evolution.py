@@ -7,15 +7,15 @@ whole from the one before it, as in the article. A coordinate of a trial that le
 the article does not speak of, is drawn anew.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, random
 from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, uniform
-from posegsa.optimisers.checks import check_choice, check_count, check_number
+from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.settings.fields import Count, Share
 
 Strategy = Literal["rand/1/bin", "best/1/bin"]
 
@@ -29,36 +29,24 @@ class DifferentialEvolutionState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class DifferentialEvolution:
-    """Settings of differential evolution.
+class DifferentialEvolution(Optimiser):
+    """Differential evolution (Storn and Price 1997) in the unit box."""
 
-    Attributes:
-        agents: NP, number of agents, at least 4.
-        iterations: Generations of a whole search, the first one drawn at random included.
-        strategy: Where a mutant starts from: "rand/1/bin" a random agent, "best/1/bin" the best.
-        factor: F, weight of the difference.
-        crossover: CR, probability that a coordinate comes from the mutant.
-
-    Raises:
-        ArgumentError: If a setting is out of its range.
-    """
-
-    agents: int = 100
-    iterations: int = 250
+    optimiser: Literal["de"] = "de"
+    """Name of the optimiser."""
+    agents: Annotated[Count, Field(ge=4)] = 100
+    """Number of agents, the article's NP."""
+    iterations: Count = 250
+    """Generations of a whole search; the first one is drawn at random."""
     strategy: Strategy = "rand/1/bin"
-    factor: float = 0.5
-    crossover: float = 0.9
+    """Where a mutant starts from: "rand/1/bin" a random agent, "best/1/bin" the best one."""
+    factor: Annotated[float, Field(strict=True, ge=0, le=2)] = 0.5
+    """Weight F of the difference of two agents, no unit."""
+    crossover: Share = 0.9
+    """Probability CR that a coordinate comes from the mutant."""
 
+    title: ClassVar[str] = "Differential evolution"
     failure_cost: ClassVar[FailureCost] = "largest"
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("DifferentialEvolution: agents", self.agents, least=4)
-        check_count("DifferentialEvolution: iterations", self.iterations)
-        check_choice("DifferentialEvolution: strategy", self.strategy, get_args(Strategy))
-        check_number("DifferentialEvolution: factor", self.factor, most=2)
-        check_number("DifferentialEvolution: crossover", self.crossover, most=1)
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> DifferentialEvolutionState:
         """Draw the first generation uniformly over the unit box."""
@@ -94,10 +82,10 @@ class DifferentialEvolution:
 
 
 def distinct_others(key: Array, agents: int) -> Array:
-    """Return three agents r1, r2, r3 (3, agents) for each agent i, all four of them distinct.
+    """Return three other agents r1, r2, r3 (3, agents) for each agent i, distinct and uniform.
 
-    The k-th is drawn from the agents - k that are left: its number among them becomes an agent's
-    by stepping over those already taken, in ascending order.
+    The k-th of them is drawn as a number below agents - k. This counts the agents that are still
+    free: going through those taken in ascending order, it moves up by one past each.
     """
     taken = jnp.arange(agents, dtype=jnp.int32)[None, :]
     for k, each in enumerate(random.split(key, 3), start=1):

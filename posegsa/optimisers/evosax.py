@@ -3,23 +3,24 @@
 Source: R. T. Lange, "evosax: JAX-based Evolution Strategies", 2022, version 0.3 of the library.
 It comes with the extra `posegsa[compare]`; nothing else of this package needs it.
 
-A strategy knows no box. Its positions are mirrored at the faces of the unit box (and again, should
-they have gone further) to be evaluated, and it is told the costs as those of its own positions.
+A strategy knows no box. Its positions are mirrored at the faces of the unit box, as often as it
+takes, to be evaluated, and it is told the costs as those of its own positions.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax, random
 from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import SMALLEST_SIGMA, check_choice, check_count, check_number
+from posegsa.errors import ConfigError
+from posegsa.optimisers.base import Optimiser, uniform
+from posegsa.settings.fields import Count, Positive
 
 
 class EvosaxState(NamedTuple):
@@ -31,32 +32,32 @@ class EvosaxState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class Evosax:
-    """Settings of a strategy of evosax.
+class Evosax(Optimiser):
+    """A strategy of the evosax library, in the unit box."""
 
-    Attributes:
-        strategy: Its name in `evosax.algorithms`, such as "CMA_ES", "SNES", "SimpleGA".
-        agents: Positions per iteration.
-        iterations: Iterations of a whole search.
-        sigma: Standard deviation at the start, in widths of the box, of strategies that have one.
+    optimiser: Literal["evosax"] = "evosax"
+    """Name of the optimiser."""
+    agents: Annotated[Count, Field(ge=2)] = 100
+    """Number of positions that are evaluated at once."""
+    strategy: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_]+$")] = "CMA_ES"
+    """Its name in `evosax.algorithms`, such as "CMA_ES", "SNES" or "SimpleGA"."""
+    sigma: Positive = 0.3
+    """Standard deviation at the start, in widths of the box, of strategies that have one."""
 
-    Raises:
-        ArgumentError: If a setting is out of its range, or there is no strategy of this name.
-        ImportError: If evosax is not installed.
-    """
+    title: ClassVar[str] = "A strategy of evosax"
+    compared_by_default: ClassVar[bool] = False
 
-    strategy: str = "CMA_ES"
-    agents: int = 100
-    iterations: int = 250
-    sigma: float = 0.3
+    def check_usable(self) -> None:
+        """See that evosax is installed and has the strategy.
 
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("Evosax: agents", self.agents, least=2)
-        check_count("Evosax: iterations", self.iterations)
-        check_number("Evosax: sigma", self.sigma, least=SMALLEST_SIGMA)
-        check_choice("Evosax: strategy", self.strategy, tuple(sorted(_strategies())))
+        Raises:
+            ConfigError: One or the other is not so.
+        """
+        known = sorted(_strategies())
+        if self.strategy not in known:
+            raise ConfigError(
+                f"strategy = {self.strategy!r} of {self.optimiser}; allowed: {', '.join(known)}"
+            )
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> EvosaxState:
         """Begin in the middle of the box, or with a population drawn uniformly over it."""
@@ -104,12 +105,24 @@ class Evosax:
         return _make(self.strategy, self.agents, dimensions, self.sigma)
 
 
+class CMAES(Evosax):
+    """CMA-ES, as evosax has it."""
+
+    optimiser: Literal["cma_es"] = "cma_es"
+    """Name of the optimiser."""
+    strategy: Literal["CMA_ES"] = "CMA_ES"
+    """Its name in `evosax.algorithms`."""
+
+    title: ClassVar[str] = "CMA-ES (evosax)"
+    compared_by_default: ClassVar[bool] = True
+
+
 def _strategies() -> dict[str, Any]:
     """The strategies of evosax by name."""
     try:
         from evosax.algorithms import algorithms
     except ImportError:
-        raise ImportError("evosax is not installed; pip install 'posegsa[compare]'") from None
+        raise ConfigError("evosax is not installed; pip install 'posegsa[compare]'") from None
     return algorithms
 
 

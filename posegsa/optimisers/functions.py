@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.optimisers.base import Box, box
-from posegsa.optimisers.checks import check_choice, check_count, check_number, refuse
+from posegsa.arguments import check_choice, check_number, check_whole, refuse
+from posegsa.optimisers.search_box import Box, box
 
-_SCHWEFEL = 420.96874633  # where z sin(sqrt(z)) is largest, and
+_SCHWEFEL = 420.96874633  # the z in [-500, 500] at which z sin(sqrt(|z|)) is largest
 _SCHWEFEL_TOP = 418.98288727  # its value there
 
 
@@ -90,7 +90,7 @@ _CLASSICAL = {
 }
 FUNCTIONS = tuple(_CLASSICAL)
 """Names of the functions."""
-MOST_DIMENSIONS = 5000
+MAX_DIMENSIONS = 5000
 """Dimensions of a test function at most: a rotation holds their square, 200 MB."""
 
 
@@ -100,7 +100,7 @@ class ClassicalFunction:
 
     Attributes:
         name: One of `FUNCTIONS`.
-        dimensions: d, 2 to MOST_DIMENSIONS.
+        dimensions: d, 2 to MAX_DIMENSIONS.
         shift: How far the minimum is moved in every coordinate, in half widths of the box.
         rotation: Seed of a random rotation about the minimum; None for none.
 
@@ -116,11 +116,10 @@ class ClassicalFunction:
     def __post_init__(self) -> None:
         """Check the attributes."""
         check_choice("function: name", self.name, FUNCTIONS)
-        check_number("function: dimensions", self.dimensions, least=2, most=MOST_DIMENSIONS)
-        check_count("function: dimensions", self.dimensions)
-        check_number("function: shift", self.shift, least=-1, most=1)
+        check_whole("function: dimensions", self.dimensions, 2, MAX_DIMENSIONS)
+        check_number("function: shift", self.shift, -1, 1)
         if self.rotation is not None:
-            check_count("function: rotation", self.rotation, least=0)
+            check_whole("function: rotation", self.rotation, 0)
         _, limit, minimum = _CLASSICAL[self.name]
         if abs(minimum + self.shift * limit) > limit:
             low, high = -1 - minimum / limit, 1 - minimum / limit

@@ -2,25 +2,26 @@
 
 Source: E. Rashedi, H. Nezamabadi-pour, S. Saryazdi, "GSA: A Gravitational Search Algorithm",
 Information Sciences 179 (2009) 2232-2248, and the authors' own code (version 1.1), which settles
-what the article leaves open. Equation numbers are the article's.
+what the article leaves open. Equation numbers are that article's; the pose filter paper prints the
+algorithm, with changes, as its Eqs. 10 to 16.
 
 Positions live in the unit box, so the gravitational constant acts relative to the box: G0 = 100
-here pulls as hard as G0 = 100 (high - low) in coordinates of their own. That is the parameter to
-think about first: the article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which converges to much
-smaller costs where the optimum lies at the box's centre, and stalls where it does not.
+here pulls as hard as G0 = 100 (high - low) in a box from low to high. That is the setting to think
+about first: the article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which converges to much smaller
+costs where the optimum lies at the box's centre, and stalls where it does not.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, uniform
-from posegsa.optimisers.checks import SMALLEST_EPSILON, check_choice, check_count, check_number
+from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.settings.fields import Count, Epsilon, NonNegative
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
@@ -35,61 +36,49 @@ class GSAState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class GSA:
-    """Settings of the gravitational search algorithm.
+class GSA(Optimiser):
+    """The gravitational search algorithm (Rashedi 2009); agents move in the unit box."""
 
-    Attributes:
-        agents: N, number of agents.
-        iterations: Iterations of a whole search.
-        g0: G0, initial gravitational constant, relative to the box.
-        alpha: Rate at which it falls: G = G0 exp(-alpha it / T), it = 1..T.
-        force_power: p, the power of the distance R in the force; 1 is the authors' choice, 2 is
-            Newton's law as the pose filter paper prints it.
-        random: Which random numbers are fresh: "dimension" draws one for each pair and dimension
-            in the force and for each agent and dimension in the velocity, "agent" draws one for
-            each agent in the force and one in the velocity.
-        bounds: What happens to a coordinate that leaves the box: "redraw" draws it anew,
-            uniformly, "clip" puts it on the bound, "reflect" mirrors it and turns its velocity
-            round. The first two keep the velocity.
-        final_percent: Percentage of the agents that still attract in the last iteration; K_best
-            falls linearly from all agents to these.
-        epsilon: Added to R^p, against division by zero; by default the spacing of the floating
-            numbers at 1, as in the authors' code (whose numbers are float64).
-        decay_iterations: T, past which G and K_best keep their last values; by default all
-            iterations.
-
-    Raises:
-        ArgumentError: If a setting is out of its range.
-    """
-
-    agents: int = 100
-    iterations: int = 250
-    g0: float = 100.0
-    alpha: float = 20.0
-    force_power: float = 1
+    optimiser: Literal["gsa"] = "gsa"
+    """Name of the optimiser."""
+    agents: Annotated[Count, Field(ge=2)] = 100
+    """Number of agents N."""
+    g0: NonNegative = 100.0
+    """Gravitational constant at the start, G0, relative to the width of the box."""
+    alpha: NonNegative = 20.0
+    """Decay of the gravitational constant, G = G0 exp(-alpha it / T), it = 1..T, no unit."""
+    force_power: NonNegative = 1.0
+    """Power p of the distance in the force, M / (R^p + epsilon): 1 is the authors' choice, 2 is
+    Newton's law as the pose filter paper prints it."""
     random: Random = "dimension"
+    """Which random factors are fresh: "dimension" draws one for each pair and dimension in the
+    force and for each agent and dimension in the velocity, "agent" one for each agent in the force
+    and one in the velocity, as the pose filter paper prints it."""
     bounds: Bounds = "redraw"
-    final_percent: float = 2.0
-    epsilon: float | None = None
-    decay_iterations: int | None = None
+    """What happens to a coordinate that leaves the box: "redraw" draws it anew, uniformly, "clip"
+    puts it on the bound, "reflect" mirrors it and turns its velocity round. The first two keep the
+    velocity."""
+    final_percent: Annotated[float, Field(strict=True, ge=0, le=100)] = 2.0
+    """Share of the agents that still attract others in the last iteration [%], at least one agent;
+    their number K_best falls to it linearly, from all agents."""
+    epsilon: Epsilon | Literal["spacing"] = "spacing"
+    """Added to R^p, against division by zero; "spacing" is that of the floating numbers at 1, as in
+    the authors' code (whose numbers are float64)."""
+    decay_iterations: Count | Literal["all"] = "all"
+    """T, past which G and K_best hold their final values; "all" is `iterations`. A run that was
+    resumed for more iterations keeps its first T, so that it is not the longer run."""
 
+    title: ClassVar[str] = "The gravitational search algorithm"
     failure_cost: ClassVar[FailureCost] = "worst now"
 
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("GSA: agents", self.agents, least=2)
-        check_count("GSA: iterations", self.iterations)
-        check_number("GSA: g0", self.g0)
-        check_number("GSA: alpha", self.alpha)
-        check_number("GSA: force_power", self.force_power)
-        check_choice("GSA: random", self.random, get_args(Random))
-        check_choice("GSA: bounds", self.bounds, get_args(Bounds))
-        check_number("GSA: final_percent", self.final_percent, most=100)
-        if self.epsilon is not None:
-            check_number("GSA: epsilon", self.epsilon, least=SMALLEST_EPSILON)
-        if self.decay_iterations is not None:
-            check_count("GSA: decay_iterations", self.decay_iterations)
+    def resumed(self, asked: Optimiser) -> Self:
+        """As of every optimiser; past the iterations it began with, G and K_best are held."""
+        if isinstance(asked, GSA) and asked.decay_iterations == "all":
+            asked = asked.changed(decay_iterations=self.decay_iterations)
+        longer = super().resumed(asked)
+        if longer.decay_iterations == "all" and longer.iterations > self.iterations:
+            return longer.changed(decay_iterations=self.iterations)
+        return longer
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> GSAState:
         """Spread the agents uniformly over the unit box, at rest."""
@@ -128,7 +117,7 @@ class GSA:
             k_best=jnp.asarray(k_best, jnp.int32)[now],
             rand=self._force_rand(key_force, x),
             force_power=self.force_power,
-            epsilon=float(jnp.finfo(x.dtype).eps) if self.epsilon is None else self.epsilon,
+            epsilon=(float(jnp.finfo(x.dtype).eps) if self.epsilon == "spacing" else self.epsilon),
         )
         columns = 1 if self.random == "agent" else x.shape[1]
         v = uniform(key_velocity, (self.agents, columns), x.dtype) * v + a  # Eq. 11
@@ -142,7 +131,7 @@ class GSA:
         Both are worked out in float64, in the order of the authors' code, so that no dtype or
         device rounds K_best another way.
         """
-        T = self.iterations if self.decay_iterations is None else self.decay_iterations
+        T = self.iterations if self.decay_iterations == "all" else self.decay_iterations
         t = np.minimum(np.arange(1, self.iterations + 1), T) / T
         gravity = self.g0 * np.exp(-self.alpha * t)  # Eq. 28
         percent = self.final_percent + (1 - t) * (100 - self.final_percent)

@@ -1,10 +1,12 @@
-"""The one loop that runs every optimiser, its record, and when it stops.
+"""The loop that runs every optimiser, its record, and when it stops.
 
 An optimiser sees the unit box and finite numbers only. This module maps its positions into the
 user's box, deals with costs and gradients that are not finite (`tell`, nowhere else), and keeps the
 record of the search.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,22 +15,14 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from posegsa.optimisers.base import (
-    Box,
-    FailureCost,
-    GradientOptimiser,
-    Objective,
-    Optimiser,
-    from_unit,
-)
-from posegsa.optimisers.checks import check_count, refuse, refuse_unreal
+from posegsa.arguments import check_returned, check_whole, refuse
+from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
-from posegsa.optimisers.polish import Polish
+from posegsa.optimisers.search_box import Box, from_unit, to_unit
 
-AnyOptimiser = Optimiser | GradientOptimiser | Polish
-"""What the loop can run."""
-AnyObjective = Objective | Differentiable
-"""What it can run it on; a plain function is differentiated by reverse mode where need be."""
+AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
+"""What is minimised; a plain function is differentiated by reverse mode where need be. The last
+kind runs on the host."""
 
 
 class History(NamedTuple):
@@ -43,7 +37,7 @@ class History(NamedTuple):
 class Search(NamedTuple):
     """The whole state of a search: all that `advance` needs to go on, and all it found."""
 
-    state: Any  # the optimiser's own state
+    state: Any  # the optimiser's own state; of several phases, the states of all
     best_position: Array  # (dimensions,) in the box's coordinates; its centre until a finite cost
     best_cost: Array  # () inf until a finite cost
     iteration: Array  # () int32, iterations done
@@ -59,7 +53,7 @@ class Until(NamedTuple):
     tolerance: ArrayLike = 0.0  # by more than this share of itself
 
 
-def start(optimiser: AnyOptimiser, box: Box, key: Array) -> Search:
+def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     """Return a search that has not evaluated anything yet.
 
     Args:
@@ -68,13 +62,21 @@ def start(optimiser: AnyOptimiser, box: Box, key: Array) -> Search:
         key: Random key of the whole search.
 
     Returns:
-        The search at iteration 0. Its best position is the box's centre, with cost inf: a
-        position that is safe to use, but that nobody has evaluated.
+        The search at iteration 0. Its best position is the box's centre, with cost inf: a position
+        that is safe to use, but that has not been evaluated.
+
+    Raises:
+        ConfigError: The optimiser can't run here: another library that it needs is missing.
     """
     dimensions, dtype = box.lower.shape[0], box.lower.dtype
-    unknown = jnp.full(optimiser.iterations, jnp.nan, dtype)
+    phases, iterations = optimiser.phases, optimiser.total_iterations
+    states = []
+    for i, phase in enumerate(phases):
+        phase.check_usable()
+        states.append(phase.init(jax.random.fold_in(key, i) if i else key, dimensions, dtype))
+    unknown = jnp.full(iterations, jnp.nan, dtype)
     return Search(
-        state=optimiser.init(key, dimensions, dtype),
+        state=_joined(states),
         best_position=from_unit(box, jnp.full(dimensions, 0.5, dtype)),
         best_cost=jnp.asarray(jnp.inf, dtype),
         iteration=jnp.asarray(0, jnp.int32),
@@ -83,18 +85,25 @@ def start(optimiser: AnyOptimiser, box: Box, key: Array) -> Search:
             best=unknown,
             mean=unknown,
             worst=unknown,
-            non_finite=jnp.zeros(optimiser.iterations, jnp.int32),
+            non_finite=jnp.zeros(iterations, jnp.int32),
         ),
     )
 
 
+def _joined(states: list[Any]) -> Any:
+    """The state of a search from those of its phases; of a single phase it is that phase's."""
+    return states[0] if len(states) == 1 else tuple(states)
+
+
 def advance(
-    optimiser: AnyOptimiser,
+    optimiser: Optimiser,
     objective: AnyObjective,
     box: Box,
     search: Search,
     stop: ArrayLike,
     until: Until | None = None,
+    *,
+    on_host: bool = False,
 ) -> Search:
     """Run a search on, from the iteration it has reached to `stop`.
 
@@ -102,21 +111,23 @@ def advance(
     may be traced too, so that one compilation serves chunks of every size, and a search gives the
     same bits in whatever chunks it is run. On several devices, run it inside `jax.shard_map` and
     let the objective split the agents and gather their costs: the search itself is then the same
-    on every device, to the last bit.
+    on every device, to the last bit. An optimiser that JAX can't compile runs as a loop in Python.
 
     Args:
         optimiser: What searches; the one that `search` was started with.
         objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,);
-            for a gradient optimiser a `Differentiable`, or a function that reverse mode can
+            where gradients are wanted a `Differentiable`, or a function that reverse mode can
             differentiate. A cost that is not finite marks a position that could not be judged: it
             is counted, never becomes the best, and is told to the optimiser as a finite one that
-            is no better than any real cost, as the optimiser says (`base.FailureCost`). A gradient
-            that is not finite is counted too, and told as 0.
+            is no better than any real cost (`Optimiser.failure_cost`). A gradient that is not
+            finite is counted too, and told as 0.
         box: Where to search.
         search: The search so far, from `start` or `advance`.
         stop: Number of iterations, counted from the start of the search, after which to stop; the
-            search ends at `optimiser.iterations` in any case.
+            search ends with those of the optimiser in any case.
         until: When to stop before that; by default never.
+        on_host: The objective is an ordinary Python function of a NumPy array, called once for
+            each iteration. Where gradients are wanted it returns costs and gradients.
 
     Returns:
         The search with `stop` iterations done, or fewer if it had nothing more to do.
@@ -124,61 +135,74 @@ def advance(
     Raises:
         ArgumentError: If the objective does not return one cost per agent.
     """
-    stop = jnp.minimum(stop, optimiser.iterations)
-    if not isinstance(optimiser, Polish):
-        return _loop(optimiser, objective, box, search, stop, until)
-    turn, both = optimiser.first.iterations, search.state
-    search = _loop(
-        optimiser.first,
-        objective,
-        box,
-        search._replace(state=both.first),
-        jnp.minimum(stop, turn),
-        until,
-    )
-    both = both._replace(first=search.state)
-    both = lax.cond(
-        (search.iteration == turn) & (jnp.asarray(stop) > turn),  # once, in whatever chunks
-        lambda both: optimiser.hand_over(both, _to_unit(box, search.best_position)),
-        lambda both: both,
-        both,
-    )
-    search = search._replace(state=both.second)
-    search = _loop(optimiser.second, objective, box, search, stop, until, begin=turn)
-    return search._replace(state=both._replace(second=search.state))
+    in_python = on_host or optimiser.on_host
+    repeat, choose = (_while, _if) if in_python else (lax.while_loop, lax.cond)
+    phases, begin = optimiser.phases, 0
+    states = [search.state] if len(phases) == 1 else list(search.state)
+    for i, phase in enumerate(phases):
+        if i > 0:
+            states[i] = choose(  # once, in whatever chunks
+                (search.iteration == begin) & (jnp.asarray(stop) > begin),
+                phase.begin_at,
+                lambda state, _: state,
+                states[i],
+                to_unit(box, search.best_position),
+            )
+        end = begin + phase.iterations
+        search = repeat(
+            partial(_goes_on, begin, jnp.minimum(stop, end), until),
+            partial(_step_in_python, phase, objective, box, on_host)
+            if in_python
+            else partial(_step, phase, objective, box),
+            search._replace(state=states[i]),
+        )
+        states[i], begin = search.state, end
+    return search._replace(state=_joined(states))
 
 
-def _to_unit(box: Box, position: Array) -> Array:
-    """Map a position in the box back into the unit box; 0 where the box has no width."""
-    width = box.upper - box.lower
-    return (position - box.lower) / jnp.where(width > 0, width, 1)
+def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
+    """`lax.while_loop`, in Python."""
+    while going(search):
+        search = step(search)
+    return search
 
 
-def _loop(
-    optimiser: Optimiser | GradientOptimiser,
-    objective: AnyObjective,
-    box: Box,
-    search: Search,
-    stop: ArrayLike,
-    until: Until | None,
-    begin: int = 0,
+def _if(condition: Array, yes: Callable[..., Any], no: Callable[..., Any], *operands: Any) -> Any:
+    """`lax.cond`, in Python."""
+    return yes(*operands) if condition else no(*operands)
+
+
+def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Array:
+    """Whether a phase that lasts from one iteration to another has more to do."""
+    more = (search.iteration >= begin) & (search.iteration < end)
+    return more if until is None else more & ~is_satisfied(search, until)
+
+
+def _step(phase: Optimiser, objective: Any, box: Box, search: Search) -> Search:
+    """One iteration, for a compiled loop."""
+    positions = ask(phase, box, search)
+    if phase.wants_gradients:
+        whole = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
+        return tell(phase, box, search, *whole.costs_and_gradients(positions))
+    costs = (objective.costs if isinstance(objective, Differentiable) else objective)(positions)
+    check_returned("objective", costs)
+    return tell(phase, box, search, costs)
+
+
+def _step_in_python(
+    phase: Optimiser, objective: Any, box: Box, on_host: bool, search: Search
 ) -> Search:
-    """Iterate while there is something to do, from iteration `begin` on."""
-
-    def going(search: Search) -> Array:
-        more = (search.iteration >= begin) & (search.iteration < stop)
-        return more if until is None else more & ~is_satisfied(search, until)
-
-    return lax.while_loop(
-        going,
-        lambda search: _tell(
-            optimiser,
-            box,
-            search,
-            *_evaluate(optimiser, objective, ask(optimiser, box, search)),
-        ),
-        search,
-    )
+    """One iteration; what can be compiled of it is."""
+    asked, told = (ask, tell) if phase.on_host else (_compiled_ask, _compiled_tell)
+    positions = asked(phase, box, search)
+    found = objective(np.asarray(positions) if on_host else positions)
+    costs, *gradients = found if isinstance(found, tuple) else (found,)
+    try:
+        wanted = [costs, *gradients] if phase.wants_gradients else [costs]
+        arrays = [np.asarray(values, box.lower.dtype) for values in wanted]
+    except (TypeError, ValueError) as error:
+        refuse(f"objective: {error}", f"costs ({phase.agents},), one per agent")
+    return told(phase, box, search, *arrays)
 
 
 def lengthened(search: Search, iterations: int) -> Search:
@@ -189,7 +213,7 @@ def lengthened(search: Search, iterations: int) -> Search:
         iterations: Iterations in all, as the optimiser that goes on with it has them.
     """
     more = iterations - search.history.best.shape[0]
-    check_count("lengthened: further iterations", more, least=0)
+    check_whole("lengthened: further iterations", more, 0)
 
     def padded(values: Array) -> Array:
         unknown = jnp.nan if jnp.issubdtype(values.dtype, jnp.floating) else 0
@@ -198,6 +222,7 @@ def lengthened(search: Search, iterations: int) -> Search:
     return search._replace(history=jax.tree.map(padded, search.history))
 
 
+@partial(jax.jit, inline=True)  # one program where the loop is Python's
 def is_satisfied(search: Search, until: Until) -> Array:
     """Whether the best cost is good enough, or has stopped falling."""
     best, done = search.best_cost, search.iteration
@@ -208,45 +233,19 @@ def is_satisfied(search: Search, until: Until) -> Array:
     return (best <= jnp.asarray(until.target, best.dtype)) | ((done > patience) & ~falls)
 
 
-def _evaluate(
-    optimiser: Optimiser | GradientOptimiser, objective: AnyObjective, positions: Array
-) -> tuple[Array, Array | None]:
-    """Costs (agents,) of positions, and gradients (agents, dimensions) if they are wanted."""
-    if not _wants_gradients(optimiser):
-        costs = objective.costs if isinstance(objective, Differentiable) else objective
-        found = costs(positions)
-        refuse_unreal("objective", found)
-        return jnp.asarray(found), None
-    whole = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
-    return whole.costs_and_gradients(positions)
-
-
-def _wants_gradients(optimiser: object) -> bool:
-    return hasattr(optimiser, "gradient_price")
-
-
-def evaluations_spent(optimiser: AnyOptimiser) -> np.ndarray:
-    """Return how many evaluations a search has made after each iteration, (iterations,).
-
-    A cost with its gradient counts as many as the optimiser's `gradient_price`.
-    """
-    if isinstance(optimiser, Polish):
-        first, second = map(evaluations_spent, (optimiser.first, optimiser.second))
-        return np.concatenate([first, first[-1] + second])
-    price = getattr(optimiser, "gradient_price", 1)
-    return price * optimiser.agents * np.arange(1, optimiser.iterations + 1)
-
-
-def ask(optimiser: Optimiser | GradientOptimiser, box: Box, search: Search) -> Array:
+def ask(optimiser: Optimiser, box: Box, search: Search) -> Array:
     """Return the positions (agents, dimensions), in the box, that are to be evaluated next.
 
-    With `tell` this is the loop taken apart, for objectives that are no JAX functions.
+    With `tell` this is the loop taken apart, for objectives that are no JAX functions. An optimiser
+    of several phases can't be taken apart as a whole, but each of its phases can.
     """
+    if len(optimiser.phases) > 1:
+        refuse(f"optimiser: {optimiser.optimiser}, of several phases", "one of its `phases`")
     return from_unit(box, optimiser.ask(search.state))
 
 
 def tell(
-    optimiser: Optimiser | GradientOptimiser,
+    optimiser: Optimiser,
     box: Box,
     search: Search,
     costs: ArrayLike,
@@ -259,23 +258,14 @@ def tell(
         box: Where.
         search: The search whose positions were evaluated.
         costs: What they cost; see `advance` for costs that are not finite.
-        gradients: Their gradients (agents, dimensions) in the box's coordinates, for a gradient
-            optimiser only.
+        gradients: Their gradients (agents, dimensions) in the box's coordinates, where the
+            optimiser wants them.
 
     Raises:
         ArgumentError: If there is not one cost, and where needed one gradient, per agent.
     """
     dtype = box.lower.dtype
-    slopes = None if gradients is None else jnp.asarray(gradients).astype(dtype)
-    return _tell(optimiser, box, search, jnp.asarray(costs), slopes)
-
-
-def _tell(
-    optimiser: Any, box: Box, search: Search, costs: Array, gradients: Array | None
-) -> Search:
-    """Record costs and gradients, made finite, and tell the optimiser of them."""
-    dtype = box.lower.dtype
-    costs = costs.astype(dtype)
+    costs = jnp.asarray(costs).astype(dtype)
     agents, dimensions = optimiser.agents, box.lower.shape[0]
     if costs.shape != (agents,):
         refuse(f"objective: costs of shape {costs.shape}", f"({agents},), one per agent")
@@ -283,13 +273,15 @@ def _tell(
     finite = jnp.isfinite(costs)
     some = finite.any()
     worst = jnp.max(costs, where=finite, initial=-jnp.inf)
-    told: list[Array] = [jnp.where(finite, costs, _failure_cost(optimiser, search, costs))]
+    instead = _failure_cost(optimiser.failure_cost, search, costs)
+    told = [jnp.where(finite, costs, instead)]
     judged = finite
-    if _wants_gradients(optimiser):
-        shape = None if gradients is None else gradients.shape
-        if gradients is None or shape != (agents, dimensions):
+    if optimiser.wants_gradients:
+        slopes = None if gradients is None else jnp.asarray(gradients).astype(dtype)
+        if slopes is None or slopes.shape != (agents, dimensions):
+            shape = None if slopes is None else slopes.shape
             refuse(f"objective: gradients of shape {shape}", f"({agents}, {dimensions})")
-        in_unit = gradients.astype(dtype) * (box.upper - box.lower)[None, :]
+        in_unit = slopes * (box.upper - box.lower)[None, :]
         judged = finite & jnp.isfinite(in_unit).all(axis=1)
         told.append(jnp.where(judged[:, None], in_unit, 0))
     failures = jnp.sum(~judged, dtype=jnp.int32)
@@ -316,11 +308,14 @@ def _tell(
     )
 
 
-def _failure_cost(optimiser: Any, search: Search, costs: Array) -> Array:
+_compiled_ask = jax.jit(ask, static_argnums=0)
+_compiled_tell = jax.jit(tell, static_argnums=0)
+
+
+def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:
     """The finite cost () told of positions whose cost is not, among these costs (agents,)."""
     limits = jnp.finfo(costs.dtype)
     largest, tiny = float(limits.max), float(limits.tiny)
-    kind: FailureCost = getattr(optimiser, "failure_cost", "worst so far")
     if kind == "largest":
         return jnp.asarray(largest, costs.dtype)
 

@@ -13,15 +13,15 @@ best of all. A coordinate that leaves the box stops at its bound, with velocity 
 """
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, random
 from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, uniform
-from posegsa.optimisers.checks import check_count, check_number
+from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.settings.fields import Count, NonNegative
 
 
 def constriction(phi: float) -> float:
@@ -43,36 +43,22 @@ class ParticleSwarmState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class ParticleSwarm:
-    """Settings of the particle swarm.
+class ParticleSwarm(Optimiser):
+    """Particle swarm (Clerc and Kennedy 2002); particles move in the unit box."""
 
-    Attributes:
-        agents: Number of particles.
-        iterations: Iterations of a whole search.
-        inertia: w.
-        cognitive: c1, pull of the agent's own best place.
-        social: c2, pull of the best place of all.
+    optimiser: Literal["pso"] = "pso"
+    """Name of the optimiser."""
+    agents: Annotated[Count, Field(ge=2)] = 100
+    """Number of particles."""
+    inertia: NonNegative = INERTIA
+    """Share w of its velocity that a particle keeps, no unit."""
+    cognitive: NonNegative = PULL
+    """Pull c1 of a particle's own best place, no unit."""
+    social: NonNegative = PULL
+    """Pull c2 of the best place of all, no unit."""
 
-    Raises:
-        ArgumentError: If a setting is out of its range.
-    """
-
-    agents: int = 100
-    iterations: int = 250
-    inertia: float = INERTIA
-    cognitive: float = PULL
-    social: float = PULL
-
+    title: ClassVar[str] = "Particle swarm"
     failure_cost: ClassVar[FailureCost] = "largest"
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("ParticleSwarm: agents", self.agents, least=2)
-        check_count("ParticleSwarm: iterations", self.iterations)
-        check_number("ParticleSwarm: inertia", self.inertia)
-        check_number("ParticleSwarm: cognitive", self.cognitive)
-        check_number("ParticleSwarm: social", self.social)
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> ParticleSwarmState:
         """Spread the particles uniformly over the unit box, at rest."""

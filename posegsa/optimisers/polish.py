@@ -1,56 +1,63 @@
-"""Two optimisers in turn: one that searches widely, then one that descends from what it found."""
+"""A search, and then a descent from the best position that it found."""
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
 
-import jax.numpy as jnp
-from jax import Array, random
-from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.base import GradientOptimiser, Optimiser
-
-
-class Descent(GradientOptimiser, Protocol):
-    """A gradient optimiser that can begin where it is told to."""
-
-    def begin_at(self, state: Any, position: Array) -> Any:
-        """Return the state with its starts at, and around, a position (dimensions,)."""
-        ...
+from posegsa.optimisers.adam import Adam, DescentSettings
+from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.gsa import GSA
+from posegsa.settings.fields import MAX_COUNT, Count
+from posegsa.settings.violations import Violation
 
 
-class PolishState(NamedTuple):
-    """The states of both."""
+class Polish(DescentSettings, Optimiser):
+    """A descent by Adam after a search; a class of both is made like `PolishedGSA`."""
 
-    first: Any
-    second: Any
+    iterations: Count = 250
+    """Iterations of the search if it were alone: both together make at most agents x iterations
+    evaluations."""
+    starts: Count = 8
+    """Number of starts of the descent, at and around the best position found."""
+    share: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.5
+    """Share of the evaluations that the descent gets."""
 
-
-@dataclass(frozen=True)
-class Polish:
-    """A search, and then a descent from the best position that it found.
-
-    Attributes:
-        first: What searches.
-        second: What descends.
-    """
-
-    first: Optimiser
-    second: Descent
+    searching: ClassVar[type[Optimiser]]
+    """The kind of the search, whose settings the class has as well."""
+    fixed_length: ClassVar[str] = Adam.fixed_length
 
     @property
-    def iterations(self) -> int:
-        """Iterations of both together."""
-        return self.first.iterations + self.second.iterations
+    def phases(self) -> tuple[Optimiser, ...]:
+        """The search and the descent."""
+        searched, left, step = self._divided()
+        mine: dict[str, Any] = dict(self) | {"iterations": searched}
+        search = {name: mine[name] for name in self.searching.model_fields if name != "optimiser"}
+        descent = {name: mine[name] for name in DescentSettings.model_fields}
+        steps = min(left // step, MAX_COUNT)
+        return self.searching(**search), Adam(agents=self.starts, iterations=steps, **descent)
 
-    def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> PolishState:
-        """Return the states of both before they begin."""
-        return PolishState(
-            self.first.init(key, dimensions, dtype),
-            self.second.init(random.fold_in(key, 1), dimensions, dtype),
-        )
+    def _divided(self) -> tuple[int, int, int]:
+        """Iterations of the search, evaluations left for the descent, and those of one step."""
+        searched = max(1, round(self.iterations * (1 - self.share)))
+        left = self.agents * (self.iterations - searched)
+        return searched, left, self.starts * self.gradient_price
 
-    def hand_over(self, state: PolishState, unit_position: Array) -> PolishState:
-        """Let the second begin at the best position (dimensions,) of the first."""
-        return state._replace(
-            second=self.second.begin_at(state.second, jnp.clip(unit_position, 0, 1))
-        )
+    def _conflicts(self) -> Iterator[Violation]:
+        _, left, step = self._divided()
+        if left < step:
+            reason = (
+                f"leaves {left} of {self.agents} x {self.iterations} evaluations for the descent; "
+                f"allowed: at least {step}, one step, starts x gradient_price"
+            )
+            yield Violation("share", reason, self.share)
+
+
+class PolishedGSA(Polish, GSA):
+    """The gravitational search algorithm, and then gradient descent from what it found."""
+
+    optimiser: Literal["gsa+adam"] = "gsa+adam"
+    """Name of the optimiser."""
+
+    searching: ClassVar[type[Optimiser]] = GSA
+    title: ClassVar[str] = "The gravitational search algorithm, then gradient descent (Adam),"

@@ -3,19 +3,21 @@
 Source: N. Hansen, Y. Akimoto, P. Baudis, "CMA-ES/pycma", doi:10.5281/zenodo.2559634, version 4 of
 the library. It comes with the extra `posegsa[compare]`; nothing else of this package needs it.
 
-It is no JAX code: `minimise` runs it on the host, with the objective compiled (`on_host`).
+It is no JAX code: it runs on the host, and only the objective is compiled.
 """
 
 import copy
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, random
 from jax.typing import DTypeLike
+from pydantic import Field
 
-from posegsa.optimisers.checks import SMALLEST_SIGMA, check_count, check_number
+from posegsa.errors import ConfigError
+from posegsa.optimisers.base import Optimiser
+from posegsa.settings.fields import Count, Positive
 
 
 class PyCMAState(NamedTuple):
@@ -25,31 +27,26 @@ class PyCMAState(NamedTuple):
     asked: Array  # (agents, dimensions) in the unit box
 
 
-@dataclass(frozen=True)
-class PyCMA:
-    """Settings of pycma's CMA-ES, which keeps to the box by its own transformation.
+class PyCMA(Optimiser):
+    """CMA-ES of the pycma library in the unit box, to which it keeps by its own transformation."""
 
-    Attributes:
-        agents: Positions per iteration, the article's lambda.
-        iterations: Iterations of a whole search; it does not stop by itself before.
-        sigma: Standard deviation at the start, in widths of the box.
+    optimiser: Literal["pycma"] = "pycma"
+    """Name of the optimiser."""
+    agents: Annotated[Count, Field(ge=3)] = 100
+    """Positions per iteration, the article's lambda."""
+    sigma: Positive = 0.3
+    """Standard deviation at the start, in widths of the box."""
 
-    Raises:
-        ArgumentError: If a setting is out of its range.
-        ImportError: If pycma is not installed.
-    """
-
-    agents: int = 100
-    iterations: int = 250
-    sigma: float = 0.3
-
+    title: ClassVar[str] = "CMA-ES (pycma)"
     on_host: ClassVar[bool] = True
+    compared_by_default: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("PyCMA: agents", self.agents, least=3)
-        check_count("PyCMA: iterations", self.iterations)
-        check_number("PyCMA: sigma", self.sigma, least=SMALLEST_SIGMA)
+    def check_usable(self) -> None:
+        """See that pycma is installed.
+
+        Raises:
+            ConfigError: It is not.
+        """
         _library()
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> PyCMAState:
@@ -96,5 +93,5 @@ def _library() -> Any:
     try:
         import cma
     except ImportError:
-        raise ImportError("cma (pycma) is not installed; pip install 'posegsa[compare]'") from None
+        raise ConfigError("cma (pycma) is not installed; pip install 'posegsa[compare]'") from None
     return cma

@@ -1,13 +1,11 @@
 """Random search: the baseline that any optimiser has to beat."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import uniform
-from posegsa.optimisers.checks import check_count
+from posegsa.optimisers.base import Optimiser, uniform
 
 
 class RandomSearchState(NamedTuple):
@@ -17,25 +15,13 @@ class RandomSearchState(NamedTuple):
     key: Array  # random key of what is still to be drawn
 
 
-@dataclass(frozen=True)
-class RandomSearch:
-    """Positions drawn anew in each iteration, uniformly and independently.
+class RandomSearch(Optimiser):
+    """Positions drawn anew in each iteration, uniformly and independently."""
 
-    Attributes:
-        agents: Positions per iteration.
-        iterations: Iterations of a whole search.
+    optimiser: Literal["random_search"] = "random_search"
+    """Name of the optimiser."""
 
-    Raises:
-        ArgumentError: If a setting is not a positive integer.
-    """
-
-    agents: int = 100
-    iterations: int = 250
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_count("RandomSearch: agents", self.agents)
-        check_count("RandomSearch: iterations", self.iterations)
+    title: ClassVar[str] = "Random search"
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> RandomSearchState:
         """Draw the first positions."""

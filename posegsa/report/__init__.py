@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
 
+import numpy as np
+
 from posegsa.figures import search, trajectory
 from posegsa.judging.evaluation import TUNED
 from posegsa.judging.result import TuneResult
@@ -12,6 +14,7 @@ from posegsa.report.markup import cost, element, join, paragraph, section, table
 from posegsa.report.words import what_was_run
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
 def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page.
 

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterator
 from posegsa.config import Experiment, FamilyConfig
 from posegsa.judging.result import TuneResult
 from posegsa.report.markup import Html, element, join
-from posegsa.search.named_optimisers import TITLES, size_in_words
 from posegsa.settings.fields import Section
 from posegsa.words import counted, toml
 
@@ -25,7 +24,7 @@ def what_was_run(result: TuneResult) -> Iterator[tuple[str, str]]:
 def _search(result: TuneResult) -> str:
     run, search = result.experiment.run, result.experiment.search
     return (
-        f"{TITLES[search.optimiser]} with {size_in_words(result.experiment, ' over ')} minimised "
+        f"{search.title} with {search.size_in_words(' over ')} minimised "
         f"the cost on {counted(run.training_scenarios, 'training scenario')}. It made "
         f"{counted(result.evaluations, 'evaluation')} in {result.search_seconds:.2f} s, after "
         f"{result.compile_seconds:.2f} s of compiling; {result.non_finite or 'none'} of them had "

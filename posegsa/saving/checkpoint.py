@@ -1,13 +1,13 @@
-"""One checkpoint, one file: a search, with a checksum over all of it; nothing is ever unpickled.
+"""The state of a search in one file with a checksum, without pickling.
 
     line 1: "posegsa checkpoint"
     line 2: SHA-256 of all that follows, in hexadecimal
-    line 3: JSON: format, about, and of each array its name, dtype and shape
+    line 3: JSON: format, about, and the name, dtype and shape of each array
     the arrays' bytes, one after the other, little-endian
 
-A search is any `Search` that is made of numbers: of all optimisers but pycma, whose state is an
-object of Python's. Its arrays are told apart by their place in it, such as `.state.position`;
-random keys are stored as the numbers that they are made of.
+Any `Search` can be saved whose state is made of arrays: those of all optimisers but pycma, whose
+state is a Python object. Arrays are named by their path in the search, such as `.state.position`;
+random keys are stored as the numbers that they consist of.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import Search
 from posegsa.saving.files import read_bounded, write_atomically
 
-FORMAT = 1
+FORMAT = 2
 """Number of the layout of a checkpoint; it changes when old ones can't be read any more."""
 
 MAX_BYTES = 2**31
@@ -36,27 +36,27 @@ _MAX_HEADER = 2**24
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint as it was read: checked against its checksum, not yet against a search."""
+    """A checkpoint whose checksum was right; its arrays are not yet matched with a search."""
 
     path: Path
     about: dict[str, Any]
     """What was written beside the search."""
     arrays: dict[str, tuple[str, np.ndarray]]
-    """By their place in the search: the dtype as JAX names it, and the numbers."""
+    """By their path in the search: the dtype as JAX names it, and the numbers."""
 
     def search(self, like: Search) -> Search:
-        """The search itself.
+        """The search.
 
         Args:
             like: A search of the same structure, such as `start` gives; its values don't matter.
 
         Raises:
             CheckpointError: An array is missing or of another shape or dtype, or `like` holds
-                something that is no array; names it.
+                something other than arrays; names it.
         """
         _refuse_objects("like", like)
         leaves, structure = jax.tree_util.tree_flatten_with_path(like)
-        wanted = {jax.tree_util.keystr(place): leaf for place, leaf in leaves}
+        wanted = {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
         for name in [*wanted, *self.arrays]:
             if name not in self.arrays:
                 raise CheckpointError(f"{self.path}: has no {name}, which this optimiser needs")
@@ -84,16 +84,16 @@ class Checkpoint(NamedTuple):
 
 
 def save_search(path: str | Path, search: Search, about: dict[str, Any] | None = None) -> None:
-    """Write a search to a file, so that the file is whole or as it was.
+    """Write a search to a file atomically.
 
     Args:
         path: The file; its folder exists.
         search: From `start`, `advance` or `minimise`, or as a callback gets it.
-        about: What else to remember, as JSON can hold it.
+        about: What else to keep, as JSON can hold it.
 
     Raises:
-        CheckpointError: What was given is not a search, or holds something that is not made of
-            numbers, as pycma's does; or the file can't be written.
+        CheckpointError: What was given is not a search, or its state is not made of arrays, as
+            pycma's is not; or the file can't be written.
     """
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
@@ -105,11 +105,11 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
 
 
 def objects_in(search: Search) -> dict[str, str]:
-    """What keeps a search from being saved: by their place, the types of what are no numbers."""
+    """What keeps a search from being saved: the types of its parts that are no arrays, by path."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(search)
     return {
-        jax.tree_util.keystr(place): type(leaf).__name__
-        for place, leaf in leaves
+        jax.tree_util.keystr(path): type(leaf).__name__
+        for path, leaf in leaves
         if not _is_numbers(leaf)
     }
 
@@ -132,7 +132,7 @@ def load_search(path: str | Path, like: Search) -> Search:
 
 
 def read(path: Path) -> Checkpoint:
-    """Read a checkpoint and see that it is what was written.
+    """Read a checkpoint and verify its checksum.
 
     Raises:
         DamagedCheckpointError: It is cut short, changed, or no checkpoint.
@@ -147,11 +147,11 @@ def read(path: Path) -> Checkpoint:
         raise DamagedCheckpointError(f"{path}: is no checkpoint, or its beginning is damaged")
     digest, rest = content[len(_MAGIC) : start], memoryview(content)[start:]
     if digest != hashlib.sha256(rest).hexdigest().encode() + b"\n":
-        raise DamagedCheckpointError(f"{path}: is damaged: its checksum does not fit")
+        raise DamagedCheckpointError(f"{path}: is damaged: its checksum is wrong")
     try:
         return _unpacked(path, content, start)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        # The checksum fits, so nobody's disk did this.
+        # The checksum is right, so this is no damage.
         raise CheckpointError(f"{path}: is not as posegsa writes it: {error}") from None
 
 
@@ -170,7 +170,7 @@ def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
         numbers = np.dtype(stored).newbyteorder("<")
         if numbers.hasobject or any(length < 0 for length in shape):
             raise ValueError(f"{name} does not hold numbers")
-        # A view of what has been read: a shape can't ask for more than the file holds.
+        # A view of what has been read: no shape can ask for more memory than the file has bytes.
         values = np.ndarray(tuple(shape), numbers, content, offset)
         arrays[name] = dtype, values.astype(numbers.newbyteorder("="), copy=False)
         offset += values.nbytes
@@ -183,7 +183,7 @@ def _packed(search: Search, about: dict[str, Any]) -> bytes:
     """A checkpoint's bytes."""
     _refuse_objects("search", search)
     leaves, _ = jax.tree_util.tree_flatten_with_path(search)
-    named = [(jax.tree_util.keystr(place), jnp.asarray(leaf)) for place, leaf in leaves]
+    named = [(jax.tree_util.keystr(path), jnp.asarray(leaf)) for path, leaf in leaves]
     stored = [_data(leaf) for _, leaf in named]
     if sys.byteorder == "big":
         stored = [a.byteswap() for a in stored]
@@ -200,10 +200,10 @@ def _packed(search: Search, about: dict[str, Any]) -> bytes:
 
 
 def _refuse_objects(name: str, search: Search) -> None:
-    """Raise where a search holds what no checkpoint can."""
-    for place, kind in objects_in(search).items():
+    """Raise a CheckpointError if a search holds something other than arrays."""
+    for path, kind in objects_in(search).items():
         raise CheckpointError(
-            f"{name}{place} is a {kind}; needed: an array, so that it can be saved and read"
+            f"{name}{path} is a {kind}; needed: an array, so that it can be saved and read"
         )
 
 
@@ -219,5 +219,5 @@ def _is_key(leaf: jax.Array) -> bool:
 
 
 def _data(leaf: jax.Array) -> np.ndarray:
-    """The numbers of an array, or those that a random key is made of; their shape is the file's."""
+    """The numbers of an array, or those that a random key consists of."""
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)

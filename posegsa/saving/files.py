@@ -1,7 +1,7 @@
-"""Files that are whole or not there, and reading that is bounded.
+"""Atomic writes and bounded reads of single files.
 
 A file is written under a temporary name, synced to the disk and renamed: whatever happens
-meanwhile, its name leads to the old content or to the new.
+meanwhile, its name leads to the whole old content or to the whole new one.
 """
 
 import contextlib
@@ -12,14 +12,14 @@ from pathlib import Path
 from posegsa.errors import RunFolderError
 
 PART = ".part"
-"""Ending of the temporary names; what has it is no file of a run."""
+"""Ending of temporary names; a file with it is not part of a run."""
 
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 """Flag of `os.open` that refuses to follow a link; 0 where the system has none (Windows)."""
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is either whole or as it was, even if the power fails.
+    """Write a file so that it is whole, or as it was before, even if the power fails.
 
     Raises:
         OSError: It can't be written; nothing is left of it.
@@ -49,12 +49,11 @@ def write_synced(path: Path, data: bytes) -> None:
 
 
 def _open_no_link(path: str, flags: int) -> int:
-    """Open a file for writing; on systems that can tell, no link."""
     return os.open(path, flags | NO_LINK, 0o666)
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the disk has a folder's names; does nothing where a system can't do that."""
+    """Wait until the disk has a folder's names, on systems that can do that."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -64,13 +63,11 @@ def sync_folder(folder: Path) -> None:
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """The content of a regular file of at most `limit` bytes.
-
-    The size is looked at before anything is read. What is no regular file, such as a pipe, which
-    could keep its reader waiting for ever, is refused.
+    """The content of a regular file of at most `limit` bytes; its size is looked at first.
 
     Raises:
-        RunFolderError: It is too large, or not a regular file.
+        RunFolderError: It is too large, or not a regular file, such as a pipe, which could keep its
+            reader waiting for ever.
         OSError: It can't be read.
     """
     # Opening a pipe without O_NONBLOCK waits for a writer.

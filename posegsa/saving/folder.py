@@ -1,8 +1,9 @@
-"""A run's folder: who may write to it, and how all files of a result change at once.
+"""A run's folder: one writer at a time, and all files of a result replaced at once.
 
-A save is staged: everything is written to a folder beside, synced, and that folder is then renamed,
-which is the moment at which the new result holds. Its files are moved into place after that; should
-the process die between, readers look there first and the next writer moves the rest.
+The writer holds a lock. Files are replaced in two steps: they are staged, that is written to a
+folder beside and synced; then that folder is renamed, which commits them. They are moved into place
+after that. Should the process die in between, readers look at the committed files first, and the
+next writer moves the rest.
 """
 
 import contextlib
@@ -17,21 +18,39 @@ from posegsa.errors import RunFolderError
 from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
-SUFFIX = ".checkpoint"
+CHECKPOINT_SUFFIX = ".checkpoint"
 
 _LOCK = ".lock"
-_STAGED, _SAVED = ".saving", ".saved"
-_UNFINISHED = (
-    "holds an unfinished run; go on with it (--resume; resume=...), choose another folder, or "
-    "replace the run (--overwrite; overwrite=True)"
-)
+_STAGED, _COMMITTED = ".saving", ".saved"
 
 
-def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make a folder and see that a run may be written there.
+# One writer ---------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder for a run to write to, made if missing, and locked while the context lasts.
+
+    Args:
+        folder: The folder.
+        overwrite: Allow one that holds a run already.
 
     Raises:
-        RunFolderError: It holds a run already, is not a folder, or can't be written.
+        RunFolderError: It holds a run already, finished or not; is not a folder; can't be written;
+            or another run is writing there.
+    """
+    folder = prepare_folder(folder, overwrite=overwrite)
+    with lock(folder):
+        finish_commit(folder)
+        # Another process may have written a run since it was looked at.
+        yield prepare_folder(folder, overwrite=overwrite)
+
+
+def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
+    """Make a folder and check that a run may be written there.
+
+    Raises:
+        RunFolderError: As `locked_folder`'s.
     """
     folder = as_path("folder", folder)
     if not overwrite:
@@ -40,8 +59,11 @@ def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
                 f"{folder}: holds a run already; choose another folder, or replace the run "
                 "(--overwrite; overwrite=True)"
             )
-        if any((folder / CHECKPOINTS).glob(f"*{SUFFIX}")):
-            raise RunFolderError(f"{folder}: {_UNFINISHED}")
+        if any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}")):
+            raise RunFolderError(
+                f"{folder}: holds an unfinished run; go on with it (--resume; resume=...), choose "
+                "another folder, or replace the run (--overwrite; overwrite=True)"
+            )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -55,24 +77,11 @@ def claim(folder: str | Path, *, overwrite: bool = False) -> Path:
 
 
 @contextlib.contextmanager
-def claimed(folder: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder for one run to write to, while it lasts, kept from all others.
-
-    Raises:
-        RunFolderError: As `claim`'s, or another run is writing there.
-    """
-    folder = claim(folder, overwrite=overwrite)
-    with locked(folder):
-        settle(folder)
-        yield claim(folder, overwrite=overwrite)  # somebody may have been there in between
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock(folder: Path) -> Iterator[None]:
     """Keep other processes and threads from writing to a folder.
 
-    The system gives the lock back when the process ends, however it ends. Where it has no such
-    locks (Windows, some file systems of networks), there is none.
+    The system releases the lock when the process ends, however it ends. Systems without such locks
+    (Windows, some network file systems) keep nobody out.
 
     Raises:
         RunFolderError: Another run is writing there.
@@ -82,21 +91,22 @@ def locked(folder: Path) -> Iterator[None]:
     except ImportError:
         yield
         return
-    with writing(folder):
+    with write_errors(folder):
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | NO_LINK
         descriptor = os.open(folder / _LOCK, flags, 0o644)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = os.read(descriptor, 200).decode("utf-8", "replace").strip() or "unknown"
+            holder = os.read(descriptor, 200).decode("utf-8", "replace").strip()
+            holder = holder if holder and holder.isprintable() else "unknown"
             raise RunFolderError(
                 f"{folder}: another run is writing there ({holder}); wait for it, stop it, or "
                 "choose another folder"
             ) from None
         except OSError:  # a file system without locks (ENOLCK, EOPNOTSUPP, ENOSYS)
             pass
-        with contextlib.suppress(OSError):  # a full disk: the lock holds without its text
+        with contextlib.suppress(OSError):  # on a full disk the lock holds without its text
             os.ftruncate(descriptor, 0)
             os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
@@ -105,8 +115,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """What can't be written says so by the folder's name."""
+def write_errors(folder: Path) -> Iterator[None]:
+    """Turn errors of the system while it writes into RunFolderErrors that name the folder."""
     try:
         yield
     except RunFolderError:
@@ -115,19 +125,22 @@ def writing(folder: Path) -> Iterator[None]:
         raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from error
 
 
+# All files at once --------------------------------------------------------------------------------
+
+
 def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str]) -> None:
-    """Replace files of a run's folder, all of them or none.
+    """Replace files of a folder, all of them or none.
 
     Args:
-        folder: The folder, `claimed`.
+        folder: The folder, locked.
         files: Contents by name, such as `figures/gain.png`.
-        remove: Names of files that go; those in `files` stay.
+        remove: Names of files to remove; those in `files` stay.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
     staged = folder / _STAGED
-    with writing(folder):
+    with write_errors(folder):
         try:
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir()
@@ -140,40 +153,56 @@ def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str
         except BaseException:
             shutil.rmtree(staged, ignore_errors=True)
             raise
-        staged.rename(folder / _SAVED)
+        staged.rename(folder / _COMMITTED)
         sync_folder(folder)
-        settle(folder)
+        finish_commit(folder)
         for name in remove:
             if name not in files:
                 (folder / name).unlink(missing_ok=True)
 
 
-def settle(folder: Path) -> None:
-    """Finish a save that was cut short after the moment from which it holds."""
-    saved = folder / _SAVED
-    if not saved.is_dir():
+def finish_commit(folder: Path) -> None:
+    """Move committed files into place, also those of a process that died before it had done so."""
+    committed = folder / _COMMITTED
+    if not committed.is_dir():
         return
     _refuse_links(folder)
-    for path in sorted(saved.rglob("*")):
+    for path in sorted(committed.rglob("*")):
         if path.is_file():
-            target = folder / path.relative_to(saved)
+            target = folder / path.relative_to(committed)
             target.parent.mkdir(exist_ok=True)
             path.replace(target)
     sync_folder(folder)
-    shutil.rmtree(saved)
+    shutil.rmtree(committed)
 
 
-def read(folder: Path, name: str, limit: int) -> str:
-    """The text of a file of a run, of at most `limit` bytes; its newest content.
+# Reading ------------------------------------------------------------------------------------------
+
+
+def read_text(folder: Path, name: str, limit: int, of: str) -> str:
+    """The text of a file in a run's folder; of a committed one, if there is one.
+
+    Args:
+        folder: The folder.
+        name: The file's name.
+        limit: Bytes that it may have.
+        of: What it is part of, in words.
 
     Raises:
-        RunFolderError: It is too large, or not UTF-8 text.
-        OSError: It can't be read.
+        RunFolderError: It can't be read, is too large, or not UTF-8 text.
     """
-    for path in (folder / _SAVED / name, folder / name):
-        with contextlib.suppress(FileNotFoundError):
-            return _text(path, limit)
-    raise FileNotFoundError(2, os.strerror(2), str(folder / name))
+    for path in (folder / _COMMITTED / name, folder / name):
+        try:
+            return read_bounded(path, limit).decode("utf-8")
+        except FileNotFoundError:
+            continue  # also where a writer has just moved it from the first place to the second
+        except RunFolderError:
+            raise
+        except OSError as error:
+            raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise RunFolderError(f"{path}: is not UTF-8 text") from None
+    raise RunFolderError(f"{folder}: holds no {of} ({name} is missing)")
 
 
 def as_path(name: str, value: object) -> Path:
@@ -187,21 +216,13 @@ def as_path(name: str, value: object) -> Path:
     return Path(value)
 
 
-def _text(path: Path, limit: int) -> str:
-    content = read_bounded(path, limit)
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError:
-        raise RunFolderError(f"{path}: is not UTF-8 text") from None
-
-
 def _exists(folder: Path, name: str) -> bool:
-    return (folder / _SAVED / name).exists() or (folder / name).exists()
+    return (folder / _COMMITTED / name).exists() or (folder / name).exists()
 
 
 def _refuse_links(folder: Path) -> None:
     """A folder from elsewhere could have what posegsa writes below it go anywhere."""
-    for name in (FIGURES, CHECKPOINTS, _STAGED, _SAVED, _LOCK):
+    for name in (FIGURES, CHECKPOINTS, _STAGED, _COMMITTED, _LOCK):
         if (folder / name).is_symlink():
             kind = "file" if name == _LOCK else "folder"
             raise RunFolderError(f"{folder / name}: is a link; allowed: a {kind} of its own")

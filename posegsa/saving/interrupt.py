@@ -1,7 +1,7 @@
-"""Ctrl-C and SIGTERM: the first asks a search to stop where it can go on later, the second stops.
+"""Ctrl-C and SIGTERM: the first asks a search to save its state and stop, the second stops it.
 
-Only the main thread gets signals, and only what nobody else handles is handled here: a program's
-own handlers stay, and so does SIGINT where it is ignored, as behind `nohup`.
+Python handles signals in the main thread only. A program's own handlers are left alone, and so is
+SIGINT where it is ignored, as under `nohup`.
 """
 
 import os
@@ -18,37 +18,36 @@ from posegsa.errors import SearchInterrupted
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Asked:
-    """Whether a signal has asked to stop."""
+class StopRequest:
+    """Whether a signal has asked the search to stop."""
 
     signal_number: int | None = None
-    """The first one that did."""
+    """The first signal that did."""
 
 
 @contextmanager
-def deferred() -> Iterator[Asked]:
-    """While it lasts the first signal is only noted, and the second raises KeyboardInterrupt."""
-    asked = Asked()
+def deferred_signals() -> Iterator[StopRequest]:
+    """Note the first signal, to be looked at later; the second raises SearchInterrupted."""
+    request = StopRequest()
 
     def note(number: int, frame: FrameType | None) -> None:
-        if asked.signal_number is not None:
+        if request.signal_number is not None:
             raise SearchInterrupted("stopped", number)
-        asked.signal_number = number
+        request.signal_number = number
 
     with _handled(note):
-        yield asked
+        yield request
 
 
 @contextmanager
-def at_once(say: Callable[[], object]) -> Iterator[None]:
-    """While it lasts SIGTERM raises as Ctrl-C does, and a second signal ends the process.
+def immediate_signals(on_first: Callable[[], object]) -> Iterator[None]:
+    """Have SIGTERM raise as Ctrl-C does, and a second signal end the process at once.
 
-    Python looks at signals between its own steps only, not while a compiled loop runs. A thread
-    that reads them from the system does not have to wait; it is for programs that own their
-    process, such as the command line.
+    Python handles signals between its own steps only, not while a compiled loop runs; so a thread
+    reads them from the system. For programs that own their process, such as the command line.
 
     Args:
-        say: Called by that thread at the first signal.
+        on_first: Called by that thread at the first signal.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -57,13 +56,13 @@ def at_once(say: Callable[[], object]) -> Iterator[None]:
     writer.setblocking(False)
 
     def watch() -> None:
-        told = False
+        first = True
         while number := reader.recv(1):
             if number[0] in SIGNALS:
-                if told:
+                if not first:
                     os._exit(128 + number[0])
-                say()
-                told = True
+                on_first()
+                first = False
 
     def terminated(number: int, frame: FrameType | None) -> NoReturn:
         raise SearchInterrupted("stopped", number)
@@ -84,14 +83,14 @@ def at_once(say: Callable[[], object]) -> Iterator[None]:
 
 
 _OWN: set[object] = set()
-"""Handlers of this module, which it may replace by another of its own."""
+"""Handlers of this module, which may replace each other."""
 
 
 @contextmanager
 def _handled(
     handler: Callable[[int, FrameType | None], object], numbers: tuple[int, ...] = SIGNALS
 ) -> Iterator[None]:
-    """Handle the signals that nobody else does."""
+    """Handle those of the signals that have no handler of the program's own."""
     usual = {signal.SIG_DFL, signal.default_int_handler, *_OWN}
     previous = {}
     if threading.current_thread() is threading.main_thread():

@@ -1,28 +1,29 @@
-"""The folder of a tuning run: result, tables, figures and report, written and read."""
+"""The files of a tuning run: result, tables, figures and report, written and read."""
 
-import json
+import reprlib
+from dataclasses import fields, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from posegsa import config
 from posegsa.arguments import check_type
-from posegsa.errors import ConfigError, RunFolderError
+from posegsa.errors import RunFolderError
 from posegsa.figures import result as result_figures
 from posegsa.figures.result import draw
 from posegsa.figures.style import png
-from posegsa.judging import evaluation
-from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation, band_samples
+from posegsa.judging.metrics import QUANTILES
 from posegsa.judging.result import TuneResult
-from posegsa.judging.trajectory import read_trajectory
-from posegsa.judging.trust import Trust
+from posegsa.judging.trajectory import Trajectory
+from posegsa.optimisers import History
 from posegsa.report import report_html
-from posegsa.saving.folder import FIGURES, RESULT, as_path, claimed, read, replace_files
-from posegsa.saving.history import history_csv, read_history
+from posegsa.saving.folder import FIGURES, RESULT, as_path, locked_folder, read_text, replace_files
+from posegsa.saving.records import from_csv, from_json, to_csv, to_json
+from posegsa.settings.arrays import Columns
 
-SCHEMA = 1
-"""Number of the layout of result.json; it changes when a key changes its meaning."""
+SCHEMA = 2
+"""Number of the layout of result.json and evaluation.json; it changes with their records."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
@@ -31,6 +32,26 @@ MAX_BYTES = 2**27
 MAX_ROW = 2**10
 """Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
 numbers of at most 25 characters."""
+
+
+class HistoryTable(NamedTuple):
+    """The history of a search as a table, a row an iteration."""
+
+    iteration: Annotated[np.ndarray, Columns("iteration", dtype=int)]
+    """From 1."""
+    best: Annotated[np.ndarray, Columns("best", allow="infinite")]
+    mean: Annotated[np.ndarray, Columns("mean", allow="any")]
+    worst: Annotated[np.ndarray, Columns("worst", allow="any")]
+    non_finite: Annotated[np.ndarray, Columns("non_finite", dtype=int)]
+
+
+_ELSEWHERE = ("evaluation", "history", "trajectory")
+"""The fields of a result that have a file of their own."""
+_TYPES = get_type_hints(TuneResult, include_extras=True)
+_StoredResult: Any = make_dataclass(
+    "StoredResult", [(name, kind) for name, kind in _TYPES.items() if name not in _ELSEWHERE]
+)
+"""The fields of a result that result.json holds."""
 
 
 def save(result: TuneResult, folder: str | Path, *, overwrite: bool = False) -> Path:
@@ -48,141 +69,109 @@ def save(result: TuneResult, folder: str | Path, *, overwrite: bool = False) -> 
         RunFolderError: It holds a run already, or can't be written.
     """
     check_type("result", result, TuneResult)
-    with claimed(folder, overwrite=overwrite) as folder:
-        write(result, folder)
+    with locked_folder(folder, overwrite=overwrite) as folder:
+        write_run(result, folder)
     return folder
 
 
-def write(result: TuneResult, folder: Path) -> None:
-    """Write all files of a result at once, to a folder that the caller has `claimed`."""
-    pictures = {name: png(figure) for name, figure in draw(result).items()}
-    texts = {
-        HISTORY: history_csv(result.history),
-        TRAJECTORY: result.trajectory.csv(),
-        EVALUATION: result.evaluation.to_json(),
-        TABLE: result.evaluation.table() + "\n",
-        REPORT: report_html(result, pictures),
-        RESULT: json.dumps(_plain(result), indent=2) + "\n",
-    }
-    figures = {_figure(name): picture for name, picture in pictures.items()}
-    files = {name: text.encode("utf-8") for name, text in texts.items()} | figures
-    # Not all evaluations have all figures.
-    replace_files(folder, files, remove=[_figure(each.name) for each in result_figures.FIGURES])
-
-
-def _plain(result: TuneResult) -> dict[str, Any]:
-    tuned, constant = (
-        {
-            "training_mean": _number(np.mean(training)),
-            "held_out_mean": _number(np.mean(held_out)),
-            "held_out_worst": _number(np.max(held_out)),
-            "held_out_diverged": int(np.sum(result.evaluation.contenders[name].metrics.diverged)),
-            "training": [_number(c) for c in training],
-        }
-        for name, training in (
-            (TUNED, result.training_costs),
-            (CONSTANT, result.constant_training_costs),
-        )
-        for held_out in [result.evaluation.contenders[name].metrics.cost]
-    )
-    trust = vars(result.trust) | {"rule_weights": result.trust.rule_weights.tolist()}
-    return {
-        "schema": SCHEMA,
-        "version": result.version,
-        "best_cost": _number(result.best_cost),
-        "parameters": dict(zip(config.PARAMETERS, result.parameters.tolist(), strict=True)),
-        "tuned": tuned,
-        "constant_gain": result.constant_gain,
-        "constant": constant,
-        "held_out_scenarios": result.evaluation.scenarios,
-        "held_out_seed": result.evaluation.seed,
-        "warnings": result.warnings(),
-        "trust": {k: _number(v) if isinstance(v, float) else v for k, v in trust.items()},
-        "evaluations": result.evaluations,
-        "non_finite": result.non_finite,
-        "compile_seconds": result.compile_seconds,
-        "search_seconds": result.search_seconds,
-        "environment": result.environment,
-        "config": result.experiment.model_dump(mode="json"),
-    }
-
-
-def load(folder: str | Path) -> TuneResult:
-    """Read a run's folder back.
+def write_run(result: TuneResult, folder: Path) -> None:
+    """Write all files of a result at once, to a folder that the caller has locked.
 
     Raises:
-        RunFolderError: It is not a run's folder, or a file in it is damaged or of another schema.
+        RunFolderError: They can't be written; the folder is as it was.
     """
-    folder = as_path("folder", folder)
-    path = folder / RESULT
-    try:
-        data = json.loads(read(folder, RESULT, MAX_BYTES))
-    except RunFolderError:
-        raise
-    except OSError as error:
-        raise RunFolderError(
-            f"{folder}: holds no finished run ({RESULT}: {error.strerror})"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise RunFolderError(f"{path}: is not JSON: {error}") from None
-    try:
-        if data["schema"] != SCHEMA:
-            raise RunFolderError(
-                f"{path}: has schema {data['schema']}; this version of posegsa reads {SCHEMA}"
-            )
+    pictures = {name: png(figure) for name, figure in draw(result).items()}
+    held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
+    texts = {
+        HISTORY: to_csv(_table(result.history)),
+        TRAJECTORY: to_csv(result.trajectory),
+        EVALUATION: to_json(result.evaluation, SCHEMA, _evaluation_summary(result.evaluation)),
+        TABLE: result.evaluation.table() + "\n",
+        REPORT: report_html(result, pictures),
+        RESULT: to_json(_StoredResult(**held), SCHEMA, _result_summary(result)),
+    }
+    files = {name: text.encode("utf-8") for name, text in texts.items()}
+    figures = {_figure(name): picture for name, picture in pictures.items()}
+    # Not all evaluations have all figures.
+    stale = [_figure(each.name) for each in result_figures.FIGURES]
+    replace_files(folder, files | figures, remove=stale)
 
-        def costs(d: dict[str, Any]) -> np.ndarray:
-            return np.array([float(c) for c in d["training"]])
 
-        checked, experiment = data["trust"], config.from_dict(data["config"])
-        longest = max(MAX_BYTES, MAX_ROW * experiment.scenario.samples)
-        return TuneResult(
-            experiment=experiment,
-            best_cost=float(data["best_cost"]),
-            parameters=np.array([float(data["parameters"][k]) for k in config.PARAMETERS]),
-            training_costs=costs(data["tuned"]),
-            constant_gain=float(data["constant_gain"]),
-            constant_training_costs=costs(data["constant"]),
-            evaluation=evaluation.from_json(read(folder, EVALUATION, MAX_BYTES)),
-            trust=Trust(
-                cost_float32=float(checked["cost_float32"]),
-                cost_float64=float(checked["cost_float64"]),
-                cost_perturbed=float(checked["cost_perturbed"]),
-                sensitive=bool(checked["sensitive"]),
-                uncovered=float(checked["uncovered"]),
-                rule_weights=np.array(checked["rule_weights"], np.float64),
-            ),
-            evaluations=int(data["evaluations"]),
-            non_finite=int(data["non_finite"]),
-            compile_seconds=float(data["compile_seconds"]),
-            search_seconds=float(data["search_seconds"]),
-            history=read_history(read(folder, HISTORY, MAX_BYTES)),
-            trajectory=read_trajectory(read(folder, TRAJECTORY, longest)),
-            environment={str(k): str(v) for k, v in data["environment"].items()},
-            version=str(data["version"]),
-        )
-    except OSError as error:
-        if isinstance(error, RunFolderError):
-            raise
-        raise RunFolderError(f"{folder}: cannot be read: {error}") from None
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        if isinstance(error, ConfigError):
-            raise RunFolderError(f"{path}: its configuration is not valid: {error}") from None
-        raise RunFolderError(f"{path}: is not a result: {type(error).__name__} {error}") from None
+def _table(history: History) -> HistoryTable:
+    columns = {name: np.asarray(values) for name, values in history._asdict().items()}
+    return HistoryTable(iteration=np.arange(1, len(columns["best"]) + 1), **columns)
+
+
+def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
+    contenders = {name: evaluation.summary(name) for name in evaluation.contenders}
+    return {
+        "scenarios": evaluation.scenarios,
+        "quantiles": QUANTILES,
+        "gap_closed": evaluation.gap_closed(),
+        "contenders": contenders,
+    }
+
+
+def _result_summary(result: TuneResult) -> dict[str, Any]:
+    costs = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
+    return {
+        "training_mean": {name: np.mean(training) for name, training in costs.items()},
+        "held_out_mean": {name: result.evaluation.cost(name).mean for name in costs},
+        "held_out_scenarios": result.evaluation.scenarios,
+        "warnings": result.warnings(),
+    }
 
 
 def _figure(name: str) -> str:
     return f"{FIGURES}/{name}.png"
 
 
-def _number(value: float | np.floating) -> float | str:
-    """A float for JSON, which has no infinity: that is written as text, and read by `float`."""
-    value = float(value)
-    return value if np.isfinite(value) else str(value)
+def load(folder: str | Path) -> TuneResult:
+    """Read a run's folder back.
+
+    Raises:
+        RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or
+            does not fit to the others; names the file and the field.
+    """
+    folder = as_path("folder", folder)
+
+    def text(name: str, limit: int = MAX_BYTES) -> str:
+        return read_text(folder, name, limit, of="finished run")
+
+    stored = from_json(_StoredResult, text(RESULT), SCHEMA, folder / RESULT)
+    longest = max(MAX_BYTES, MAX_ROW * stored.experiment.scenario.samples)
+    evaluation = from_json(Evaluation, text(EVALUATION), SCHEMA, folder / EVALUATION)
+    history = from_csv(HistoryTable, text(HISTORY), folder / HISTORY)
+    trajectory = from_csv(Trajectory, text(TRAJECTORY, longest), folder / TRAJECTORY)
+    result = TuneResult(
+        **vars(stored),
+        evaluation=evaluation,
+        history=History(**{name: getattr(history, name) for name in History._fields}),
+        trajectory=trajectory,
+    )
+    _refuse_disagreement(folder, result, history.iteration)
+    return result
+
+
+def _refuse_disagreement(folder: Path, result: TuneResult, iteration: np.ndarray) -> None:
+    """Raise a RunFolderError where the files of a run do not fit together."""
+
+    def agree(file: str, field: str, found: object, needed: object) -> None:
+        if found != needed:
+            found, needed = reprlib.repr(found), reprlib.repr(needed)
+            raise RunFolderError(f"{folder / file}: {field} = {found}; in {RESULT}: {needed}")
+
+    experiment, contenders = result.experiment, result.evaluation.contenders
+    both = [TUNED, CONSTANT]
+    agree(EVALUATION, "contenders", [name for name in both if name in contenders], both)
+    tuned, constant = (contenders[name].schedule for name in both)
+    agree(EVALUATION, f"contenders.{TUNED}.schedule.k", tuned.get("k"), result.parameters.tolist())
+    gain = constant.get("gain")
+    agree(EVALUATION, f"contenders.{CONSTANT}.schedule.gain", gain, result.constant_gain)
+    samples, training = experiment.scenario.samples, experiment.run.training_scenarios
+    agree(EVALUATION, "number of times", len(result.evaluation.time), len(band_samples(samples)))
+    agree(TRAJECTORY, "number of rows", len(result.trajectory.time), samples)
+    agree(RESULT, "number of training_costs", len(result.training_costs), training)
+    agree(HISTORY, "iteration", iteration.tolist(), list(range(1, len(iteration) + 1)))
+    agree(HISTORY, "last best", float(result.history.best[-1]), result.best_cost)
+    agree(HISTORY, "sum of non_finite", int(result.history.non_finite.sum()), result.non_finite)

@@ -22,10 +22,8 @@ from posegsa.model.scenario import Bursts, Profile, Scenario, Truth
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
-from posegsa.optimisers import AnyOptimiser
 from posegsa.search import memory
 from posegsa.search.keys import held_out_keys, training_keys
-from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
 
@@ -39,7 +37,6 @@ class TuningProblem(NamedTuple):
     """Training scenarios, then held-out ones."""
     training: ScenarioBatch
     space: ParameterSpace
-    optimiser: AnyOptimiser
 
     @property
     def held_out(self) -> ScenarioBatch:
@@ -48,7 +45,7 @@ class TuningProblem(NamedTuple):
 
 
 def tuning_problem(experiment: config.Experiment) -> TuningProblem:
-    """An experiment's scenarios, parameter space and optimiser.
+    """An experiment's scenarios and parameter space.
 
     Raises:
         MemoryLimitError: It would need more memory than there is.
@@ -67,7 +64,6 @@ def tuning_problem(experiment: config.Experiment) -> TuningProblem:
         everywhere=everywhere,
         training=everywhere.select(slice(run.training_scenarios)),
         space=parameter_space(experiment),
-        optimiser=make_optimiser(experiment),
     )
 
 

@@ -5,6 +5,7 @@ only their costs travel. So a seed gives the same bits on any number of devices 
 """
 
 from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -22,7 +23,7 @@ WORTH = 32
 MAX_PROCESSES = 10**6
 
 
-def join(
+def join_processes(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> None:
     """Join several processes, on one machine or many, for searches together.
@@ -75,13 +76,14 @@ def mesh_of(devices: list[Any]) -> Mesh | None:
     return Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
 
 
-def on_each(mesh: Mesh | None, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function on every device of a mesh, with the same arguments and the same result."""
+@cache
+def on_each(mesh: Mesh | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """What makes a function run on every device of a mesh, with equal arguments and results."""
     if mesh is None:
-        return function
+        return lambda function: function
     same = PartitionSpec()
     # The check for equal results would not see that what is gathered is equal.
-    return jax.shard_map(function, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
+    return partial(jax.shard_map, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
 
 
 def spread(tree: Any, mesh: Mesh | None) -> Any:

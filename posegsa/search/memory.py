@@ -45,7 +45,7 @@ def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[st
         "run.training_scenarios": training
         * (per_scenario * (size + 8) + samples * prepared * size),
         "search.agents": agents + search.agents * 22 * size * 10,
-        "search.iterations": search.iterations * (3 * size + 4 + 3 * 8),
+        "search.iterations": search.total_iterations * (3 * size + 4 + 3 * 8),
     }
 
 

@@ -55,7 +55,7 @@ class ParameterSpace:
     upper: Array
     """(22,)"""
     overlap: Array
-    """Least overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
+    """Minimum overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
     ordering: bool
     coverage: bool
     rules: Rules
@@ -156,7 +156,7 @@ def covering(terms: Array, lower_feet: Array, overlap: Array) -> Array:
     Args:
         terms: ordered terms.
         lower_feet: (5,) lower bounds of the a's.
-        overlap: least overlap wanted. A bound `low` above c_i - overlap wins: the result stays in
+        overlap: minimum overlap wanted. A bound `low` above c_i - overlap wins: the result stays in
         its box.
     """
     feet = [terms[0, 0]]

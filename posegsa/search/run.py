@@ -10,19 +10,20 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
 
 from posegsa import config
 from posegsa.errors import ConfigError
 from posegsa.optimisers import (
-    AnyOptimiser,
     Box,
+    Differentiable,
     Search,
     advance,
-    advance_on_host,
     forward_mode,
+    in_chunks,
+    runner,
     start,
 )
+from posegsa.optimisers.driver import Runner
 from posegsa.search.build import TuningProblem
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
@@ -43,7 +44,7 @@ class Progress(NamedTuple):
     iterations: int
     """Iterations in all."""
     best_cost: float
-    """Best cost so far, of a batch the least; infinite before any finite one."""
+    """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
 
@@ -61,55 +62,8 @@ class Found(NamedTuple):
     search_seconds: float
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _advance(
-    optimiser: AnyOptimiser,
-    objective: config.ObjectiveConfig,
-    mesh: Mesh | None,
-    search: Search,
-    training: ScenarioBatch,
-    space: ParameterSpace,
-    stop: ArrayLike,
-) -> Search:
-    """Run the search on to iteration `stop`, one compiled loop over iterations, agents and time.
-
-    On a mesh, every device runs the search and its share of the simulations.
-    """
-    axis = None if mesh is None else AXIS
-
-    def on_each_device(
-        search: Search, training: ScenarioBatch, space: ParameterSpace, stop: Array
-    ) -> Search:
-        def costs(vectors: Array) -> Array:
-            return population_costs(vectors, training, space, objective, axis)
-
-        return advance(optimiser, forward_mode(costs), Box(space.lower, space.upper), search, stop)
-
-    return on_each(mesh, on_each_device)(search, training, space, jnp.asarray(stop))
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _advance_batch(
-    optimiser: AnyOptimiser,
-    objective: config.ObjectiveConfig,
-    mesh: Mesh | None,
-    search: Search,
-    training: ScenarioBatch,
-    space: ParameterSpace,
-    stop: ArrayLike,
-) -> Search:
-    """The same for R searches, leaves (R, ...), in one compiled loop over them.
-
-    A search fills the vector units by itself, so that on CPUs a loop over searches is as fast as a
-    further batch axis; and each search is, bit for bit, what it is alone.
-    """
-    return jax.lax.map(
-        lambda one: _advance(optimiser, objective, mesh, *one, stop), (search, training, space)
-    )
-
-
-def run_in_chunks(
-    go: Callable[[Search, int], Search],
+def run_timed(
+    run: Runner,
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
@@ -118,7 +72,7 @@ def run_in_chunks(
     """Compile a search, run it in chunks from where it stands, and time both.
 
     Args:
-        go: Takes a search on to an iteration; where it is there already, only compiles.
+        run: Takes the search on; where it is there already, only compiles.
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
         progress: As `tune`'s.
@@ -129,34 +83,38 @@ def run_in_chunks(
     keep(collect(search), 0.0, 0.0)
     begun = time.monotonic()
     # No iterations yet: this compiles, unless a search of this structure has run in this process.
-    search = jax.block_until_ready(go(search, 0))
-    compiled = time.monotonic()
+    search = jax.block_until_ready(run(search, 0))
+    compiled = before = time.monotonic()
     here = collect(search)
     done = int(jnp.max(here.iteration))
     tell(Progress(done, iterations, float(jnp.min(here.best_cost)), 0.0))
     even = -(-iterations // CHUNKS)
     alone = jax.process_count() == 1  # else all must stop at the same iterations
     fits = 1 if alone else even  # one iteration first, to learn the pace
-    while done < iterations:
-        stop = min(iterations, done + min(even - done % even, fits))
-        before = time.monotonic()
-        search = jax.block_until_ready(go(search, stop))
+
+    def size(done: int) -> int:
+        return min(even - done % even, fits)
+
+    for stop, reached in in_chunks(run, search, done, iterations, size):
+        here = collect(jax.block_until_ready(reached))
         now = time.monotonic()
-        here = collect(search)
         keep(here, now - compiled, compiled - begun)
         tell(Progress(stop, iterations, float(jnp.min(here.best_cost)), now - compiled))
-        pace = max(now - before, 1e-9) / (stop - done)
-        done = stop
         if alone:
+            pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
+        done, before = stop, time.monotonic()
     return Found(here, compiled - begun, time.monotonic() - compiled)
 
 
 def first_search(task: TuningProblem, key: Array | None = None) -> Search:
     """A task's search before its first iteration; by default with the key of its seed."""
-    space = task.space
     key = keys(task.experiment.run.seed).search if key is None else key
-    return start(task.optimiser, Box(space.lower, space.upper), key)
+    return start(task.experiment.search, _box(task.space), key)
+
+
+def _box(space: ParameterSpace) -> Box:
+    return Box(space.lower, space.upper)
 
 
 def run_search(
@@ -174,81 +132,30 @@ def run_search(
         search: A search of this task to go on with; by default a new one.
         keep: What looks at the search on its way, such as to save it.
     """
-    search = first_search(task) if search is None else search
-    if getattr(task.optimiser, "on_host", False):
-        return run_in_chunks(_on_host(task), search, task.optimiser.iterations, progress, keep)
-    objective = task.experiment.objective
-    mesh = _mesh(task)
-    started, training, space = spread((search, task.training, task.space), mesh)
-
-    def go(search: Search, stop: int) -> Search:
-        return _advance(task.optimiser, objective, mesh, search, training, space, stop)
-
-    return run_in_chunks(go, started, task.optimiser.iterations, progress, keep)
-
-
-def _mesh(task: TuningProblem) -> Mesh | None:
-    experiment = task.experiment
-    return mesh_for(experiment.search.agents * experiment.run.training_scenarios)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _costs(
-    objective: config.ObjectiveConfig,
-    mesh: Mesh | None,
-    vectors: Array,
-    training: ScenarioBatch,
-    space: ParameterSpace,
-) -> Array:
-    axis = None if mesh is None else AXIS
-
-    def on_each_device(vectors: Array, training: ScenarioBatch, space: ParameterSpace) -> Array:
-        return population_costs(vectors, training, space, objective, axis)
-
-    return on_each(mesh, on_each_device)(vectors, training, space)
-
-
-def on_all_devices(task: TuningProblem) -> Callable[[Array], Array]:
-    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
-    mesh, objective = _mesh(task), task.experiment.objective
-    training, space = spread((task.training, task.space), mesh)
-
-    def costs(vectors: Array) -> Array:
-        return collect(_costs(objective, mesh, spread(vectors, mesh), training, space))
-
-    return costs
-
-
-def _on_host(task: TuningProblem) -> Callable[[Search, int], Search]:
-    """What runs a search on whose optimiser can't be compiled; the simulations are."""
-    experiment, space = task.experiment, task.space
-    costs = on_all_devices(task)
-
-    def go(search: Search, stop: int) -> Search:
-        if stop == 0:  # compile
-            anything = jnp.tile(space.lower[None], (experiment.search.agents, 1))
-            jax.block_until_ready(costs(anything))
-        box = Box(space.lower, space.upper)
-        return advance_on_host(task.optimiser, costs, box, search, stop, numpy_objective=False)
-
-    return go
+    optimiser = task.experiment.search
+    begin = first_search(task) if search is None else search
+    if optimiser.on_host:
+        run = _run_on_host(task)
+    else:
+        mesh = _mesh(task)
+        begin, box, *data = spread((begin, _box(task.space), task.training, task.space), mesh)
+        run = runner(optimiser, _objective(task, mesh), box, *data, on_devices=on_each(mesh))
+    return run_timed(run, begin, optimiser.total_iterations, progress, keep)
 
 
 def search_batch(
     tasks: Sequence[TuningProblem], progress: Callable[[Progress], object] | None
 ) -> list[Found]:
     """Search all tasks in one compiled call."""
-    optimiser, objective = tasks[0].optimiser, tasks[0].experiment.objective
-    for name, differs in (
-        ("search or the optimiser's section", any(t.optimiser != optimiser for t in tasks)),
-        ("objective", any(t.experiment.objective != objective for t in tasks)),
-    ):
-        if differs:
+    first = tasks[0].experiment
+    for name in ("search", "objective"):
+        if any(getattr(task.experiment, name) != getattr(first, name) for task in tasks):
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
-    if getattr(optimiser, "on_host", False):
-        name = tasks[0].experiment.search.optimiser
+    optimiser = first.search
+    if optimiser.on_host:
         raise ConfigError(
-            f"search.optimiser = {name!r} can't be compiled, and so not run in a batch"
+            f"search.optimiser = {optimiser.optimiser!r} can't be compiled, and so not run in a "
+            "batch"
         )
     try:
         reach = max(task.space.reach for task in tasks)  # more than one's own changes no bit of it
@@ -261,18 +168,13 @@ def search_batch(
             "the experiments of a batch differ in structure; allowed: differences in traced values "
             f"only, such as noise, gamma, weights, boxes and initial errors ({error})"
         ) from None
-    search_keys = jnp.stack([keys(t.experiment.run.seed).search for t in tasks])
-    search = jax.vmap(lambda s, key: start(optimiser, Box(s.lower, s.upper), key))(
-        space, search_keys
-    )
+    search_keys = jnp.stack([keys(task.experiment.run.seed).search for task in tasks])
+    search = jax.vmap(partial(start, optimiser))(_box(space), search_keys)
 
     mesh = _mesh(tasks[0])
-    search, training, space = spread((search, training, space), mesh)
-
-    def go(search: Search, stop: int) -> Search:
-        return _advance_batch(optimiser, objective, mesh, search, training, space, stop)
-
-    found = run_in_chunks(go, search, optimiser.iterations, progress)
+    search, box, *data = spread((search, _box(space), training, space), mesh)
+    run = runner(optimiser, _objective(tasks[0], mesh), box, *data, on_devices=on_each(mesh))
+    found = run_timed(run, search, optimiser.total_iterations, progress)
     share = len(tasks)
     return [
         Found(
@@ -282,3 +184,67 @@ def search_batch(
         )
         for i in range(share)
     ]
+
+
+def _mesh(task: TuningProblem) -> Mesh | None:
+    experiment = task.experiment
+    return mesh_for(experiment.search.agents * experiment.run.training_scenarios)
+
+
+class _Objective(NamedTuple):
+    """What is minimised, for programs that are compiled for it."""
+
+    objective: config.ObjectiveConfig
+    axis: str | None
+    """Axis of the mesh over which the simulations are divided, if they are."""
+
+    def __call__(self, training: ScenarioBatch, space: ParameterSpace) -> Differentiable:
+        """As a function of vectors (A, 22), on training scenarios."""
+
+        def costs(vectors: Array) -> Array:
+            return population_costs(vectors, training, space, self.objective, self.axis)
+
+        return forward_mode(costs)
+
+
+def _objective(task: TuningProblem, mesh: Mesh | None) -> _Objective:
+    return _Objective(task.experiment.objective, None if mesh is None else AXIS)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _costs(
+    objective: _Objective,
+    on_devices: Callable[[Callable[..., Array]], Callable[..., Array]],
+    vectors: Array,
+    training: ScenarioBatch,
+    space: ParameterSpace,
+) -> Array:
+    def costs(vectors: Array, training: ScenarioBatch, space: ParameterSpace) -> Array:
+        return objective(training, space).costs(vectors)
+
+    return on_devices(costs)(vectors, training, space)
+
+
+def on_all_devices(task: TuningProblem) -> Callable[[Array], Array]:
+    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
+    mesh = _mesh(task)
+    objective, (training, space) = _objective(task, mesh), spread((task.training, task.space), mesh)
+
+    def costs(vectors: Array) -> Array:
+        return collect(_costs(objective, on_each(mesh), spread(vectors, mesh), training, space))
+
+    return costs
+
+
+def _run_on_host(task: TuningProblem) -> Runner:
+    """What runs a search on whose optimiser can't be compiled; the simulations are."""
+    optimiser, space = task.experiment.search, task.space
+    costs = on_all_devices(task)
+
+    def run(search: Search, stop: int) -> Search:
+        if stop == 0:  # compile
+            anything = jnp.tile(space.lower[None], (optimiser.agents, 1))
+            jax.block_until_ready(costs(anything))
+        return advance(optimiser, costs, _box(space), search, stop)
+
+    return run

@@ -5,9 +5,10 @@ All are bounded, so that nothing absurd is computed with, or allocated.
 Arrays become tuples, so that every section can be hashed, compared, and static under JAX's jit.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -29,6 +30,9 @@ MAX_SAMPLES = 10**7
 Number = Annotated[float, Strict(), Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 NonNegative = Annotated[float, Strict(), Field(ge=0, le=MAX_NUMBER)]
 Positive = Annotated[float, Strict(), Field(ge=MIN_POSITIVE, le=MAX_NUMBER)]
+Epsilon = Annotated[float, Strict(), Field(ge=float(np.finfo(np.float32).tiny), le=MAX_NUMBER)]
+"""What is added against division by zero: a smaller number would be 0 in float32."""
+Share = Annotated[float, Strict(), Field(ge=0, le=1)]
 Count = Annotated[int, Strict(), Field(ge=1, le=MAX_COUNT)]
 Index = Annotated[int, Strict(), Field(ge=0, le=MAX_SAMPLES)]
 Flag = Annotated[bool, Strict()]
@@ -66,6 +70,14 @@ class Section(BaseModel):
                     yield f"{name}.{key}", value, description
             else:
                 yield name, plain[name], " ".join((field.description or "").split())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_numbers_of_python(cls, values: Any) -> Any:
+        """Strict fields would refuse NumPy's scalars."""
+        if not isinstance(values, Mapping):
+            return values
+        return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
 
     def _conflicts(self) -> Iterator[Violation]:
         """What is wrong between the fields, each of them valid in itself."""

@@ -87,13 +87,16 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
     path, tables = _place(item["loc"], model)
     if isinstance(cause := context.get("error"), Refused):
         return [violation.under(path) for violation in cause.violations]
-    if "discriminator" in context:  # the key that says which table of a union is meant
+    is_table = isinstance(value, Mapping)
+    if "discriminator" in context and is_table:  # the key that says which of a union is meant
         key = context["discriminator"].strip("'")
         path, value = (*path, key), value.get(key, ABSENT)
     match item["type"]:
         case "extra_forbidden":
             path = (*path, item["loc"][-1])
             value, reason = ABSENT, _unknown_key(path, tables, model)
+        case "union_tag_not_found" if not is_table:
+            reason = f"Input should be a table with the keys {_listed(tables)}"
         case "missing" | "union_tag_not_found":
             value, reason = ABSENT, "missing"
         case "tuple_type":
@@ -105,9 +108,9 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
             reason = f"Input should be {expected}"
             if nearest := _nearest(value, re.findall("'([^']*)'", expected)):
                 reason += f"; did you mean '{nearest}'?"
-    return [
-        Violation(_dotted(path), re.sub("^(Input|Tuple) | after validation", "", reason), value)
-    ]
+    reason = re.sub("^(Input|Tuple) | after validation", "", reason)
+    reason = re.sub(r"0\.0{4}\d+", lambda small: f"{float(small[0]):g}", reason)
+    return [Violation(_dotted(path), reason, value)]
 
 
 def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
@@ -121,10 +124,18 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
         if fields or isinstance(step, int):
             path = (*path, step)
         if fields:
-            tables = [table for field in fields for table in _tables(field.annotation)]
+            tables = [table for field in fields for table in _tables_of(field)]
         else:
             tables = [t for t in tables if _is_tag_of(step, t)] or tables
     return path, tables
+
+
+def _tables_of(field: FieldInfo) -> list[_Table]:
+    """The tables that may stand in a field."""
+    for choice in field.metadata:
+        if kinds := getattr(choice, "kinds", None):  # `settings.choice`
+            return [kind.model_fields for kind in kinds.values()]
+    return _tables(field.annotation)
 
 
 def _tables(annotation: Any) -> list[_Table]:
@@ -144,7 +155,7 @@ def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:
     if nearest := _nearest(key, [known for table in tables for known in table]):
         return f"unknown key; did you mean {_dotted((*above, nearest))}?"
     for section, field in model.items():
-        if section not in above and any(key in table for table in _tables(field.annotation)):
+        if section not in above and any(key in table for table in _tables_of(field)):
             return f"unknown key; did you mean {section}.{key}?"
     return f"unknown key; known here: {_listed(tables)}"
 

@@ -18,6 +18,7 @@ import pytest
 from experiments import TINY
 
 from posegsa.cli.command import main
+from posegsa.saving.run import load
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -56,8 +57,8 @@ def test_tune_runs_from_any_folder(finished):
     assert "held out" in done.stdout
     assert "Written to posegsa-run" in done.stdout
     data = json.loads((folder / "posegsa-run" / "result.json").read_text())
-    assert data["config"]["run"]["seed"] == 3
-    assert data["config"]["search"]["agents"] == 6
+    assert data["experiment"]["run"]["seed"] == 3
+    assert data["experiment"]["search"]["agents"] == 6
 
 
 def test_it_shows_progress_and_notes_in_plain_words(finished):
@@ -147,24 +148,24 @@ def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys, few_steps):
         assert contender in said.out
         assert contender in said.err, "long work says what it does"
     evaluation = json.loads((folder / "evaluation.json").read_text())
-    assert evaluation["scenarios"] == 5
+    assert evaluation["summary"]["scenarios"] == 5
     assert evaluation["seed"] == 2
-    assert json.loads((folder / "result.json").read_text())["held_out_scenarios"] == 5
+    assert load(folder).evaluation.scenarios == 5
     assert "oracle" in (folder / "report.html").read_text()
     assert (folder / "evaluation.txt").read_text().strip() in said.out
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
-    """Another process may replace it until the folder is claimed."""
+    """Another process may replace it until the folder is locked."""
     events = []
 
     class Judged:
         evaluation = SimpleNamespace(table=str)
 
     @contextmanager
-    def claimed(folder, *, overwrite):
-        events.append("claimed")
+    def locked_folder(folder, *, overwrite):
+        events.append("locked")
         yield folder
 
     def load(folder):
@@ -172,15 +173,15 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         return len(events)
 
     def evaluate(result, **_):
-        assert result == events.index("claimed") + 2, "what was loaded before is judged"
+        assert result == events.index("locked") + 2, "what was loaded before is judged"
         return Judged()
 
-    monkeypatch.setattr("posegsa.saving.folder.claimed", claimed)
-    monkeypatch.setattr("posegsa.saving.run.load", load)
-    monkeypatch.setattr("posegsa.saving.run.write", lambda *_: events.append("written"))
+    monkeypatch.setattr("posegsa.cli.evaluate.locked_folder", locked_folder)
+    monkeypatch.setattr("posegsa.cli.evaluate.load", load)
+    monkeypatch.setattr("posegsa.cli.evaluate.write_run", lambda *_: events.append("written"))
     monkeypatch.setattr("posegsa.evaluating.evaluate", evaluate)
     assert main(["evaluate", str(tmp_path)]) == 0
-    assert events == ["loaded", "claimed", "loaded", "written"]
+    assert events == ["loaded", "locked", "loaded", "written"]
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -10,6 +10,7 @@ from pydantic import BaseModel
 import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override, to_toml
 from posegsa.errors import ConfigError, PosegsaError, RunFolderError
+from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evosax, Optimiser
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 FILES = sorted(CONFIGS.glob("*.toml"))
@@ -88,8 +89,8 @@ def test_the_literal_paper_differs_where_the_paper_says_so() -> None:
         "fuzzy.centroid": "sampled",
         "fuzzy.no_rule": "midrange",
         "fuzzy.coverage": False,
-        "gsa.force_power": 2.0,
-        "gsa.random": "agent",
+        "search.force_power": 2.0,
+        "search.random": "agent",
     }
 
 
@@ -144,7 +145,10 @@ def sections(model: type[BaseModel]) -> set[type[BaseModel]]:
     return {model, *(m for field in fields for m in models(field.annotation))}
 
 
-@pytest.mark.parametrize("model", sorted(sections(Experiment), key=lambda model: model.__name__))
+SECTIONS = sections(Experiment) - {Optimiser} | set(OPTIMISERS.values())
+
+
+@pytest.mark.parametrize("model", sorted(SECTIONS, key=lambda model: model.__name__))
 def test_every_field_is_described(model: type[BaseModel]) -> None:
     for name, field in model.model_fields.items():
         assert field.description, name
@@ -245,6 +249,15 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
+shares = st.floats(0, 1)
+searches = st.one_of(
+    st.builds(GSA, agents=st.integers(2, 99), g0=positive, final_percent=st.floats(0, 100)),
+    st.builds(DifferentialEvolution, crossover=shares, strategy=st.just("best/1/bin")),
+    st.builds(Adam, agents=st.integers(1, 99), spread=shares, epsilon=positive),
+    st.builds(Evosax, strategy=st.just("SNES"), sigma=positive),
+).map(lambda search: search.model_dump())
+
+
 @st.composite
 def experiments(draw: st.DrawFn) -> Experiment:
     scenario = draw(scenarios())
@@ -262,7 +275,7 @@ def experiments(draw: st.DrawFn) -> Experiment:
             "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},
             "fuzzy": {"rules": draw(st.tuples(*[row] * 5)), "no_rule": draw(words["no_rule"])},
             "cost": {"transient_window": draw(windows), "steady_window": draw(windows)},
-            "gsa": {"g0": draw(positive), "final_percent": draw(st.floats(1e-3, 100))},
+            "search": draw(searches),
         }
     )
 

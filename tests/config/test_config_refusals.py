@@ -40,7 +40,7 @@ def setting_refusal(*texts: str) -> str:
         ("scenario.vectors=3", "scenario.vectors = 3", "should be an array"),
         ("scenario.vectors.0=3", "scenario.vectors.0 = 3", "a table with the keys direction, bias"),
         ("filter.law=1979-05-27", "filter.law = 1979-05-27", "'gradient' or 'printed'"),
-        ("gsa.random=true", "gsa.random = true", "'dimension' or 'agent'"),
+        ("search.random=true", "search.random = true", "'dimension' or 'agent'"),
         # not finite, out of range
         ("filter.gamma=nan", "filter.gamma = nan", "a finite number, or should be an array"),
         ("scenario.duration=inf", "scenario.duration = inf", "should be a finite number"),
@@ -55,15 +55,15 @@ def setting_refusal(*texts: str) -> str:
         (
             "filter.gain_limit=0",
             "filter.gain_limit = 0",
-            "should be greater than or equal to 0.000000001, or should be 'off'",
+            "should be greater than or equal to 1e-09, or should be 'off'",
         ),
         ("run.seed=4294967296", "run.seed = 4294967296", "less than or equal to 4294967295"),
         ("run.seed=-1", "run.seed = -1", "greater than or equal to 0"),
         ("run.training_scenarios=0", "run.training_scenarios = 0", "greater than or equal to 1"),
         ("fuzzy.sampled_points=2", "fuzzy.sampled_points = 2", "greater than or equal to 3"),
         ("search.agents=1", "search.agents = 1", "greater than or equal to 2"),
-        ("gsa.final_percent=0", "gsa.final_percent = 0", "greater than 0"),
-        ("gsa.final_percent=101", "gsa.final_percent = 101", "less than or equal to 100"),
+        ("search.final_percent=-1", "search.final_percent = -1", "greater than or equal to 0"),
+        ("search.final_percent=101", "search.final_percent = 101", "less than or equal to 100"),
         # negative noise
         (
             "scenario.angular_velocity_noise=-0.1",
@@ -193,7 +193,7 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("filter.substep=3", "filter.substep unknown key; did you mean filter.substeps?"),
         ("fliter.substeps=3", "fliter unknown key; did you mean filter?"),
         ("gain.Signal=pose", "gain.Signal unknown key; did you mean gain.signal?"),
-        ("gsa.agents=3", "gsa.agents unknown key; did you mean search.agents?"),
+        ("filter.agents=3", "filter.agents unknown key; did you mean search.agents?"),
         ("scenario.vectors.0.nose=3", "did you mean scenario.vectors.0.noise?"),
         ("scenario.normalize_vectors=false", "did you mean scenario.normalise_vectors?"),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
@@ -208,6 +208,9 @@ def test_missing_keys_and_wrong_tables_are_named() -> None:
     text = refusal(from_dict, {"run": 3, "scenario": {"landmarks": [{"positon": [1, 2, 3]}]}})
     assert "run = 3 should be a table with the keys seed, dtype" in text
     assert "scenario.landmarks.0.position missing" in text
+    assert "search = [] should be a table with the keys optimiser" in refusal(
+        from_dict, {"search": []}
+    )
     assert "landmarks.0.positon unknown key; did you mean scenario.landmarks.0.position?" in text
 
 

@@ -1,6 +1,7 @@
 """The figures of an evaluation: what they show is what they were given."""
 
 import re
+from dataclasses import replace
 from functools import partial
 
 import matplotlib
@@ -19,7 +20,6 @@ from posegsa.judging.evaluation import (
     ORACLE,
     RANDOM,
     TUNED,
-    Evaluation,
 )
 from posegsa.judging.metrics import Bands
 
@@ -123,7 +123,7 @@ def test_bands_without_an_oracle_and_of_a_short_run_are_drawn():
     figure = plots.plot_bands(evaluation((TUNED, CONSTANT, RANDOM)))
     assert legend(figure) == [TUNED, CONSTANT]
     given = evaluation((TUNED, CONSTANT))
-    short = Evaluation(40, None, TIME / 15, given.contenders)
+    short = replace(given, time=TIME / 15)
     assert len(plots.plot_bands(short).axes) == 3
 
 

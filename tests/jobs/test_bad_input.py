@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from experiments import TINY, tiny
-from generated import call, configuration
+from generated import call, configuration, some_result
 
 import posegsa
 from posegsa import config
@@ -16,16 +16,6 @@ from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 
 SECTIONS = tuple(config.Experiment.model_fields)
-
-
-def some_result() -> posegsa.TuneResult:
-    """A result as far as its schedule and experiment go; it was never tuned."""
-    experiment = tiny()
-    parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
-    unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
-    return posegsa.TuneResult(
-        **unknown | {"experiment": experiment, "parameters": parameters, "constant_gain": 5.0}
-    )
 
 
 @pytest.fixture(scope="module")

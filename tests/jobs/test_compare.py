@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,14 +14,16 @@ from scipy import stats
 import posegsa
 from posegsa.cli.command import main
 from posegsa.cli.progress import CompareBar
-from posegsa.comparing import Status, _search, load_comparison
+from posegsa.comparing import Status, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
-from posegsa.judging.comparison import Comparison, Gradients, Repeat, from_json, quantiles
+from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.saving.folder import claimed
+from posegsa.saving.comparison import SCHEMA, load_comparison
+from posegsa.saving.folder import locked_folder
+from posegsa.saving.records import from_json, to_json
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
@@ -35,10 +38,10 @@ def repeat(cost: float, held_out: float | None = None) -> Repeat:
     return Repeat(cost, held_out, [0.0], 2.0, 0.1, 0, [10, 20, 30, 40], best, [0.5, 1, 1.5, 2.0])
 
 
-def made(**costs: list[float]) -> Comparison:
+def made(**costs: list[float]) -> OptimiserComparison:
     """A comparison with these final costs; held out, each costs 1 more."""
     repeats = {name: [repeat(c, c + 1) for c in each] for name, each in costs.items()}
-    return Comparison("something", 40, {"a": 1}, repeats)
+    return OptimiserComparison("something", 40, {"a": 1}, repeats)
 
 
 A, B = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5], [1.5, 3.0, 4.75, 4.25, 6.25, 5.9]
@@ -93,7 +96,8 @@ def test_infinite_costs_rank_last_and_survive_the_file() -> None:
     comparison = made(a=[1.0, np.inf, 2.0], b=[np.inf, np.inf, 3.0])
     assert comparison.costs("a").tolist() == [1, np.inf, 2]
     assert comparison.versus_first()["b"].difference == -1
-    assert from_json(comparison.to_json()) == comparison
+    text = to_json(comparison, SCHEMA)
+    assert from_json(OptimiserComparison, text, SCHEMA, Path("comparison.json")) == comparison
     assert "inf" in comparison.table()
     plot_comparison(comparison)
 
@@ -124,7 +128,7 @@ def on_sphere(tmp_path_factory: pytest.TempPathFactory):
     folder, told = tmp_path_factory.mktemp("compare") / "out", []
     comparison = posegsa.compare(
         tiny(),
-        optimisers=["gsa", "random"],
+        optimisers=["gsa", "random_search"],
         repeats=3,
         evaluations=32,
         function=SPHERE,
@@ -137,14 +141,16 @@ def on_sphere(tmp_path_factory: pytest.TempPathFactory):
 def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     comparison, _, told = on_sphere
     key = jax.random.fold_in(keys(0).search, 2)
-    alone = minimise(SPHERE, SPHERE.box, GSA(6, 5), key)
+    alone = minimise(SPHERE, SPHERE.box, GSA(agents=6, iterations=5), key)
     third = comparison.repeats["gsa"][2]
     assert third.cost == float(alone.best_cost)
     assert third.evaluations == [6, 12, 18, 24, 30]
     assert third.held_out is None
     np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
     assert np.all(np.diff(third.times) >= 0)
-    assert told[-1] == Status("random", 2, 3, 1.0, comparison.repeats["random"][2].cost)
+    assert told[-1] == Status(
+        "random_search", 2, 3, 1.0, comparison.repeats["random_search"][2].cost
+    )
 
 
 def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None:
@@ -160,12 +166,17 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None
         lambda *args: searched.append(args[1]) or search(*args),
     )
     more = posegsa.compare(
-        tiny(), optimisers=["random"], repeats=4, evaluations=32, function=SPHERE, out=folder
+        tiny(),
+        optimisers=["random_search"],
+        repeats=4,
+        evaluations=32,
+        function=SPHERE,
+        out=folder,
     )
     assert len(searched) == 1, "only the fourth repeat is new"
-    assert list(more.repeats) == ["random", "gsa"], "what the folder held is kept"
+    assert list(more.repeats) == ["random_search", "gsa"], "what the folder held is kept"
     assert more.repeats["gsa"] == comparison.repeats["gsa"]
-    assert more.repeats["random"][:3] == comparison.repeats["random"]
+    assert more.repeats["random_search"][:3] == comparison.repeats["random_search"]
     assert "3 to 4 repeats" in more.heading()
     assert set(more.versus_first()) == {"gsa"}
 
@@ -180,19 +191,22 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
         with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
             posegsa.compare(tiny(), **(same | changed))
     with pytest.raises(RunFolderError, match="holds a comparison"):
-        posegsa.compare(tiny("gsa.g0=3.0"), evaluations=32, **same)
-    (tmp_path / "comparison.json").write_text("{}")
-    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+        posegsa.compare(tiny("search.g0=3.0"), evaluations=32, **same)
+    (tmp_path / "comparison.json").write_text('{"schema": 1}')
+    with pytest.raises(RunFolderError, match=r"comparison\.json: schema = 1, written by"):
         load_comparison(tmp_path)
     (tmp_path / "comparison.json").write_text("[" * 100000)
-    with pytest.raises(RunFolderError, match="cannot be read as a comparison"):
+    with pytest.raises(RunFolderError, match=r"comparison\.json: is not JSON"):
         load_comparison(tmp_path)
     with pytest.raises(RunFolderError, match="holds no comparison"):
         load_comparison(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(RunFolderError, match="is not a folder"):
         posegsa.compare(tiny(), **(same | {"out": tmp_path / "file", "evaluations": 32}))
-    with claimed(folder, overwrite=True), pytest.raises(RunFolderError, match="another run is"):
+    with (
+        locked_folder(folder, overwrite=True),
+        pytest.raises(RunFolderError, match="another run is"),
+    ):
         posegsa.compare(tiny(), **(same | {"evaluations": 32}))
 
 
@@ -207,8 +221,8 @@ def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) ->
         posegsa.compare(tiny(), optimisers=["gsa", "pso"], progress=interrupted, **same)
     assert {n: len(r) for n, r in load_comparison(tmp_path).repeats.items()} == {"gsa": 1}
     assert "1 repeats" in load_comparison(tmp_path).table()
-    more = posegsa.compare(tiny(), optimisers=["random"], **same)
-    assert {n: len(r) for n, r in more.repeats.items()} == {"random": 2, "gsa": 1}
+    more = posegsa.compare(tiny(), optimisers=["random_search"], **same)
+    assert {n: len(r) for n, r in more.repeats.items()} == {"random_search": 2, "gsa": 1}
 
 
 def test_what_replaces_a_comparison_takes_its_table_and_figure_away(on_sphere, tmp_path) -> None:
@@ -255,16 +269,13 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
 
 
 def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
-    """How often checkpoints are made; comparisons of before have it among their settings."""
+    """How often checkpoints are made is not among a comparison's settings."""
     monkeypatch.setattr(
         sys.modules["posegsa.comparing"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
     )
     monkeypatch.setattr(sys.modules["posegsa.comparing"], "_Filter", Unsearched)
     same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
     posegsa.compare(tiny(), repeats=1, **same)
-    data = json.loads((tmp_path / "comparison.json").read_text())
-    data["settings"]["checkpoint"] = {"iterations": 100, "seconds": 10.0, "keep": 2}
-    (tmp_path / "comparison.json").write_text(json.dumps(data))
     more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
     assert len(more.repeats["gsa"]) == 2
     with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
@@ -299,12 +310,12 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     words = ["compare", "--function", "sphere", "--dimensions", "2", "--evaluations", "32"]
-    words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random"]
+    words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random_search"]
     assert main([*words, "--levels", "9000", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
     assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
     assert "to 9000" in said.out
-    assert "random 2/2" in said.err
+    assert "random_search 2/2" in said.err
     assert "done" in said.err
     assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
@@ -330,7 +341,7 @@ def test_the_bar_says_that_it_stopped_unless_nothing_had_begun(begun, said, caps
         (["--optimisers", ","], "optimisers: none"),
         (["--function", "spher"], "name = 'spher'"),
         (["--function", "sphere", "--shift", "2"], "shift = 2.0"),
-        (["--evaluations", "10"], "evaluations = 10 of 'gsa'; allowed: at least 100"),
+        (["--evaluations", "10"], "evaluations = 10; allowed: at least 100, one iteration of gsa"),
     ],
 )
 def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) -> None:

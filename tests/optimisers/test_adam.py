@@ -1,5 +1,7 @@
 """Gradient descent: Adam against the article's algorithm, gradients of the filter, and polish."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,22 +10,24 @@ from bits import assert_same
 from experiments import tiny
 from jax import Array, random
 
+from posegsa.errors import ConfigError
 from posegsa.optimisers import (
     GSA,
     Adam,
     Differentiable,
+    ParticleSwarm,
     Polish,
+    PolishedGSA,
     RandomSearch,
+    advance,
     ask,
     box,
-    evaluations_spent,
     from_unit,
     minimise,
     start,
     tell,
 )
-from posegsa.optimisers.adam import LARGEST_BETA
-from posegsa.optimisers.checks import SMALLEST_EPSILON
+from posegsa.optimisers.adam import MAX_BETA
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import evaluate_population
@@ -69,7 +73,7 @@ DESCENT = Adam(agents=3, iterations=40, learning_rate=0.1)
 def test_it_finds_a_minimum_on_the_face_of_the_box() -> None:
     search = minimise(bowl, TARGET, DESCENT, random.key(1))
     np.testing.assert_allclose(search.best_position, [2.5, -2], atol=0.02)
-    assert evaluations_spent(DESCENT)[-1] == 40 * 3 * 23
+    assert DESCENT.evaluations == 40 * 3 * 23
 
 
 def test_gradients_that_are_not_finite_are_counted_and_told_as_zero() -> None:
@@ -99,35 +103,69 @@ def test_an_objective_may_bring_its_own_gradient() -> None:
 
 
 def test_polish_descends_from_the_best_and_chunks_do_not_change_a_bit() -> None:
-    search = GSA(agents=5, iterations=6)
-    polish = Polish(search, Adam(agents=2, iterations=30, learning_rate=0.03))
+    polish = PolishedGSA(agents=5, iterations=282, share=276 / 282, starts=2, g0=50.0)
+    search, descent = polish.phases
+    assert search == GSA(agents=5, iterations=6, g0=50.0)
+    assert descent == Adam(agents=2, iterations=30)
     whole = minimise(bowl, TARGET, polish, random.key(3))
     first = minimise(bowl, TARGET, search, random.key(3))
     assert whole.history.best[:6].tolist() == first.history.best.tolist()
     assert whole.history.best[6] <= first.best_cost * 1.001
     assert whole.best_cost < first.best_cost
-    assert evaluations_spent(polish).tolist()[5:8] == [30, 30 + 46, 30 + 92]
+    assert polish.evaluations_spent().tolist()[5:8] == [30, 30 + 46, 30 + 92]
     for chunk in (1, 6, 4):
         assert_same(minimise(bowl, TARGET, polish, random.key(3), chunk=chunk), whole)
+
+
+def test_any_search_is_polished_by_a_class_of_both() -> None:
+    class PolishedSwarm(Polish, ParticleSwarm):
+        searching = ParticleSwarm
+
+    still = {"inertia": 0.0, "cognitive": 0.0, "social": 0.0}
+    polish = PolishedSwarm(agents=5, iterations=60, starts=2, share=0.8, **still)
+    swarm, descent = polish.phases
+    assert swarm == ParticleSwarm(agents=5, iterations=12, **still)
+    assert (descent.agents, descent.iterations) == (2, 5 * 48 // 46)
+    search = minimise(bowl, TARGET, polish, random.key(3))
+    assert search.best_cost < search.history.best[11]
+    with pytest.raises(ConfigError, match=r"share = 0\.5\s+leaves 30 of 6 x 10 .* at least 184"):
+        PolishedGSA(agents=6, iterations=10)
+    with pytest.raises(ValueError, match="of several phases"):
+        ask(polish, TARGET, start(polish, TARGET, random.key(3)))
+
+
+def test_polish_on_the_host_is_what_it_is_compiled() -> None:
+    polish = PolishedGSA(agents=4, iterations=30, share=0.9, starts=2)
+
+    def both(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(bowl(x)), bowl_gradient(x)
+
+    begin = start(polish, TARGET, random.key(5))
+    search = advance(polish, both, TARGET, begin, 100, on_host=True)
+    compiled = minimise(bowl, TARGET, polish, random.key(5))
+    assert search.iteration == compiled.iteration == polish.total_iterations == 5
+    np.testing.assert_allclose(search.history.best, compiled.history.best, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
         ({"learning_rate": -1}, "learning_rate = -1"),
-        ({"beta1": 1.0}, r"beta1 = 1\.0; allowed: .* at most 0\.999999"),
+        ({"beta1": 1.0}, r"beta1 = 1\.0 should be less than or equal to 0.999999"),
         ({"beta2": 1 - 1e-9}, "beta2 = 0.999999999"),
-        ({"epsilon": 0.0}, r"epsilon = 0\.0; allowed: a finite number of at least 1\.17549e-38"),
+        ({"epsilon": 0.0}, r"epsilon = 0\.0 should be greater than or equal to 1\.17549e-38"),
         ({"gradient_price": 0}, "gradient_price = 0"),
     ],
 )
 def test_settings_out_of_range_are_refused(setting: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=f"Adam: {message}"):
+    with pytest.raises(ConfigError) as refused:
         Adam(**setting)
+    assert re.match(f"not a valid Adam {message}", " ".join(str(refused.value).split()))
 
 
 def test_the_outermost_settings_stay_finite_without_a_slope() -> None:
-    extreme = Adam(3, 5, beta1=LARGEST_BETA, beta2=LARGEST_BETA, epsilon=SMALLEST_EPSILON)
+    tiny = float(np.finfo(np.float32).tiny)
+    extreme = Adam(agents=3, iterations=5, beta1=MAX_BETA, beta2=MAX_BETA, epsilon=tiny)
     for slope in (0.0, 1e-30, 1.0):
         search = minimise(lambda x, s=slope: s * x[:, 0], TARGET, extreme, random.key(4))
         assert jnp.isfinite(search.state.position).all(), slope
@@ -138,8 +176,7 @@ SMALL = [
     "run.dtype=float64",
     "run.training_scenarios=1",
     "search.optimiser=adam",
-    "adam.starts=2",
-    "search.agents=46",
+    "search.agents=2",
     "search.iterations=1",
     "filter.substeps=1",
     "scenario.cross_vector=false",
@@ -159,9 +196,8 @@ def test_gradients_of_the_filter_against_central_differences() -> None:
         task = tuning_problem(tiny(*SMALL))
         search = run_search(task).search
         assert search.iteration == 1
-        assert isinstance(task.optimiser, Adam)
         lower, width = np.asarray(task.space.lower), np.asarray(task.space.upper - task.space.lower)
-        first = task.optimiser.init(keys(0).search, 22, jnp.float64).position
+        first = task.experiment.search.init(keys(0).search, 22, jnp.float64).position
         gradient = np.asarray(search.state.moments.mu) / 0.1
         h = 1e-6
         moves = np.concatenate([h * np.eye(22), -h * np.eye(22)])
@@ -181,4 +217,4 @@ def test_gradients_of_the_filter_against_central_differences() -> None:
 
 
 def test_random_search_spends_an_evaluation_an_agent() -> None:
-    assert evaluations_spent(RandomSearch(agents=4, iterations=3)).tolist() == [4, 8, 12]
+    assert RandomSearch(agents=4, iterations=3).evaluations_spent().tolist() == [4, 8, 12]

@@ -30,7 +30,7 @@ def test_others_are_distinct_and_uniform() -> None:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("strategy", ["rand/1/bin", "best/1/bin"])
 def test_generations_against_a_plain_loop(strategy: Strategy) -> None:
-    de = DifferentialEvolution(6, 9, strategy, factor=0.8, crossover=0.4)
+    de = DifferentialEvolution(agents=6, iterations=9, strategy=strategy, factor=0.8, crossover=0.4)
     state = de.init(random.key(1), 4, jnp.float64)
     tell = jax.jit(de.tell)
     rng = np.random.default_rng(1)
@@ -71,7 +71,7 @@ def test_it_ends_where_scipys_does() -> None:
     ours = minimise(
         function,
         function.box,
-        DifferentialEvolution(20, 60, factor=0.5, crossover=0.7),
+        DifferentialEvolution(agents=20, iterations=60, factor=0.5, crossover=0.7),
         random.split(random.key(2), 9),
     ).best_cost
     theirs = [
@@ -102,12 +102,15 @@ def _rastrigin(z: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"agents": 3}, "agents = 3; allowed: an integer of at least 4"),
-        ({"strategy": "rand/2"}, "strategy = 'rand/2'; allowed: 'rand/1/bin' or 'best/1/bin'"),
+        ({"agents": 3}, "agents = 3\n    should be greater than or equal to 4"),
+        (
+            {"strategy": "rand/2"},
+            "strategy = \"rand/2\"\n    should be 'rand/1/bin' or 'best/1/bin'",
+        ),
         ({"factor": 2.5}, "factor = 2.5"),
         ({"crossover": 1.1}, "crossover = 1.1"),
     ],
 )
 def test_settings_out_of_range_are_refused(setting: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=f"DifferentialEvolution: {message}"):
+    with pytest.raises(ValueError, match=f"not a valid DifferentialEvolution\n\n  {message}"):
         DifferentialEvolution(**setting)

@@ -15,6 +15,7 @@ from jax import Array, lax
 from reference import gsa_acceleration, gsa_masses
 from scipy import stats
 
+from posegsa.errors import ConfigError
 from posegsa.optimisers import GSA, advance, box, minimise, start
 from posegsa.optimisers.base import uniform
 from posegsa.optimisers.gsa import GSAState, acceleration, coarse_uniform, confine, masses
@@ -249,23 +250,39 @@ def test_equal_costs_make_all_agents_attract_alike() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "allowed"),
     [
-        ("agents", 1, "an integer of at least 2"),
-        ("agents", 10.0, "an integer of at least 2"),
-        ("iterations", 0, "an integer of at least 1"),
-        ("iterations", True, "an integer of at least 1"),
-        ("g0", -1, "a finite number of at least 0"),
-        ("g0", math.inf, "a finite number of at least 0"),
-        ("alpha", math.nan, "a finite number of at least 0"),
-        ("force_power", "2", "a finite number of at least 0"),
+        ("agents", 1, "greater than or equal to 2"),
+        ("agents", 10.0, "a valid integer"),
+        ("agents", np.int64(1), "greater than or equal to 2"),
+        ("iterations", 0, "greater than or equal to 1"),
+        ("iterations", True, "a valid integer"),
+        ("iterations", np.bool_(True), "a valid integer"),
+        ("g0", -1, "greater than or equal to 0"),
+        ("g0", math.inf, "a finite number"),
+        ("alpha", math.nan, "a finite number"),
+        ("force_power", "2", "a valid number"),
         ("random", "pair", "'dimension' or 'agent'"),
-        ("bounds", "wrap", "'redraw' or 'clip' or 'reflect'"),
-        ("final_percent", 101, "a finite number of at least 0 and at most 100"),
-        ("epsilon", 0.0, "a finite number of at least 1.17549e-38"),
+        ("bounds", "wrap", "'redraw', 'clip' or 'reflect'"),
+        ("final_percent", 101, "less than or equal to 100"),
+        ("epsilon", 0.0, "greater than or equal to 1.17549e-38"),
+        ("epsilon", None, "'spacing'"),
+        ("decay_iterations", 0, "'all'"),
     ],
 )
 def test_settings_are_checked(field: str, value: Any, allowed: str) -> None:
-    with pytest.raises(ValueError, match=f"^GSA: {field} = {value!r}; allowed: {allowed}$"):
+    with pytest.raises(ConfigError) as refused:
         GSA(**{field: value})
+    first, _, key, *what = str(refused.value).split("\n")
+    assert first == "not a valid GSA"
+    assert key.startswith(f"  {field} = ")
+    assert what[0].startswith("    should be ")
+    assert allowed in " ".join(what)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    made = GSA(agents=np.int64(5), g0=np.float32(0.5), alpha=np.float64(3))
+    assert made == GSA(agents=5, g0=0.5, alpha=3.0)
+    assert hash(made) == hash(GSA(agents=5, g0=0.5, alpha=3.0))
+    assert [type(value) for value in (made.agents, made.g0, made.alpha)] == [int, float, float]
 
 
 # The search as a whole: 30 dimensions, 50 agents, 1000 iterations, float64, mean of the best costs.

@@ -14,7 +14,7 @@ from jax import Array
 from posegsa.optimisers import (
     Adam,
     ParticleSwarm,
-    Polish,
+    PolishedGSA,
     RandomSearch,
     Search,
     Until,
@@ -157,13 +157,12 @@ def test_a_gradient_on_the_host() -> None:
         ({"objective": 4.0}, "objective is a float; allowed: a function"),
         ({"optimiser": "gsa"}, r"optimiser is a str; allowed: settings such as posegsa.GSA"),
         ({"optimiser": ParticleSwarm}, "optimiser is a type; allowed: settings"),
-        ({"evaluations": 0}, "evaluations = 0; allowed: an integer of at least 1"),
+        ({"evaluations": 0}, "evaluations = 0; allowed: a whole number from 1"),
         ({"seconds": -1}, "seconds = -1; allowed: a finite number"),
         ({"target": np.nan}, "target = nan; allowed: a finite number"),
-        ({"patience": 1.5}, "patience = 1.5; allowed: an integer of at least 1"),
+        ({"patience": 1.5}, "patience = 1.5; allowed: a whole number from 1"),
         ({"tolerance": 0.1}, "tolerance = 0.1; allowed: with patience"),
         ({"tolerance": 0.1, "target": 1.0}, "tolerance = 0.1; allowed: with patience"),
-        ({"on_host": True, "optimiser": Polish(SWARM, Adam())}, "a Polish on the host; allowed"),
         ({"on_host": True, "key": jax.random.split(KEY, 2)}, r"keys of shape \(2,\) on the host"),
     ],
 )
@@ -171,6 +170,22 @@ def test_bad_arguments_are_refused_by_name(change: dict[str, Any], message: str)
     arguments = {"objective": sphere, "box": TARGET, "optimiser": SWARM, "key": KEY} | change
     with pytest.raises(ValueError, match=f"minimise: {message}"):
         minimise(**arguments)
+
+
+def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
+    polish = PolishedGSA(agents=6, iterations=40, share=0.9, starts=1)
+    seen: list[int] = []
+    with pytest.raises(ValueError, match=r"objective: gradients of shape None; allowed: \(1, 2\)"):
+        minimise(
+            lambda x: np.sum(x**2, 1),
+            TARGET,
+            polish,
+            KEY,
+            on_host=True,
+            chunk=1,
+            callback=lambda s: seen.append(int(s.iteration)),
+        )
+    assert seen == [1, 2, 3, 4], "the search itself wants none"
 
 
 @pytest.mark.parametrize("costs", [np.zeros((6, 1)), [[1], [2, 3]], "text", None])

@@ -1,6 +1,5 @@
 """The box, the loop and its record: what holds for every optimiser."""
 
-from dataclasses import FrozenInstanceError
 from typing import Any
 
 import jax
@@ -92,7 +91,7 @@ def test_from_unit_maps_every_row() -> None:
 @pytest.mark.parametrize("optimiser", OPTIMISERS)
 def test_optimisers_keep_the_protocol(optimiser: Optimiser) -> None:
     assert hash(optimiser) == hash(type(optimiser)(**vars(optimiser)))
-    with pytest.raises(FrozenInstanceError):
+    with pytest.raises(ValueError, match="frozen"):
         optimiser.agents = 3
     for x64, dtype in ((False, jnp.float32), (True, jnp.float64)):
         with jax.enable_x64(x64):
@@ -276,7 +275,7 @@ def test_minimise_compiles_once_per_objective() -> None:
 
 @pytest.mark.parametrize("chunk", [0, -1, 2.5, True])
 def test_minimise_refuses_a_chunk(chunk: Any) -> None:
-    message = f"minimise: chunk = {chunk}; allowed: an integer of at least 1"
+    message = f"minimise: chunk = {chunk}; allowed: a whole number from 1"
     with pytest.raises(ValueError, match=message):
         minimise(sphere, box([0], [1]), Fixed(), jax.random.key(0), chunk=chunk)
 

@@ -60,6 +60,7 @@ def test_it_finds_a_minimum_slowly() -> None:
 @pytest.mark.parametrize("field", ["agents", "iterations"])
 @pytest.mark.parametrize("value", [0, -3, 1.5, True, "many", None])
 def test_settings_are_checked(field: str, value: Any) -> None:
-    message = f"RandomSearch: {field} = {value!r}; allowed: an integer of at least 1"
+    allowed = "should be (greater than or equal to 1|a valid integer)"
+    message = rf"not a valid RandomSearch\n\n  {field} = .*\n    {allowed}"
     with pytest.raises(ValueError, match=message):
         RandomSearch(**{field: value})

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evaluations import ANGLES, SCHEDULES, changed, evaluation, trust
-from reports import PARAMETERS, PICTURE, Page, page, result, values
+from reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
 from posegsa import config
 from posegsa.errors import RunFolderError
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import style as figure_style
-from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED, Evaluation
+from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED
 from posegsa.report import report_html
 from posegsa.report.headline import verdict
 from posegsa.report.markup import cost, element, number
@@ -139,8 +139,7 @@ def test_the_verdict_is_that_of_the_paired_interval(shift, said):
 
 def test_the_verdict_of_one_scenario_is_that_there_is_none():
     given = evaluation((TUNED, CONSTANT), cost=np.array([43.0]))
-    one = Evaluation(1, None, given.time, given.contenders)
-    assert "too few" in verdict(one)
+    assert "too few" in verdict(given)
 
 
 def test_warnings_are_shown_before_all_else():
@@ -345,7 +344,7 @@ def test_the_angles_are_explained_where_they_do_not_differ():
 
 def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
-    whole = result(evaluation=evaluation(initial_angle=ANGLES))
+    whole = consistent()
     folder = posegsa.save(whole, tmp_path / "run")
     figures = {path.stem: path.read_bytes() for path in (folder / "figures").iterdir()}
     assert {"costs", "bands", "angles", "rules", "control_surface", "errors"} <= set(figures)

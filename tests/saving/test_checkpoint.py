@@ -10,7 +10,16 @@ import pytest
 from bits import assert_same
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
-from posegsa.optimisers import GSA, RandomSearch, advance, box, lengthened, minimise, start
+from posegsa.optimisers import (
+    GSA,
+    PolishedGSA,
+    RandomSearch,
+    advance,
+    box,
+    lengthened,
+    minimise,
+    start,
+)
 from posegsa.saving.checkpoint import FORMAT, load_search, objects_in, read, save_search
 
 BOX = box([-1.0, -1.0], [1.0, 2.0])
@@ -75,6 +84,16 @@ def test_random_search_and_float64_likewise(tmp_path, x64):
     assert_same(loaded, half)
 
 
+def test_a_search_of_several_phases_goes_on_from_any_of_them(tmp_path):
+    polish, seen = PolishedGSA(agents=5, iterations=40, share=0.9, starts=2), []
+    whole = minimise(sphere, BOX, polish, KEY, chunk=1, callback=seen.append)
+    assert [phase.iterations for phase in polish.phases] == [4, 3]
+    for search in seen:
+        save_search(tmp_path / "search", search)
+        loaded = load_search(tmp_path / "search", start(polish, BOX, KEY))
+        assert_same(minimise(sphere, BOX, polish, KEY, search=loaded), whole)
+
+
 def test_an_optimiser_with_old_style_keys_and_a_state_of_its_own(tmp_path):
     like = start(SMALL, BOX, KEY)._replace(
         state={"key": jax.random.PRNGKey(3), "memory": [jnp.arange(4), jnp.zeros(0)]}
@@ -103,7 +122,7 @@ def test_more_iterations_are_room_in_the_history(whole):
         (lambda: start(GSA(agents=6, iterations=7), BOX, KEY), r"\.position has shape \(5, 2\)"),
         (lambda: start(GSA(agents=5, iterations=8), BOX, KEY), r"\.best has shape \(7,\)"),
         (lambda: start(SMALL, box([0.0], [1.0]), KEY), r"best_position has shape|\.position has"),
-        (lambda: start(RandomSearch(5, 7), BOX, KEY), r"has \.state\.velocity"),
+        (lambda: start(RandomSearch(agents=5, iterations=7), BOX, KEY), r"has \.state\.velocity"),
         (lambda: start(SMALL, BOX, jax.random.PRNGKey(1)), r"\.state\.key is key<fry>"),
         (lambda: 5, "like: a int"),
     ],
@@ -222,7 +241,7 @@ def test_what_cannot_be_written_leaves_the_old_file(whole, saved):
 def test_minimise_refuses_a_search_of_another_optimiser(whole):
     for other, said in (
         (start(GSA(agents=6, iterations=7), BOX, KEY), r"search\.state\.position is float32"),
-        (start(RandomSearch(5, 7), BOX, KEY), "of this optimiser"),
+        (start(RandomSearch(agents=5, iterations=7), BOX, KEY), "of this optimiser"),
     ):
         with pytest.raises(ValueError, match=said):
             minimise(sphere, BOX, SMALL, KEY, search=other)

@@ -8,13 +8,13 @@ import threading
 import pytest
 
 from posegsa.errors import SearchInterrupted
-from posegsa.saving.interrupt import SIGNALS, at_once, deferred
+from posegsa.saving.interrupt import SIGNALS, deferred_signals, immediate_signals
 
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_the_first_is_noted_and_the_second_raises(number):
     before = [signal.getsignal(n) for n in SIGNALS]
-    with deferred() as asked:
+    with deferred_signals() as asked:
         assert asked.signal_number is None
         signal.raise_signal(number)
         assert asked.signal_number == number
@@ -29,7 +29,7 @@ def test_a_programs_own_handler_stays():
     got = []
     previous = signal.signal(signal.SIGTERM, lambda *_: got.append("mine"))
     try:
-        with deferred() as asked, at_once(lambda: None):
+        with deferred_signals() as asked, immediate_signals(lambda: None):
             signal.raise_signal(signal.SIGTERM)
         assert got == ["mine"]
         assert asked.signal_number is None
@@ -39,7 +39,7 @@ def test_a_programs_own_handler_stays():
 
 def test_other_threads_are_left_alone():
     def inside() -> None:
-        with deferred() as asked, at_once(lambda: None):
+        with deferred_signals() as asked, immediate_signals(lambda: None):
             found.append(asked.signal_number)
 
     found: list[int | None] = []
@@ -51,7 +51,7 @@ def test_other_threads_are_left_alone():
 
 def test_sigterm_raises_where_nothing_is_deferred():
     before, told = signal.getsignal(signal.SIGTERM), threading.Event()
-    with at_once(told.set), pytest.raises(SearchInterrupted) as stopped:
+    with immediate_signals(told.set), pytest.raises(SearchInterrupted) as stopped:
         signal.raise_signal(signal.SIGTERM)
     assert stopped.value.signal_number == signal.SIGTERM
     assert told.is_set(), "by the thread, which the context waits for"
@@ -60,13 +60,13 @@ def test_sigterm_raises_where_nothing_is_deferred():
 
 BUSY = """
 import hashlib, os, signal, threading
-from posegsa.saving.interrupt import at_once, deferred
+from posegsa.saving.interrupt import immediate_signals, deferred_signals
 
 def say():
     print("told", flush=True)
     os.kill(os.getpid(), signal.SIGINT)  # a second time, now that the first has been seen
 
-with at_once(say), deferred():
+with immediate_signals(say), deferred_signals():
     threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
     while True:  # in compiled code for minutes, as a chunk of a search may be
         hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)

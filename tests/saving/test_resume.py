@@ -19,11 +19,12 @@ from posegsa.errors import (
     SearchInterrupted,
 )
 from posegsa.optimisers import GSA, lengthened
-from posegsa.saving import resume
+from posegsa.saving import checkpointing
 from posegsa.saving.checkpoint import read
-from posegsa.saving.interrupt import Asked
+from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
+from posegsa.saving.interrupt import StopRequest
+from posegsa.saving.resume import experiment_to_resume
 from posegsa.search.build import tuning_problem
-from posegsa.search.named_optimisers import make_optimiser
 from posegsa.search.run import first_search, run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
@@ -45,7 +46,7 @@ def whole(task):
 
 def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
     """Search with checkpoints; a signal asks to stop once each of these iterations is done."""
-    search, asked = None, Asked()
+    search, asked = None, StopRequest()
     if begun is not None:
         search = begun.checkpoint.search(first_search(task))
 
@@ -53,7 +54,7 @@ def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
         if progress.iteration in stop_at:
             asked.signal_number = signal.SIGTERM
 
-    with resume.Saver(folder, experiment, asked) as keep:
+    with CheckpointWriter(folder, experiment, asked) as keep:
         return run_search(task, tell, search=search, keep=keep).search
 
 
@@ -73,7 +74,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
     """Real clocks that are asked here never go back; one that does costs no more than patience."""
     times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
     hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
-    with resume.Saver(tmp_path, hasty, Asked(), clock=lambda: next(times)) as keep:
+    with CheckpointWriter(tmp_path, hasty, StopRequest(), clock=lambda: next(times)) as keep:
         assert_same(run_search(task, keep=keep).search, whole)
     assert names(tmp_path)[-1] == 8
 
@@ -85,7 +86,7 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         with pytest.raises(SearchInterrupted, match=rf"of 8, .* --resume {tmp_path}") as stopped:
             search_in(tmp_path, task, stop_at=[at], begun=begun)
         assert stopped.value.signal_number == signal.SIGTERM
-        begun = resume.begun(tmp_path)
+        begun = newest_checkpoint(tmp_path)
         # The signal is seen when the running chunk, here an iteration, is done.
         assert int(begun.checkpoint.arrays[".iteration"][1]) == at + 1
     assert_same(search_in(tmp_path, task, begun=begun), whole)
@@ -95,9 +96,9 @@ def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
     """All iterations are done, but nothing is judged: who asked to stop gets what was asked for."""
     with pytest.raises(SearchInterrupted, match=r"after iteration 8 of 8, .* --resume"):
         search_in(tmp_path, task, stop_at=[8])
-    begun = resume.begun(tmp_path)
+    begun = newest_checkpoint(tmp_path)
     told = []
-    with resume.Saver(tmp_path, LONG, Asked()) as keep:
+    with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
         search = begun.checkpoint.search(first_search(task))
         found = run_search(task, told.append, search=search, keep=keep).search
     assert_same(found, whole)
@@ -111,9 +112,9 @@ def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path
     (tmp_path / "checkpoints" / "000000004.checkpoint").write_bytes(b"an earlier one")
     copied = tmp_path / "checkpoints" / "copy.checkpoint"
     with pytest.warns(PosegsaWarning, match="going on from 000000006"):
-        begun = resume.begun(tmp_path)
+        begun = newest_checkpoint(tmp_path)
     copied.write_bytes(b"somebody's own")
-    with resume.Saver(tmp_path, LONG, Asked()) as keep:
+    with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
         keep(begun.checkpoint.search(first_search(task)), 0.0, 0.0)
     copied.unlink()
     assert names(tmp_path) == [4, 6], "what was just written stays, with the one before"
@@ -125,16 +126,16 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tm
     newest = tmp_path / "checkpoints" / "000000008.checkpoint"
     newest.write_bytes(newest.read_bytes()[:-5])
     with pytest.warns(PosegsaWarning, match=r"000000008.*damaged.*going on from 000000006"):
-        begun = resume.begun(tmp_path)
+        begun = newest_checkpoint(tmp_path)
     assert_same(search_in(tmp_path, task, begun=begun), whole)
     for path in (tmp_path / "checkpoints").iterdir():
         path.write_bytes(b"")
     with pytest.raises(CheckpointError, match=r"000000008(.|\n)*000000006(.|\n)*no checkpoint"):
-        resume.begun(tmp_path)
+        newest_checkpoint(tmp_path)
 
 
 def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
-    here = resume.environment()
+    here = checkpointing.environment()
     earlier = {name: value for name, value in here.items() if name != "posegsa"}
     for made, said in (
         (here | {"jax": "0.99"}, r"jax 0\.99, here 0\.\d+\.\d+\)"),
@@ -142,10 +143,10 @@ def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
         (earlier, rf"\(posegsa unknown, here {here['posegsa']}\)"),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(resume, "environment", lambda made=made: made)
+            patch.setattr(checkpointing, "environment", lambda made=made: made)
             search_in(tmp_path, task)
         with pytest.warns(PosegsaWarning, match=said):
-            resume.begun(tmp_path)
+            newest_checkpoint(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -156,25 +157,27 @@ def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
         ("filter.gamma=5.0", "filter.gamma"),
         ("scenario.landmarks.0.noise=0.2", "scenario.landmarks.0.noise"),
         ("run.held_out_scenarios=4", "run.held_out_scenarios"),
-        ("search.iterations=7", "as many or more"),
-        ("gsa.decay_iterations=5", "gsa.decay_iterations"),
+        ("search.iterations=7", "search.iterations = 7\\s+the run has 8; allowed: as many or more"),
+        ("search.g0=7.0", "search.g0 = 7.0\\s+the run has 100.0"),
+        ("search.optimiser=de", 'search.optimiser = "de"\\s+the run has gsa'),
+        ("search.decay_iterations=5", r"search.decay_iterations = 5\s+the run has all"),
     ],
 )
 def test_another_experiment_is_refused_by_what_differs(setting, said):
     with pytest.raises(ConfigError, match=said):
-        resume.agreed(LONG, config.override(LONG, [setting]))
+        experiment_to_resume(LONG, config.override(LONG, [setting]))
 
 
 def test_intervals_and_more_iterations_may_differ():
     asked = config.override(LONG, ["checkpoint.keep=5", "search.iterations=20"])
-    agreed = resume.agreed(LONG, asked)
-    assert agreed == config.override(asked, ["gsa.decay_iterations=8"])
-    again = resume.agreed(agreed, config.override(LONG, ["search.iterations=30"]))
-    assert again.gsa.decay_iterations == 8
+    agreed = experiment_to_resume(LONG, asked)
+    assert agreed == config.override(asked, ["search.decay_iterations=8"])
+    again = experiment_to_resume(agreed, config.override(LONG, ["search.iterations=30"]))
+    assert again.search.decay_iterations == 8
     assert again.search.iterations == 30
     by_chance = config.override(LONG, ["search.optimiser=random_search"])
     more = config.override(by_chance, ["search.iterations=30"])
-    assert resume.agreed(by_chance, more) == more, "random search has no schedule to hold"
+    assert experiment_to_resume(by_chance, more) == more, "random search has no schedule to hold"
 
 
 def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
@@ -189,13 +192,13 @@ def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
     try:
         with (
             pytest.warns(PosegsaWarning, match=r"File too large; the search goes on, .* 2"),
-            resume.Saver(tmp_path, often, Asked()) as keep,
+            CheckpointWriter(tmp_path, often, StopRequest()) as keep,
         ):
             assert_same(run_search(task, fill_and_clear, keep=keep).search, whole)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path)[-1] == 8
-    assert_same(resume.begun(tmp_path).checkpoint.search(first_search(task)), whole)
+    assert_same(newest_checkpoint(tmp_path).checkpoint.search(first_search(task)), whole)
 
 
 def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
@@ -218,23 +221,25 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
 
     with (
         pytest.raises(SearchError, match=r"after iteration 5 of 8, .*--resume.*"),
-        resume.Saver(tmp_path, LONG, Asked()) as keep,
+        CheckpointWriter(tmp_path, LONG, StopRequest()) as keep,
     ):
         run_search(task, fail, keep=keep)
-    assert_same(search_in(tmp_path, task, begun=resume.begun(tmp_path)), whole)
+    assert_same(search_in(tmp_path, task, begun=newest_checkpoint(tmp_path)), whole)
 
 
 def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
     """G and K_best hold from the eighth iteration on; the configuration says so."""
     search_in(tmp_path, task)
-    begun = resume.begun(tmp_path)
-    more = resume.agreed(begun.experiment, config.override(LONG, ["search.iterations=11"]))
-    longer = task._replace(experiment=more, optimiser=make_optimiser(more))
+    begun = newest_checkpoint(tmp_path)
+    more = experiment_to_resume(
+        begun.about.experiment, config.override(LONG, ["search.iterations=11"])
+    )
+    longer = task._replace(experiment=more)
     going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
     extended = run_search(longer, search=going_on).search
     assert_same(extended, run_search(longer).search)
     assert (extended.history.best[:8] == whole.history.best).all()
-    held, longest = (o.schedule()[0] for o in (longer.optimiser, GSA(6, 11)))
+    held, longest = (o.schedule()[0] for o in (more.search, GSA(agents=6, iterations=11)))
     assert (held[:8] < longest[:8]).all(), "it is not the longer run"
 
 
@@ -256,5 +261,5 @@ def test_a_checkpoint_says_what_it_is_of(task, tmp_path):
     (tmp_path / "checkpoints").mkdir()
     path = tmp_path / "checkpoints" / "000000001.checkpoint"
     posegsa.save_search(path, first_search(task))
-    with pytest.raises(CheckpointError, match="no tuning run's"):
-        resume.begun(tmp_path)
+    with pytest.raises(CheckpointError, match="needed: the checkpoint of a tuning run"):
+        newest_checkpoint(tmp_path)

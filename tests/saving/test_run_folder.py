@@ -11,7 +11,14 @@ import pytest
 from posegsa.errors import RunFolderError
 from posegsa.saving import files
 from posegsa.saving import folder as run_folder
-from posegsa.saving.folder import claim, claimed, locked, read, replace_files, settle
+from posegsa.saving.folder import (
+    finish_commit,
+    lock,
+    locked_folder,
+    prepare_folder,
+    read_text,
+    replace_files,
+)
 
 OLD = {"result.json": b"old", "figures/a.png": b"old", "figures/b.png": b"old"}
 NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}
@@ -74,22 +81,23 @@ def test_ctrl_c_leaves_the_old_result_or_the_new(folder, monkeypatch, when):
         with pytest.raises(KeyboardInterrupt):
             replace_files(folder, NEW, remove=())
     kept = "old" if when == "staging" else "new"
-    assert read(folder, "result.json", 10) == read(folder, "figures/a.png", 10) == kept
-    with claimed(folder, overwrite=True):
+    for name in ("result.json", "figures/a.png"):
+        assert read_text(folder, name, 10, of="run") == kept
+    with locked_folder(folder, overwrite=True):
         assert content(folder) == (OLD if when == "staging" else OLD | NEW)
-    settle(folder)
+    finish_commit(folder)
 
 
 def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
-    with claimed(tmp_path):
+    with locked_folder(tmp_path):
         with (
             pytest.raises(RunFolderError, match=r"another run is writing there \(process \d+ on"),
-            claimed(tmp_path),
+            locked_folder(tmp_path),
         ):
             pytest.fail("two at once")
-        with claimed(tmp_path / "other"):
+        with locked_folder(tmp_path / "other"):
             pass
-    with claimed(tmp_path):
+    with locked_folder(tmp_path):
         pass
 
 
@@ -99,7 +107,7 @@ def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkey
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
-    with claimed(tmp_path) as folder:
+    with locked_folder(tmp_path) as folder:
         replace_files(folder, NEW, remove=())
     assert content(tmp_path) == NEW
 
@@ -107,14 +115,14 @@ def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkey
 def test_a_run_that_appears_between_look_and_lock_is_seen(tmp_path, monkeypatch):
     looks = []
 
-    def claim_and_lose(folder, *, overwrite=False):
-        looks.append(claim(folder, overwrite=overwrite))
+    def look_and_lose(folder, *, overwrite=False):
+        looks.append(prepare_folder(folder, overwrite=overwrite))
         if len(looks) == 1:
             (tmp_path / "result.json").write_text("{}")
         return looks[-1]
 
-    monkeypatch.setattr(run_folder, "claim", claim_and_lose)
-    with pytest.raises(RunFolderError, match="holds a run already"), claimed(tmp_path):
+    monkeypatch.setattr(run_folder, "prepare_folder", look_and_lose)
+    with pytest.raises(RunFolderError, match="holds a run already"), locked_folder(tmp_path):
         pytest.fail("the other's run is lost")
 
 
@@ -126,7 +134,7 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
     run.mkdir()
     (run / name).symlink_to(outside)
     with pytest.raises(RunFolderError, match=f"{name}: is a link"):
-        claim(run)
+        prepare_folder(run)
     (run / "result.json").symlink_to(tmp_path / "elsewhere")
     (run / name).unlink()
     replace_files(run, NEW, remove=())
@@ -134,7 +142,7 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
     precious = tmp_path / "precious"
     precious.write_text("mine")
     (run / ".lock").symlink_to(precious)  # as if it came after the look
-    with pytest.raises(RunFolderError, match="cannot be written"), locked(run):
+    with pytest.raises(RunFolderError, match="cannot be written"), lock(run):
         pytest.fail("a link was opened")
     (run / "comparison.json.part").symlink_to(precious)
     with pytest.raises(OSError, match="symbolic links"):
@@ -159,4 +167,4 @@ def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
 @pytest.mark.parametrize("value", ["", "no\0path", 5, None, b"bytes"])
 def test_what_is_no_path_is_refused(value):
     with pytest.raises(RunFolderError, match=r"folder = .*; allowed: a path"):
-        claim(value)
+        prepare_folder(value)

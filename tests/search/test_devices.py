@@ -86,7 +86,7 @@ from posegsa.search import devices
 from posegsa.search.run import run_search
 from posegsa.search.build import tuning_problem
 index, address, *settings = sys.argv[1:]
-devices.join(address, 2, int(index))
+devices.join_processes(address, 2, int(index))
 assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
 warnings.simplefilter("ignore")
 mesh = devices.mesh_for(1)
@@ -126,7 +126,9 @@ def test_two_processes_find_what_one_finds(task):
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
     joined = {}
-    monkeypatch.setattr("posegsa.search.devices.join", lambda **given: joined.update(given))
+    monkeypatch.setattr(
+        "posegsa.search.devices.join_processes", lambda **given: joined.update(given)
+    )
     monkeypatch.setattr(jax, "process_index", lambda: 1)
     monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
     command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
@@ -159,4 +161,4 @@ def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
 )
 def test_processes_that_cannot_join_are_told_why(given, message):
     with pytest.raises(ArgumentError, match=message):
-        devices.join(*given)
+        devices.join_processes(*given)

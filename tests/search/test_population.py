@@ -91,7 +91,7 @@ def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
         return population_costs(vectors, problem, space, axis=axis)
 
     everything = spread((vectors, posed_problem, made), mesh)
-    together = collect(jax.jit(on_each(mesh, at_once))(*everything))
+    together = collect(jax.jit(on_each(mesh)(at_once))(*everything))
     np.testing.assert_array_equal(together, in_pieces)
 
 

@@ -1,0 +1,105 @@
+"""What takes searches on: one compiled program for each kind of search, run in chunks."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import jax
+from jax import lax
+from jax.typing import ArrayLike
+
+from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.gradient import Differentiable
+from posegsa.optimisers.loop import AnyObjective, Search, Until, advance
+from posegsa.optimisers.search_box import Box
+
+Runner = Callable[[Search, int], Search]
+"""Takes a search on to an iteration, counted from its start."""
+OnDevices = Callable[[Callable[..., Any]], Callable[..., Any]]
+"""Makes a function run on several devices, with the same arguments and the same result on each."""
+
+
+def _on_one(function: Callable[..., Any]) -> Callable[..., Any]:
+    return function
+
+
+def runner(
+    optimiser: Optimiser,
+    objective: AnyObjective | Callable[..., AnyObjective],
+    box: Box,
+    *data: Any,
+    until: Until | None = None,
+    on_host: bool = False,
+    on_devices: OnDevices = _on_one,
+) -> Runner:
+    """What takes one search on, or R of them: compiled, or on the host what can't be.
+
+    It is compiled once for each optimiser, objective and `on_devices`, which are told apart by
+    equality, and each shape of the rest; what it is given later may differ in its numbers.
+
+    Args:
+        optimiser: What searches.
+        objective: What is minimised, as in `advance`; with data, a function that makes it of them.
+        box: Where to search. Of R searches it has leaves (R, ...), and so have the data.
+        data: Arrays that the objective depends on; only for what can be compiled.
+        until: When a search has nothing more to do.
+        on_host: The objective is an ordinary Python function.
+        on_devices: The devices that run the search.
+    """
+    if on_host or optimiser.on_host:
+        costs = objective.costs if isinstance(objective, Differentiable) else objective
+        costs = costs if on_host else jax.jit(costs)
+        return lambda search, stop: advance(
+            optimiser, costs, box, search, stop, until, on_host=on_host
+        )
+    return lambda search, stop: _advance(
+        optimiser, objective, on_devices, data, box, search, stop, until
+    )
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _advance(
+    optimiser: Optimiser,
+    objective: Callable[..., Any],
+    on_devices: OnDevices,
+    data: tuple[Any, ...],
+    box: Box,
+    search: Search,
+    stop: ArrayLike,
+    until: Until | None,
+) -> Search:
+    """Run one search on, or R of them, in one compiled loop over iterations and agents."""
+
+    def one(problem: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:
+        data, box, search = problem
+        made = objective(*data) if data else objective
+        return advance(optimiser, made, box, search, stop, until)
+
+    def several(problems: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:
+        # A search fills a CPU's vector units by itself, and XLA's fast path there
+        # (`posegsa.enable_fast_path`) fails on some searches with one more batch axis.
+        if jax.default_backend() == "cpu":
+            return lax.map(lambda problem: one(problem, stop, until), problems)
+        return jax.vmap(one, in_axes=(0, None, None))(problems, stop, until)
+
+    run = one if search.iteration.ndim == 0 else several
+    return on_devices(run)((data, box, search), stop, until)
+
+
+def in_chunks(
+    run: Runner, search: Search, begin: int, end: int, size: Callable[[int], int]
+) -> Iterator[tuple[int, Search]]:
+    """Run a search on in chunks of iterations; after each, where it should stand, and the search.
+
+    Args:
+        run: What takes it on.
+        search: One search, or several.
+        begin: Iterations that it has done.
+        end: Where to end.
+        size: Iterations of the next chunk, after so many.
+    """
+    done = begin
+    while done < end:
+        done = min(done + size(done), end)
+        search = run(search, done)
+        yield done, search

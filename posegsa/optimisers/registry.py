@@ -1,0 +1,28 @@
+"""The optimisers that a configuration can name; a new one is a class, and a line here."""
+
+from posegsa.optimisers.adam import Adam
+from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.differential_evolution import DifferentialEvolution
+from posegsa.optimisers.evosax import CMAES, Evosax
+from posegsa.optimisers.gsa import GSA
+from posegsa.optimisers.particle_swarm import ParticleSwarm
+from posegsa.optimisers.polish import PolishedGSA
+from posegsa.optimisers.pycma import PyCMA
+from posegsa.optimisers.random_search import RandomSearch
+
+_KINDS: tuple[type[Optimiser], ...] = (
+    GSA,
+    RandomSearch,
+    ParticleSwarm,
+    DifferentialEvolution,
+    CMAES,
+    Adam,
+    PolishedGSA,
+    Evosax,
+    PyCMA,
+)
+
+OPTIMISERS: dict[str, type[Optimiser]] = {
+    kind.model_fields["optimiser"].default: kind for kind in _KINDS
+}
+"""By name, the default first."""

@@ -1,0 +1,305 @@
+"""Checkpoints of a run: written while it searches, read to go on with it."""
+
+import contextlib
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import jax
+
+from posegsa import config
+from posegsa.errors import (
+    CheckpointError,
+    DamagedCheckpointError,
+    PosegsaWarning,
+    RunFolderError,
+    SearchError,
+    SearchInterrupted,
+)
+from posegsa.optimisers import Search, lengthened
+from posegsa.runtime import environment
+from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
+from posegsa.saving.files import PART
+from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
+from posegsa.saving.interrupt import StopRequest, deferred_signals
+from posegsa.saving.records import from_plain
+from posegsa.search.build import TuningProblem
+from posegsa.search.run import Found, Progress, first_search, run_search
+from posegsa.settings.fields import NonNegative
+from posegsa.settings.plain import plain
+
+ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
+"""Entries of the environment that may change the last bits of a result."""
+
+
+class About(NamedTuple):
+    """What a checkpoint of a run says beside the search."""
+
+    experiment: config.Experiment
+    """What is searched; its iterations are those that were asked for so far."""
+    search_seconds: NonNegative
+    """Time that all processes so far have searched [s]."""
+    compile_seconds: NonNegative
+    """Time that they have compiled [s]."""
+    environment: dict[str, str]
+    """Where it was made."""
+
+
+class CheckpointedRun(NamedTuple):
+    """A run as a checkpoint has it."""
+
+    checkpoint: Checkpoint
+    about: About
+
+    def search(self, problem: TuningProblem) -> Search:
+        """Its search, with room for as many iterations as a problem asks for."""
+        begun = problem._replace(experiment=self.about.experiment)
+        search = self.checkpoint.search(first_search(begun))
+        return lengthened(search, problem.experiment.search.total_iterations)
+
+
+def search_with_checkpoints(
+    problem: TuningProblem,
+    folder: Path,
+    run: CheckpointedRun | None,
+    progress: Callable[[Progress], object] | None,
+) -> Found:
+    """Search to the end, or until a signal asks to stop where the search can be resumed.
+
+    Args:
+        problem: What to search.
+        folder: Where checkpoints go, locked.
+        run: The run to go on with; None to begin.
+        progress: As `tune`'s.
+
+    Returns:
+        What was found, with the time that all processes together have taken.
+
+    Raises:
+        SearchInterrupted: Ctrl-C or SIGTERM.
+        SearchError: JAX could not go on.
+        CheckpointError: The first checkpoint can't be written.
+    """
+    experiment = problem.experiment
+    if run is None:
+        discard_checkpoints(folder)
+        search, before = first_search(problem), (0.0, 0.0)
+    else:
+        search = run.search(problem)
+        before = run.about.search_seconds, run.about.compile_seconds
+    if objects_in(search):
+        warnings.warn(
+            f"search.optimiser = {experiment.search.optimiser!r} keeps a state that can't be "
+            "saved: no checkpoints are made, and the run can't be resumed",
+            PosegsaWarning,
+            stacklevel=4,
+        )
+        found = run_search(problem, progress, search=search)
+    else:
+        with (
+            deferred_signals() as request,
+            CheckpointWriter(folder, experiment, request, before) as writer,
+        ):
+            found = run_search(problem, progress, search=search, keep=writer)
+    return found._replace(
+        search_seconds=found.search_seconds + before[0],
+        compile_seconds=found.compile_seconds + before[1],
+    )
+
+
+def newest_checkpoint(folder: Path) -> CheckpointedRun:
+    """A run from its newest good checkpoint; damaged ones are passed over with a warning.
+
+    Raises:
+        CheckpointError: There is no good one, or it is of another format.
+    """
+    if not folder.is_dir():
+        raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
+    damaged = []
+    for path in checkpoint_paths(folder):
+        try:
+            found = read(path)
+        except DamagedCheckpointError as error:
+            damaged.append(str(error))
+            continue
+        for message in damaged:
+            warnings.warn(f"{message}; going on from {path.name}", PosegsaWarning, stacklevel=2)
+        return _run_of(found)
+    none = f"{folder}: holds no checkpoint to go on from"
+    if not damaged:
+        none += "; a run with search.optimiser = 'pycma' makes none and can't be resumed"
+    raise CheckpointError("\n".join([*damaged, none]))
+
+
+def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
+    """The run that a checkpoint is of; warns if it was made where numbers may round differently."""
+    try:
+        about = from_plain(About, checkpoint.about, checkpoint.path)
+    except RunFolderError as error:
+        raise CheckpointError(f"{error}; needed: the checkpoint of a tuning run") from None
+    here = environment()
+    made = {name: about.environment.get(name, "unknown") for name in ROUNDING}
+    differs = [f"{k} {made[k]}, here {here[k]}" for k in ROUNDING if made[k] != here[k]]
+    if differs:
+        warnings.warn(
+            f"{checkpoint.path} was made elsewhere ({'; '.join(differs)}): the result may differ "
+            "by rounding from that of an uninterrupted run",
+            PosegsaWarning,
+            stacklevel=3,
+        )
+    return CheckpointedRun(checkpoint, about)
+
+
+class CheckpointWriter:
+    """Writes a run's checkpoints, as a context around its search.
+
+    Called with the search before it begins and after each chunk, it writes a checkpoint if one is
+    due, and stops the search if a signal has asked for that, even after the last chunk: the process
+    that resumes the run will judge it. A search that ends early, for whatever reason, is saved. If
+    a checkpoint can't be written, a warning says so and the search goes on until the next one is
+    due; only the very first one must succeed.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        experiment: config.Experiment,
+        request: StopRequest,
+        before: tuple[float, float] = (0.0, 0.0),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._folder = folder
+        self._experiment = experiment
+        self._request = request
+        self._before = before
+        self._clock = clock
+        self._last: tuple[Search, float, float] | None = None
+        self._iteration = -1
+        self._saved: int | None = None  # iteration of the newest checkpoint
+        self._saved_at = 0.0
+        self._warned = False
+
+    def __enter__(self) -> Self:
+        """Remove what earlier processes left half written."""
+        with write_errors(self._folder):
+            (self._folder / CHECKPOINTS).mkdir(exist_ok=True)
+            for path in (self._folder / CHECKPOINTS).glob(f"*{PART}"):
+                path.unlink()
+        return self
+
+    def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
+        """Write a checkpoint if one is due, and stop if a signal has asked for that.
+
+        Args:
+            search: The search.
+            search_seconds: Time that this process has searched [s].
+            compile_seconds: Time that it has compiled [s].
+
+        Raises:
+            SearchInterrupted: A signal has asked to stop; the search is saved.
+            CheckpointError: The very first checkpoint can't be written.
+        """
+        self._last = search, search_seconds, compile_seconds
+        self._iteration = int(search.iteration)
+        if self._is_due():
+            self._save()
+        self._stop_if_asked()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Save what there is; an error of JAX's says how to go on.
+
+        Raises:
+            SearchInterrupted: A signal has asked to stop since the search was last looked at.
+            SearchError: JAX could not go on.
+        """
+        if error is not None and self._last is not None:
+            with contextlib.suppress(CheckpointError, PosegsaWarning):
+                self._save()
+        if isinstance(error, jax.errors.JaxRuntimeError):
+            raise SearchError(f"the search failed {self._where()}: {error}") from error
+        if error is None:
+            self._stop_if_asked()
+
+    def _is_due(self) -> bool:
+        """Whether a checkpoint is due: the first, the last, after an interval, before a stop."""
+        intervals = self._experiment.checkpoint
+        return (
+            self._saved is None
+            or self._request.signal_number is not None
+            or self._iteration - self._saved >= intervals.iterations
+            or self._clock() - self._saved_at >= intervals.seconds
+            or self._iteration >= self._experiment.search.total_iterations
+        )
+
+    def _stop_if_asked(self) -> None:
+        if self._request.signal_number is not None:
+            raise SearchInterrupted(f"interrupted {self._where()}", self._request.signal_number)
+
+    def _save(self) -> None:
+        assert self._last is not None
+        if self._saved == self._iteration:
+            return
+        search, search_seconds, compile_seconds = self._last
+        about = About(
+            experiment=self._experiment,
+            search_seconds=self._before[0] + search_seconds,
+            compile_seconds=self._before[1] + compile_seconds,
+            environment=environment(),
+        )
+        path = self._folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
+        try:
+            save_search(path, search, plain(about))
+        except CheckpointError as problem:
+            if self._saved is None:
+                raise
+            self._saved_at = self._clock()  # try again when the next one is due
+            if not self._warned:
+                self._warned = True
+                warnings.warn(
+                    f"{problem}; the search goes on, its last checkpoint is that of iteration "
+                    f"{self._saved}",
+                    PosegsaWarning,
+                    stacklevel=4,
+                )
+            return
+        self._saved, self._saved_at, self._warned = self._iteration, self._clock(), False
+        self._remove_others()
+
+    def _remove_others(self) -> None:
+        """Remove old checkpoints but the last few, and later ones, which were damaged."""
+        with contextlib.suppress(OSError):
+            numbered = [p for p in checkpoint_paths(self._folder) if p.stem.isdecimal()]
+            later = [p for p in numbered if int(p.stem) > self._iteration]
+            kept = len(later) + self._experiment.checkpoint.keep
+            for path in [*later, *numbered[kept:]]:
+                path.unlink()
+
+    def _where(self) -> str:
+        """Where the search stands, and how to resume it."""
+        saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
+        best = float(self._last[0].best_cost) if self._last else float("inf")
+        iterations = self._experiment.search.total_iterations
+        return (
+            f"after iteration {self._iteration} of {iterations}{saved}, "
+            f"best cost {best:.4g}; go on with: posegsa tune --resume {self._folder}"
+        )
+
+
+def discard_checkpoints(folder: Path) -> None:
+    """Remove the checkpoints of a run that is being replaced."""
+    with write_errors(folder):
+        for path in checkpoint_paths(folder):
+            path.unlink()
+
+
+def checkpoint_paths(folder: Path) -> list[Path]:
+    """A run's checkpoints, the newest first."""
+    return sorted((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"), reverse=True)

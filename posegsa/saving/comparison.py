@@ -1,0 +1,99 @@
+"""The files of a comparison of optimisers: what has been searched, its table and its figure."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from posegsa.errors import RunFolderError
+from posegsa.figures.comparison import plot_comparison
+from posegsa.figures.style import png
+from posegsa.judging.comparison import OptimiserComparison
+from posegsa.saving.files import write_atomically
+from posegsa.saving.folder import as_path, read_text, replace_files, write_errors
+from posegsa.saving.records import from_json, to_json
+
+SCHEMA = 2
+"""Number of the layout of comparison.json; it changes with its records."""
+DATA, TABLE, FIGURE = FILES = ("comparison.json", "comparison.txt", "comparison.png")
+MAX_BYTES = 2**27
+"""Size up to which a comparison is read: 128 MiB."""
+
+
+def load_comparison(folder: str | Path) -> OptimiserComparison:
+    """The comparison that a folder holds.
+
+    Raises:
+        RunFolderError: It holds none, or one that is damaged or of another layout; names the file
+            and the field.
+    """
+    folder = as_path("folder", folder)
+    text = read_text(folder, DATA, MAX_BYTES, of="comparison")
+    comparison = from_json(OptimiserComparison, text, SCHEMA, folder / DATA)
+    for problem in comparison.disagreements():
+        raise RunFolderError(f"{folder / DATA}: {problem}")
+    return comparison
+
+
+def continued(
+    comparison: OptimiserComparison, folder: Path, *, overwrite: bool = False
+) -> OptimiserComparison:
+    """A comparison with the searches of it that a folder holds; other optimisers come after.
+
+    Args:
+        comparison: The comparison.
+        folder: The folder, locked.
+        overwrite: Remove another comparison from it, or one that can't be read.
+
+    Raises:
+        RunFolderError: It holds such a one.
+    """
+    if not (folder / DATA).exists():
+        return comparison
+    try:
+        stored = load_comparison(folder)
+        if (stored.budget, stored.settings) != (comparison.budget, comparison.settings):
+            raise RunFolderError(
+                f"{folder}: holds a comparison with another problem, budget or settings "
+                f"({stored.subject}, {stored.budget} evaluations); choose another folder, or "
+                "replace it (--overwrite; overwrite=True)"
+            )
+    except RunFolderError:
+        if not overwrite:
+            raise
+        # Else the old table and figure would stand beside the new searches until the end.
+        replace_files(folder, {}, remove=FILES)
+        return comparison
+    return replace(
+        comparison,
+        repeats=comparison.repeats | stored.repeats,
+        gradients=comparison.gradients | stored.gradients,
+    )
+
+
+def write_searches(comparison: OptimiserComparison, folder: Path) -> None:
+    """Write what has been searched so far to a folder that the caller has locked."""
+    with write_errors(folder):
+        write_atomically(folder / DATA, _json(comparison))
+
+
+def write_comparison(
+    comparison: OptimiserComparison, folder: Path, levels: Sequence[float] | None
+) -> None:
+    """Write JSON, table and figure to a folder that the caller has locked.
+
+    Args:
+        comparison: The comparison.
+        folder: The folder.
+        levels: Costs to reach, in the table; by default medians.
+    """
+    files = {
+        DATA: _json(comparison).encode(),
+        TABLE: f"{comparison.table(levels)}\n".encode(),
+        FIGURE: png(plot_comparison(comparison)),
+    }
+    replace_files(folder, files, remove=())
+
+
+def _json(comparison: OptimiserComparison) -> str:
+    searched = [name for name, repeats in comparison.repeats.items() if repeats]
+    return to_json(comparison.only(searched), SCHEMA)

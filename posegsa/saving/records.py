@@ -1,0 +1,242 @@
+"""The one codec of all that is stored: records as JSON, and records of columns as tables (CSV).
+
+What a record may hold is stated once, by the types of its fields. What is read is checked against
+them, strictly: a missing or unknown field, a value of another type, an array of another shape or a
+number that is not finite where the type does not say so is refused by the path of the field. Texts
+are printable lines, so that nothing from a file can steer a terminal. Nothing is ever unpickled.
+
+Records are dataclasses, named tuples and typed dictionaries. Their fields are numbers, texts,
+arrays (`posegsa.settings.arrays`), sections of a configuration, records, and lists, dictionaries
+and unions of them. What is written reads back as the same numbers, bit for bit.
+"""
+
+import csv
+import io
+import json
+import reprlib
+import typing
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from functools import cache, partial, reduce
+from operator import or_
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union
+
+import numpy as np
+import pydantic
+from pydantic import AfterValidator, BaseModel, Strict
+
+from posegsa.errors import RunFolderError
+from posegsa.settings.arrays import Columns
+from posegsa.settings.plain import json_text, plain
+
+Record = TypeVar("Record")
+
+_SHOWN = 3
+"""How many problems of one file an error names."""
+
+
+# JSON ---------------------------------------------------------------------------------------------
+
+
+def to_json(record: object, schema: int, summary: Mapping[str, Any] | None = None) -> str:
+    """A record as JSON.
+
+    Args:
+        record: The record.
+        schema: Number of the layout, so that a file of another one is known as that.
+        summary: What follows from the record, for other readers; `from_json` passes over it.
+    """
+    head = {"schema": schema} | ({} if summary is None else {"summary": plain(summary)})
+    return json_text(head | plain(record)) + "\n"
+
+
+def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Record:
+    """Read what `to_json` wrote.
+
+    Args:
+        kind: The type of the record.
+        text: The JSON.
+        schema: Number of the layout that is read.
+        source: The file, for errors.
+
+    Raises:
+        RunFolderError: It is not such a record, or one of another layout.
+    """
+    data = _parsed(text, source)
+    if not isinstance(data, dict):
+        raise RunFolderError(f"{source}: {reprlib.repr(data)}; allowed: an object")
+    found = data.pop("schema", "none")
+    if type(found) is not int or found != schema:
+        raise RunFolderError(
+            f"{source}: schema = {reprlib.repr(found)}, written by posegsa "
+            f"{reprlib.repr(data.get('version', 'of an unknown version'))}; this version reads "
+            f"schema {schema}: run it again, or read it with the version that wrote it"
+        )
+    data.pop("summary", None)
+    return from_plain(kind, data, source)
+
+
+def from_plain(kind: type[Record], data: object, source: Path) -> Record:
+    """A record from plain data, such as JSON holds.
+
+    Raises:
+        RunFolderError: It is not such a record.
+    """
+    try:
+        return _adapter(kind).validate_python(data, context={})
+    except pydantic.ValidationError as error:
+        problems = error.errors(include_url=False)
+        words = "; ".join(_words(problem) for problem in problems[:_SHOWN])
+        more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+        raise RunFolderError(f"{source}: {words}{more}") from None
+
+
+def _parsed(text: str, source: Path) -> Any:
+    """The data in a JSON document; NaN and Infinity, which Python would take, are not JSON."""
+
+    def refuse(word: str) -> NoReturn:
+        raise ValueError(word)
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise RunFolderError(f"{source}: is not JSON: {error}") from None
+
+
+def _words(problem: Mapping[str, Any]) -> str:
+    """One problem that pydantic found: the path of the field, its value and what is allowed."""
+    path = ".".join(map(str, problem["loc"])) or "all of it"
+    given = problem["input"]
+    given = "" if isinstance(given, dict | list) else f" = {reprlib.repr(given)}"
+    reason = problem.get("ctx", {}).get("error") or problem["msg"]
+    words = f"{path}{given}: {reason}"
+    # Names of fields come from the file: none may steer the terminal that the error is shown on.
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in words)
+
+
+@cache
+def _adapter(kind: Any) -> pydantic.TypeAdapter:
+    return pydantic.TypeAdapter(_strict(kind))
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("allowed: printable text")
+    return text
+
+
+_SCALARS = {
+    bool: Annotated[bool, Strict()],
+    int: Annotated[int, Strict()],
+    float: Annotated[float, Strict(), pydantic.AllowInfNan(False)],
+    str: Annotated[str, Strict(), AfterValidator(_printable)],
+}
+
+
+def _strict(kind: Any) -> Any:
+    """The type by which pydantic reads values of a type from plain data, and nothing else."""
+    if kind in _SCALARS:
+        return _SCALARS[kind]
+    if _is_record(kind):
+        return _strict_record(kind)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
+    origin: Any = typing.get_origin(kind)
+    parts = typing.get_args(kind)
+    if origin is Annotated:
+        return Annotated[(_strict(parts[0]), *parts[1:])]
+    if origin is None or origin is Literal:
+        return kind
+    inner = tuple(_strict(part) for part in parts)
+    return reduce(or_, inner) if origin in (Union, UnionType) else origin[inner]
+
+
+def _section(kind: type[BaseModel], data: Any) -> BaseModel:
+    """A section of a configuration, which says in words of its own what is wrong with it."""
+    if not isinstance(data, dict):
+        raise ValueError("allowed: a table")
+    return kind(**data)
+
+
+def _is_record(kind: Any) -> bool:
+    if is_dataclass(kind) or typing.is_typeddict(kind):
+        return True
+    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+
+
+def _strict_record(kind: Any) -> Any:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    fields: dict[str, Any] = {name: (_strict(hint), ...) for name, hint in hints.items()}
+    model = pydantic.create_model(
+        kind.__name__, __config__=pydantic.ConfigDict(extra="forbid"), **fields
+    )
+    return Annotated[model, AfterValidator(lambda found: kind(**dict(found)))]
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def to_csv(record: object) -> str:
+    """A record of columns as CSV, a row for each sample or iteration under the columns' names."""
+    header, columns = [], []
+    for field, names in _columns(type(record)).items():
+        array = np.asarray(getattr(record, field))
+        header += names
+        columns += array.reshape(len(array), -1).T.tolist()
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*columns, strict=True))
+    return text.getvalue()
+
+
+def from_csv(kind: type[Record], text: str, source: Path) -> Record:
+    """Read what `to_csv` wrote.
+
+    Args:
+        kind: The type of the record.
+        text: The table.
+        source: The file, for errors.
+
+    Raises:
+        RunFolderError: It is not such a table.
+    """
+    columns = _columns(kind)
+    needed = [name for names in columns.values() for name in names]
+    try:
+        header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        if header != needed:
+            found = reprlib.repr(header)
+            raise ValueError(f"the columns are {found}; allowed: {', '.join(needed)}")
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(needed):
+                raise ValueError(f"row {number} has {len(row)} values; allowed: {len(needed)}")
+        table = [[_number(*cell) for cell in zip(needed, row, strict=True)] for row in rows]
+    except (csv.Error, ValueError) as error:
+        raise RunFolderError(f"{source}: is not such a table: {error}") from None
+    data, start = {}, 0
+    for field, names in columns.items():
+        end = start + len(names)
+        data[field] = [row[start] if len(names) == 1 else row[start:end] for row in table]
+        start = end
+    return from_plain(kind, data, source)
+
+
+def _number(name: str, cell: str) -> int | float:
+    """The number in a cell of a column."""
+    try:
+        return int(cell) if cell.isdecimal() else float(cell)
+    except ValueError:
+        raise ValueError(f"{name} = {cell!r}; allowed: numbers") from None
+
+
+def _columns(kind: Any) -> dict[str, tuple[str, ...]]:
+    """The names of the columns of each field of a record."""
+    return {
+        field: said.names
+        for field, hint in typing.get_type_hints(kind, include_extras=True).items()
+        for said in hint.__metadata__
+        if isinstance(said, Columns)
+    }

@@ -1,0 +1,96 @@
+"""What the numbers in a stored record may be, stated beside each of its fields.
+
+    training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
+    position: Annotated[np.ndarray, Columns("x_m", "y_m", "z_m")]
+    knots: Annotated[list[float], Numbers("knots")]
+
+pydantic reads such fields by these statements, strictly: text, true and null are no numbers. Those
+that are not finite, which JSON cannot write, are the texts that `float` reads: inf, -inf and nan.
+"""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+_NOT_FINITE = ("inf", "-inf", "nan")
+
+
+class Numbers:
+    """An array or list of numbers, or a single one where no length is given.
+
+    Args:
+        shape: Its lengths. A length with a name is at least 1, and the same throughout a record.
+        dtype: bool, int (64 bits) or float (64 bits).
+        allow: Which floats: finite ones, infinite ones too, or NaN too.
+    """
+
+    def __init__(
+        self,
+        *shape: int | str,
+        dtype: type = float,
+        allow: Literal["finite", "infinite", "any"] = "finite",
+    ) -> None:
+        self.shape, self.dtype, self.allow = shape, dtype, allow
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """How pydantic reads a field that is annotated with this: lists first, then as an array."""
+        del handler
+        schema: CoreSchema = core_schema.bool_schema(strict=True)
+        if self.dtype is int:
+            schema = core_schema.int_schema(strict=True, ge=-(2**63), lt=2**63)
+        elif self.dtype is float:
+            schema = core_schema.no_info_before_validator_function(
+                lambda value: float(value) if value in _NOT_FINITE else value,
+                core_schema.float_schema(strict=True, allow_inf_nan=self.allow != "finite"),
+            )
+        for _ in self.shape:
+            schema = core_schema.list_schema(schema, strict=True)
+
+        def read(numbers: Any, info: core_schema.ValidationInfo) -> Any:
+            array = self._array(numbers, info.context)
+            return array if source is np.ndarray else numbers
+
+        return core_schema.with_info_after_validator_function(read, schema)
+
+    def _array(self, numbers: Any, lengths: Any) -> np.ndarray:
+        """Numbers of the right type as an array.
+
+        Args:
+            numbers: Nested lists, or a single number.
+            lengths: The named lengths that this record has shown so far; new ones are added.
+
+        Raises:
+            ValueError: They have another shape, or NaN where that is not allowed.
+        """
+        array = np.array(numbers, self.dtype)
+        needed = [
+            lengths.setdefault(length, max(1, found)) if isinstance(length, str) else length
+            for length, found in zip(self.shape, array.shape, strict=False)
+        ]
+        if list(array.shape) != needed:
+            shape = ", ".join(map(str, self.shape))
+            raise ValueError(f"shape {array.shape}; allowed: ({shape}), with {lengths}")
+        if self.allow == "infinite" and np.isnan(array).any():
+            raise ValueError("nan; allowed: numbers, or infinite")
+        return array
+
+
+class Columns(Numbers):
+    """An array over time or iterations, in a table one column or several side by side.
+
+    Args:
+        names: Their names, with units.
+        numbers: What they may hold, as of `Numbers`.
+    """
+
+    def __init__(self, *names: str, **numbers: Any) -> None:
+        super().__init__("rows", *([len(names)] if len(names) > 1 else []), **numbers)
+        self.names = names
+
+
+Cost = Annotated[float, Numbers(allow="infinite")]
+"""A cost: infinite where the filter diverged, never NaN."""

@@ -1,0 +1,50 @@
+"""Records as plain data, and plain data as JSON text."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+
+def plain(value: Any) -> Any:
+    """The same in JSON's types; a number that is not finite becomes the text that `float` reads.
+
+    Args:
+        value: Numbers, texts, arrays, sections of a configuration, and containers of them; records
+            are dataclasses, named tuples and mappings with their fields' names as keys.
+    """
+    match value:
+        case BaseModel():
+            return value.model_dump(mode="json")
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+        case float() if not math.isfinite(value):
+            return str(value)
+        case Mapping():
+            return {key: plain(each) for key, each in value.items()}
+        case tuple() if names := getattr(value, "_fields", ()):
+            return {name: plain(each) for name, each in zip(names, value, strict=True)}
+        case list() | tuple():
+            return [plain(each) for each in value]
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return value
+
+
+def json_text(value: Any, indent: str = "") -> str:
+    """Plain data as JSON, an object's keys on lines of their own, a list of numbers on one line."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        parts = [f"{json.dumps(key)}: {json_text(each, inner)}" for key, each in value.items()]
+        opening, closing = "{", "}"
+    elif isinstance(value, list) and any(isinstance(each, list | dict) for each in value):
+        parts = [json_text(each, inner) for each in value]
+        opening, closing = "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    lines = ",\n".join(inner + part for part in parts)
+    return f"{opening}\n{lines}\n{indent}{closing}"

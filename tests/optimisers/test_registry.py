@@ -1,0 +1,219 @@
+"""The registered optimisers: every one of them, their budgets, and how they are named."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from experiments import tiny
+
+from posegsa import config
+from posegsa.comparing import USUAL, specify
+from posegsa.errors import ConfigError
+from posegsa.optimisers import (
+    GSA,
+    OPTIMISERS,
+    Adam,
+    DifferentialEvolution,
+    Optimiser,
+    PolishedGSA,
+    RandomSearch,
+    box,
+    minimise,
+    start,
+)
+from posegsa.settings.violations import Refused
+
+EACH = pytest.mark.parametrize("name", OPTIMISERS)
+
+
+def switched(name: str, *settings: str) -> Optimiser:
+    """The default search after its optimiser was changed."""
+    return config.override(config.Experiment(), [f"search.optimiser={name}", *settings]).search
+
+
+@EACH
+def test_a_name_is_that_of_its_class_and_settings_are_described(name: str) -> None:
+    kind = OPTIMISERS[name]
+    made = kind()
+    assert made.optimiser == name
+    assert kind.title != Optimiser.title
+    for key, field in kind.model_fields.items():
+        assert field.description, key
+    assert list(kind.model_fields)[:3] == ["optimiser", "agents", "iterations"]
+    assert hash(made) == hash(kind(**made.model_dump()))
+    with pytest.raises(ConfigError, match="iterations = 0"):
+        kind(iterations=0)
+    with pytest.raises(ConfigError, match=r"fo\n\s*unknown key"):
+        kind(fo=1)
+
+
+@EACH
+def test_an_experiment_with_it_goes_to_toml_and_back(name: str) -> None:
+    import tomllib
+
+    experiment = config.Experiment(search=switched(name))
+    text = config.to_toml(experiment)
+    assert config.from_dict(tomllib.loads(text)) == experiment
+    assert f'optimiser = "{name}"' in text
+    only = config.from_dict({"search": {"optimiser": name}})
+    assert only.search == OPTIMISERS[name]()
+
+
+@EACH
+def test_it_keeps_a_budget_and_searches(name: str) -> None:
+    each = OPTIMISERS[name]()
+    assert 25000 - 8 * 23 < each.within(25000).evaluations <= 25000
+    small = each.within(1500)
+    search = minimise(lambda x: jax.numpy.sum(x**2, axis=1), box([-1, -2], [3, 2]), small, KEY)
+    assert small.evaluations <= 1500
+    assert search.iteration == small.total_iterations == len(small.evaluations_spent())
+    assert search.best_cost < 0.5
+
+
+KEY = jax.random.key(0)
+
+
+def test_another_optimiser_keeps_the_size_or_the_budget_of_the_one_before() -> None:
+    assert switched("de") == DifferentialEvolution()
+    of_size = ["search.agents=30", "search.iterations=40"]
+    experiment = config.override(config.Experiment(), [*of_size, "search.g0=3.0"])
+
+    def of(*settings: str) -> Optimiser:
+        return config.override(experiment, list(settings)).search
+
+    assert of("search.optimiser=gsa") == GSA(agents=30, iterations=40, g0=3.0)
+    assert of("search.optimiser=de") == DifferentialEvolution(agents=30, iterations=40)
+    assert of("search.agents=9", "search.optimiser=de").agents == 9
+    assert of("search.optimiser=gsa+adam") == PolishedGSA(agents=30, iterations=40)
+    assert of("search.optimiser=adam") == Adam(agents=8, iterations=1200 // (8 * 23))
+    four = of("search.optimiser=adam", "search.agents=4", "search.gradient_price=10")
+    assert four == Adam(agents=4, iterations=30, gradient_price=10)
+    assert of("search.optimiser=adam", "search.iterations=7") == Adam(agents=8, iterations=7)
+    back = config.override(experiment.model_copy(update={"search": four}), ["search.optimiser=gsa"])
+    assert back.search == GSA(agents=100, iterations=12), "by evaluations, not by 4 agents"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["search.optimiser=gas"], r'search.optimiser = "gas"\s+allowed: "gsa" or "random_search"'),
+        (["search.optimiser=3"], r"search.optimiser = 3\s+allowed: "),
+        (["search.optimiser=de", "search.g0=1.0"], r"search.g0\s+unknown key; known .* strategy"),
+        (["search.optimiser=de", "search.agents=3"], r"agents = 3\s+should be .* equal to 4"),
+        (["search.optimiser=adam", "search.agents=0"], r"agents = 0\s+should be .* equal to 1"),
+        (["search.optimiser=adam", "search.agents=2000"], "at least 46000, one iteration of adam"),
+        (["search.optimiser=cma_es", "search.strategy=SNES"], "should be 'CMA_ES'"),
+        (
+            ["search.optimiser=gsa+adam", "search.agents=2", "search.iterations=9"],
+            "leaves 10 of 2 x 9",
+        ),
+        (["search.g1=2.0"], "unknown key"),
+        (["gsa.g0=2.0"], r"gsa\s+unknown key; known here: [\s\S]* search"),
+    ],
+)
+def test_what_no_optimiser_can_be_is_refused_by_its_key(settings: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        config.override(config.Experiment(), settings)
+
+
+@pytest.mark.parametrize("search", [3, "gsa", None, [], Optimiser])
+def test_a_search_that_is_no_table_is_refused(search: Any) -> None:
+    with pytest.raises(ConfigError, match=r"search = [^;]*a table with the keys optimiser, agents"):
+        config.from_dict({"search": search})
+
+
+# In words, and in the texts of a comparison -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("search", "words"),
+    [
+        (GSA(agents=50, iterations=40), "50 agents x 40 iterations"),
+        (RandomSearch(agents=1, iterations=1), "1 agent x 1 iteration"),
+        (Adam(agents=8, iterations=10), "8 starts x 10 steps"),
+        (
+            PolishedGSA(agents=50, iterations=40),
+            "50 agents x 20 iterations, then 8 starts x 5 steps",
+        ),
+    ],
+)
+def test_a_search_is_told_in_words(search: Optimiser, words: str) -> None:
+    assert search.size_in_words() == words
+
+
+def test_a_text_gives_settings_of_its_own_and_a_budget_the_iterations() -> None:
+    chosen = specify(tiny(), "de:strategy=best/1/bin:factor=0.7:agents=12", 125)
+    assert chosen == DifferentialEvolution(
+        agents=12, iterations=10, strategy="best/1/bin", factor=0.7
+    )
+    assert specify(tiny("search.alpha=3.0"), "gsa:g0=2.5", 60) == GSA(
+        agents=6, iterations=10, g0=2.5, alpha=3.0
+    )
+    assert specify(tiny(), "adam", 400) == Adam(agents=8, iterations=2)
+    both = specify(tiny(), "gsa+adam:alpha=3.0:share=0.75:starts=2", 600)
+    search, descent = both.phases
+    assert search == GSA(agents=6, iterations=25, alpha=3.0)
+    assert (descent.agents, descent.iterations) == (2, 450 // 46)
+    assert all(specify(tiny(), name, 600).evaluations > 400 for name in USUAL)
+
+
+@pytest.mark.parametrize(
+    ("text", "evaluations", "message"),
+    [
+        ("gas", 100, "optimiser 'gas' of 'gas'; allowed: gsa, random_search, "),
+        ("random", 100, "optimiser 'random'"),
+        ("gsa:g1=2", 100, "'g1' of 'gsa:g1=2'; allowed: agents, g0, alpha"),
+        ("gsa:iterations=2", 100, "'iterations' of .*; allowed: agents, g0, alpha"),
+        ("gsa:g0=-2.0", 100, r"search\.g0 = -2\.0"),
+        ("random_search:g0=2.0", 100, "'g0' of 'random_search:g0=2.0'; allowed: agents"),
+        ("gsa", 5, "evaluations = 5; allowed: at least 6, one iteration of gsa"),
+        ("adam", 100, "evaluations = 100; allowed: at least 184, one iteration of adam"),
+    ],
+)
+def test_a_text_that_means_nothing_is_refused(text: str, evaluations: int, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        specify(tiny(), text, evaluations)
+
+
+# Going on -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [n for n in OPTIMISERS if "adam" not in n])
+def test_a_search_may_be_given_more_iterations_and_nothing_else(name: str) -> None:
+    begun = OPTIMISERS[name](iterations=8)
+    longer = begun.resumed(begun.changed(iterations=20))
+    assert longer.iterations == 20
+    assert longer.resumed(begun.changed(iterations=30)).iterations == 30
+    assert begun.resumed(begun) == begun
+    with pytest.raises(Refused, match=r"iterations = 7\s+the run has 8; allowed: as many or more"):
+        begun.resumed(begun.changed(iterations=7))
+    with pytest.raises(Refused, match=r"agents = 9\s+the run has 100; allowed: the same"):
+        begun.resumed(begun.changed(agents=9))
+    with pytest.raises(Refused, match=rf'optimiser = "adam"\s+the run has {name}'):
+        begun.resumed(Adam(iterations=8))
+
+
+@pytest.mark.parametrize("begun", [Adam(iterations=8), PolishedGSA(iterations=80)])
+def test_a_descent_ends_with_its_iterations(begun: Optimiser) -> None:
+    assert begun.resumed(begun) == begun
+    for iterations in (begun.iterations - 1, begun.iterations + 1):
+        with pytest.raises(Refused, match="the same, as Adam's steps shrink towards the end"):
+            begun.resumed(begun.changed(iterations=iterations))
+
+
+def test_gravity_holds_its_last_values_past_the_iterations_it_began_with() -> None:
+    begun = GSA(iterations=8)
+    longer = begun.resumed(GSA(iterations=20))
+    assert longer == GSA(iterations=20, decay_iterations=8)
+    assert longer.resumed(GSA(iterations=30)) == GSA(iterations=30, decay_iterations=8)
+    np.testing.assert_array_equal(longer.schedule()[0][:8], begun.schedule()[0])
+    assert (longer.schedule()[0][8:] == begun.schedule()[0][-1]).all()
+    with pytest.raises(Refused, match=r"decay_iterations = 5\s+the run has all"):
+        begun.resumed(GSA(iterations=8, decay_iterations=5))
+
+
+def test_an_optimiser_that_follows_none_can_not_be_told_where_to_begin() -> None:
+    state = start(GSA(agents=3), box([0], [1]), KEY).state
+    with pytest.raises(NotImplementedError, match="GSA can't begin"):
+        GSA(agents=3).begin_at(state, jax.numpy.zeros(1))

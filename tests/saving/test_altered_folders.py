@@ -1,0 +1,302 @@
+"""Every field of every file of a run and of a comparison, altered: refused by name, or of use.
+
+What is read is refused with file and field, or it makes a result that can be shown. Nothing else
+happens: no other exception, then or later, and no control character reaches a terminal.
+"""
+
+import copy
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluations import evaluation
+from reports import consistent
+
+import posegsa
+from posegsa.errors import RunFolderError
+from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
+from posegsa.judging.evaluation import TUNED
+from posegsa.report import report_html
+from posegsa.saving.comparison import load_comparison, write_searches
+
+VALUES = (
+    None,
+    True,
+    "x",
+    "\x1b[31m",
+    "nan",
+    "inf",
+    [],
+    {},
+    -1,
+    0,
+    1.5,
+    1e308,
+    10**30,
+    [1],
+    {"a": 1},
+)
+CELLS = ("", "x", "nan", "inf", "1e308", "-1", "0", "1.5", "\x1b[31m", "true")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of a small result with every contender, without figures."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr("posegsa.saving.run.draw", lambda _: {})
+    yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
+    patch.undo()
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory):
+    """The folder of a comparison."""
+    folder = tmp_path_factory.mktemp("comparison")
+    repeats = [
+        Repeat(cost, 2 * cost, [0.1], 2.0, 0.1, 0, [10, 20], [2 * cost, cost], [0.5, 1.0])
+        for cost in (1.0, np.inf, 3.0)
+    ]
+    made = OptimiserComparison(
+        subject="something",
+        budget=20,
+        settings={"a": 1},
+        repeats={"gsa": repeats, "adam": repeats[::-1]},
+        gradients={"adam": Gradients(price=5, begin=0)},
+        environment={"jax": "0.10"},
+    )
+    write_searches(made, folder)
+    return folder
+
+
+def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
+    """Every field in plain data; of a list its first entry stands for all."""
+    items = data.items() if isinstance(data, dict) else enumerate(data[:1])
+    for key, value in items:
+        yield (*before, key)
+        if isinstance(value, dict | list):
+            yield from paths(value, (*before, key))
+
+
+def alterations(data: Any, path: tuple) -> Iterator[Any]:
+    """The data with one field altered, removed, or with another one beside it."""
+
+    def changed() -> tuple[Any, Any]:
+        whole = copy.deepcopy(data)
+        node = whole
+        for key in path[:-1]:
+            node = node[key]
+        return whole, node
+
+    _, parent = changed()
+    own = parent[path[-1]]
+    cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
+    for value in (*VALUES, *cut):
+        if value != own or type(value) is not type(own):
+            whole, node = changed()
+            node[path[-1]] = value
+            yield whole
+    whole, node = changed()
+    del node[path[-1]]
+    yield whole
+    if isinstance(parent, dict):
+        whole, node = changed()
+        node["unknown"] = 1
+        yield whole
+
+
+def checked(file: Path, text: str, load) -> Any:
+    """What is loaded from a file with this text; None if it is refused as it should be."""
+    file.write_text(text, encoding="utf-8")
+    try:
+        return load(file.parent)
+    except RunFolderError as error:
+        words = str(error).removeprefix(f"{file.parent}/")
+        assert ".json: " in words or ".csv: " in words, words
+        assert all(c.isprintable() or c == "\n" for c in words), words
+        return None
+
+
+def shown(result: posegsa.TuneResult) -> str:
+    """A result in all texts that it has; none steers a terminal."""
+    texts = (result.summary(), result.evaluation.table(), posegsa.export_c(result))
+    assert all(c.isprintable() or c == "\n" for text in texts for c in text)
+    return "".join(texts) + report_html(result, {})
+
+
+@pytest.mark.parametrize("name", ["result.json", "evaluation.json"])
+def test_every_field_of_a_run(run, name):
+    file = run / name
+    good = file.read_text(encoding="utf-8")
+    data, accepted, refused = json.loads(good), 0, 0
+    try:
+        for path in paths(data):
+            # The summary is not read, the experiment is checked like any configuration, and all
+            # contenders are of one type but for their schedules.
+            if path[0] == "summary" or (path[0] == "experiment" and len(path) > 2):
+                continue
+            if path[0] == "contenders" and TUNED not in path and "schedule" not in path:
+                continue
+            for altered in alterations(data, path):
+                result = checked(file, json.dumps(altered), posegsa.load)
+                refused += result is None
+                if result is not None and path[0] != "experiment":
+                    accepted += 1
+                    shown(result)
+    finally:
+        file.write_text(good, encoding="utf-8")
+    assert refused > 300
+    assert accepted < refused, "numbers in the place of others, and names of versions"
+    assert shown(posegsa.load(run))
+
+
+@pytest.mark.parametrize("name", ["history.csv", "trajectory.csv"])
+def test_every_column_of_a_run(run, name):
+    file = run / name
+    good = file.read_text(encoding="utf-8")
+    header, *rows = [line.split(",") for line in good.splitlines()]
+    refused = 0
+    try:
+        for column in range(len(header)):
+            for row in (0, len(rows)):
+                for cell in CELLS:
+                    table = copy.deepcopy([header, *rows])
+                    table[row][column] = cell
+                    text = "\n".join(map(",".join, table)) + "\n"
+                    result = checked(file, text, posegsa.load)
+                    refused += result is None
+                    if result is not None:
+                        assert row, "another name of a column was accepted"
+                        shown(result)
+    finally:
+        file.write_text(good, encoding="utf-8")
+    assert refused > 13 * len(header)
+
+
+def test_every_field_of_a_comparison(comparison):
+    file = comparison / "comparison.json"
+    good = file.read_text(encoding="utf-8")
+    data, accepted, refused = json.loads(good), 0, 0
+    try:
+        for path in paths(data):
+            for altered in alterations(data, path):
+                found = checked(file, json.dumps(altered), load_comparison)
+                refused += found is None
+                if found is not None:
+                    accepted += 1
+                    with np.errstate(all="ignore"):
+                        texts = (found.table(), found.markdown())
+                    assert all(c.isprintable() or c == "\n" for text in texts for c in text)
+    finally:
+        file.write_text(good, encoding="utf-8")
+    assert refused > 2 * accepted
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "value", "said"),
+    [
+        ("result.json", ("trust", "rule_weights"), None, "trust.rule_weights = None"),
+        ("result.json", ("trust", "rule_weights"), True, "trust.rule_weights = True"),
+        ("result.json", ("trust", "rule_weights"), 0.5, "trust.rule_weights = 0.5"),
+        ("result.json", ("trust", "rule_weights"), "nan", "trust.rule_weights = 'nan'"),
+        (
+            "result.json",
+            ("trust", "rule_weights"),
+            [],
+            "trust.rule_weights: shape (0,); allowed: (5, 5)",
+        ),
+        ("result.json", ("constant_gain",), "nan", "constant_gain = 'nan'"),
+        ("result.json", ("training_costs",), [1.0], "constant_training_costs: shape (2,)"),
+        ("result.json", ("experiment", "run", "seed"), -1, "run.seed = -1"),
+        (
+            "evaluation.json",
+            ("contenders", "oracle K(t)", "schedule", "time"),
+            ["a", "b"],
+            "contenders.oracle K(t).schedule.open loop.time.1 = 'b': ",
+        ),
+        (
+            "evaluation.json",
+            ("contenders", "\x1b[31m"),
+            {},
+            "contenders.?[31m.[key] = '\\x1b[31m': allowed: printable text",
+        ),
+        (
+            "evaluation.json",
+            ("contenders", "oracle K(t)", "metrics", "cost"),
+            [1.0],
+            "contenders.oracle K(t).metrics.cost: shape (1,)",
+        ),
+    ],
+)
+def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value, said):
+    file = run / name
+    good = file.read_text(encoding="utf-8")
+    data = json.loads(good)
+    node = data
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    file.write_text(json.dumps(data), encoding="utf-8")
+    try:
+        with pytest.raises(RunFolderError) as refused:
+            posegsa.load(run)
+    finally:
+        file.write_text(good, encoding="utf-8")
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"training_costs": np.ones(3), "constant_training_costs": np.ones(3)}, "training_costs"),
+        ({"constant_gain": 54.0}, "schedule.gain"),
+        ({"parameters": np.full(22, 0.5)}, "schedule.k"),
+        ({"best_cost": 40.0}, "last best"),
+        ({"non_finite": 3}, "non_finite"),
+    ],
+)
+def test_files_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
+    posegsa.save(consistent(**values), tmp_path)
+    with pytest.raises(RunFolderError, match=rf"{said}.* = .*; in result\.json: "):
+        posegsa.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d["repeats"]["gsa"][1]["evaluations"].append(30), "repeats.gsa: evaluations"),
+        (lambda d: d["repeats"]["gsa"][1]["best"].pop(), "repeats.gsa: needs 2 of each of best"),
+        (lambda d: d["gradients"]["adam"].update(begin=20), "gradients.adam.begin: must be below"),
+        (lambda d: d["repeats"].clear(), "repeats: "),
+        (lambda d: d["repeats"]["gsa"].clear(), "repeats.gsa: "),
+    ],
+)
+def test_a_comparison_whose_parts_do_not_fit_together_is_refused(comparison, change, said):
+    file = comparison / "comparison.json"
+    good = file.read_text(encoding="utf-8")
+    data = json.loads(good)
+    change(data)
+    try:
+        file.write_text(json.dumps(data), encoding="utf-8")
+        with pytest.raises(RunFolderError, match=rf"comparison\.json: {said}"):
+            load_comparison(comparison)
+    finally:
+        file.write_text(good, encoding="utf-8")
+
+
+@pytest.mark.parametrize("missing", ["tuned fuzzy gain", "best constant gain"])
+def test_a_result_without_its_own_contenders_is_refused(run, missing):
+    file = run / "evaluation.json"
+    good = file.read_text(encoding="utf-8")
+    data = json.loads(good)
+    del data["contenders"][missing]
+    assert missing in evaluation().contenders
+    try:
+        file.write_text(json.dumps(data), encoding="utf-8")
+        with pytest.raises(RunFolderError, match="contenders = "):
+            posegsa.load(run)
+    finally:
+        file.write_text(good, encoding="utf-8")

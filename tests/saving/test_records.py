@@ -1,0 +1,297 @@
+"""The codec: what is written reads back to the last bit, and nothing else is read."""
+
+import json
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict
+
+import numpy as np
+import pytest
+from pictures import history, trajectory
+from pydantic import Field
+
+from posegsa.errors import RunFolderError
+from posegsa.judging.trajectory import Trajectory
+from posegsa.optimisers import GSA, History
+from posegsa.saving.records import from_csv, from_json, to_csv, to_json
+from posegsa.saving.run import HistoryTable
+from posegsa.settings.arrays import Columns, Cost, Numbers
+
+FILE = Path("record.json")
+
+
+class Part(NamedTuple):
+    """A record in a record."""
+
+    costs: Annotated[np.ndarray, Numbers("scenarios", allow="infinite")]
+    measured: Annotated[np.ndarray, Numbers("scenarios", 2, allow="any")]
+    diverged: Annotated[np.ndarray, Numbers("scenarios", dtype=bool)]
+
+
+class Round(TypedDict):
+    """One of two kinds."""
+
+    kind: Literal["round"]
+    radius: float
+
+
+class Square(TypedDict):
+    """The other."""
+
+    kind: Literal["square"]
+    sides: Annotated[list[float], Numbers(2)]
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A record with a field of every kind."""
+
+    count: Annotated[int, Field(ge=0)]
+    finite: float
+    cost: Cost
+    flag: bool
+    name: str
+    perhaps: int | None
+    counts: Annotated[np.ndarray, Numbers(3, dtype=int)]
+    words: dict[str, str]
+    parts: dict[str, Part]
+    pairs: list[tuple[int, float]]
+    shape: Annotated[Round | Square, Field(discriminator="kind")]
+    section: GSA
+
+
+def whole(**values: Any) -> Whole:
+    part = Part(
+        costs=np.array([1.0, np.inf, 5e-324]),
+        measured=np.array([[0.1, -0.0], [np.nan, -np.inf], [1 / 3, 1e308]]),
+        diverged=np.array([True, False, False]),
+    )
+    made = Whole(
+        count=3,
+        finite=0.1,
+        cost=np.inf,
+        flag=False,
+        name="tuned, of course",
+        perhaps=None,
+        counts=np.array([1, -2, 2**62]),
+        words={"a": "b"},
+        parts={"one": part, "other": part._replace(costs=np.array([3.0, 4.0, 5.0]))},
+        pairs=[(1, 2.5), (2, 3.0)],
+        shape={"kind": "square", "sides": [1.0, 2.0]},
+        section=GSA(g0=7.0),
+    )
+    return replace(made, **values)
+
+
+def read(text: str) -> Whole:
+    return from_json(Whole, text, 5, FILE)
+
+
+def assert_equal(a: Any, b: Any) -> None:
+    """Equal, arrays to the last bit and in dtype, and of the same types."""
+    assert type(a) is type(b)
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        assert a.tobytes() == b.tobytes() or np.isnan(a).any()
+        np.testing.assert_array_equal(a, b)
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        for key in a:
+            assert_equal(a[key], b[key])
+    elif isinstance(a, Part):
+        assert_equal(a._asdict(), b._asdict())
+    elif isinstance(a, Whole):
+        assert_equal(vars(a), vars(b))
+    else:
+        assert a == b
+
+
+# JSON ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "record", [whole(), whole(perhaps=4, cost=-0.0, shape={"kind": "round", "radius": 2.0})]
+)
+def test_a_record_comes_back_bit_for_bit(record):
+    text = to_json(record, 5, summary={"mean": np.float64(np.inf), "ignored": [1, 2]})
+    assert_equal(read(text), record)
+    assert json.loads(text)["summary"] == {"mean": "inf", "ignored": [1, 2]}
+    assert "NaN" not in text.replace('"nan"', "")
+    assert "Infinity" not in text
+
+
+NUMBER = (None, True, "x", "1", [], {}, [1.0])
+NO_NUMBER = (*NUMBER, "nan", "inf")
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        ("count", (*NO_NUMBER, -1, 1.5, 1.0)),
+        ("finite", NO_NUMBER),
+        ("cost", (*NUMBER, "nan", "Infinity")),
+        ("flag", (None, 0, 1, "true", [])),
+        ("name", (None, 3, True, [], "two\nlines", "\x1b[31mred", "\x9b1m")),
+        ("perhaps", ("x", True, 1.5, [])),
+        ("counts", (None, [], [1, 2], [1, 2, 3, 4], [1, 2, 3.0], [1, 2, True], [1, 2, 2**63], 1)),
+        ("words", (None, [], {"a": 1}, {"a": "\x07"}, {"\x1b": "a"})),
+        ("parts", (None, [], {"one": None}, {"\x1b[2J": 1})),
+        ("parts.one.costs", (None, [], [1, 2, None], [1, 2, "nan"], [[1], [2], [3]])),
+        ("parts.one.measured", ([[1, 2]], [[1], [2], [3]], [1, 2, 3], [[1, 2], [3], [4, 5]], [[]])),
+        ("parts.one.diverged", ([0, 1, 0], [True], [True, False, None])),
+        ("pairs", (None, [[1]], [[1, 2.0, 3]], [[1.5, 2.0]], [["1", 2.0]])),
+        ("shape", (None, {}, [], {"kind": "oval"}, {"kind": ["round"]}, {"kind": "round"})),
+        ("shape.sides", (None, "x", [1.0], [1.0, 2.0, 3.0], [1.0, "nan"], [1.0, True])),
+        ("section", (None, [], {"g0": "x"}, {"g0": -1.0}, {"unknown": 1})),
+    ],
+)
+def test_values_of_another_type_are_refused_by_the_path_of_their_field(path, values):
+    *outer, last = path.split(".")
+    for value in values:
+        data = json.loads(to_json(whole(), 5))
+        node = data
+        for key in outer:
+            node = node[key]
+        assert node[last] != value or type(node[last]) is not type(value)
+        node[last] = value
+        # In a union the path also names the kind.
+        where = path.replace("shape.", "shape.square.")
+        with pytest.raises(RunFolderError) as refused:
+            read(json.dumps(data))
+        words = str(refused.value)
+        assert words.startswith(f"record.json: {where}"), words
+        assert all(c.isprintable() or c == "\n" for c in words)
+
+
+def test_lengths_of_one_name_are_equal_throughout_a_record():
+    parts = whole().parts
+    longer = parts["other"]._replace(costs=np.ones(4), measured=np.ones((4, 2)))
+    with pytest.raises(RunFolderError, match=r"other\.costs: shape \(4,\); .*'scenarios': 3"):
+        read(to_json(whole(parts=parts | {"other": longer}), 5))
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Whole)])
+def test_missing_and_unknown_fields_are_refused(name):
+    data = json.loads(to_json(whole(), 5))
+    with pytest.raises(RunFolderError, match=f"record.json: {name}_.*: Extra inputs"):
+        read(json.dumps(data | {f"{name}_": data[name]}))
+    del data[name]
+    with pytest.raises(RunFolderError, match=f"record.json: {name}: Field required"):
+        read(json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is not JSON"),
+        ("{", "is not JSON"),
+        ("[" * 10**5, "is not JSON"),
+        ('{"schema": 5, "finite": NaN}', "is not JSON: NaN"),
+        ('{"schema": 5, "finite": -Infinity}', "is not JSON: -Infinity"),
+        ('{"schema": 5, "count": ' + "9" * 5000 + "}", "is not JSON"),
+        ("[]", r"\[\]; allowed: an object"),
+        ("{}", r"schema = 'none', written by posegsa 'of an unknown version'; this version reads"),
+        (
+            '{"schema": 4, "version": "0.1"}',
+            r"schema = 4, written by posegsa '0\.1'; .* reads schema 5",
+        ),
+        ('{"schema": true, "version": "\\u001b"}', r"schema = True, written by posegsa '\\x1b'"),
+        ('{"schema": 5}', "count: Field required; finite: Field required; .*; and 9 more"),
+    ],
+)
+def test_what_is_no_such_record_is_refused_as_that(text, said):
+    with pytest.raises(RunFolderError, match=f"record.json: {said}"):
+        read(text)
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def test_a_table_comes_back_bit_for_bit():
+    made = trajectory(7)
+    # A filter that diverged is a trajectory too.
+    position = np.array([np.inf, -np.inf, np.nan, -0.0, 5e-324, 1e308, 1 / 3])
+    made = replace(made, gain=position, euler=np.stack([position] * 3, axis=1))
+    back = from_csv(Trajectory, to_csv(made), FILE)
+    for field in fields(Trajectory):
+        ours, found = getattr(made, field.name), getattr(back, field.name)
+        assert found.dtype == np.float64
+        np.testing.assert_array_equal(np.signbit(found), np.signbit(ours))
+        np.testing.assert_array_equal(found, ours)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_whole_numbers_and_single_precision_come_back_too(dtype):
+    seen = History(*(np.asarray(column, dtype) for column in history(5)[:3]), np.arange(5))
+    table = HistoryTable(np.arange(1, 6), *seen)
+    back = from_csv(HistoryTable, to_csv(table), FILE)
+    assert back.non_finite.dtype == np.int64
+    for ours, found in zip(table, back, strict=True):
+        np.testing.assert_array_equal(found, ours)
+
+
+def test_the_history_table_has_all_that_a_history_has():
+    assert HistoryTable._fields == ("iteration", *History._fields)
+    header, first, *_ = to_csv(HistoryTable(np.arange(1, 6), *history(5))).splitlines()
+    assert header == "iteration,best,mean,worst,non_finite"
+    assert first == "1,60.0,65.0,69.0,0"
+
+
+def test_a_table_has_a_row_a_sample_under_names_with_units():
+    made = trajectory(20)
+    header, *rows = to_csv(made).splitlines()
+    columns = header.split(",")
+    assert len(rows) == 20
+    assert len(set(columns)) == len(columns)
+    table = dict(zip(columns, rows[7].split(","), strict=True))
+    assert float(table["time_s"]) == made.time[7]
+    assert float(table["yaw_est_deg"]) == made.euler_est[7, 2]
+    assert float(table["z_m"]) == made.position[7, 2]
+    assert float(table["bias_est_vy_m_s"]) == made.bias_est[7, 4]
+    assert float(table["gain_used_1_s"]) == made.gain_used[7]
+    assert float(table["scaled_rate"]) == made.rate[7]
+
+
+class Table(NamedTuple):
+    """A small one."""
+
+    step: Annotated[np.ndarray, Columns("step", dtype=int)]
+    place: Annotated[np.ndarray, Columns("x_m", "y_m")]
+    error: Annotated[np.ndarray, Columns("error_deg", allow="infinite")]
+
+
+NO_TABLE = "is not such a table: "
+GOOD = "step,x_m,y_m,error_deg\n1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (GOOD, "", NO_TABLE),
+        (GOOD, '"', NO_TABLE),
+        ("1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n", "", r"step: shape \(0,\); .*place: shape \(0,\)"),
+        (
+            "x_m",
+            "x_cm",
+            rf"{NO_TABLE}the columns are \['step', 'x_cm', .*; allowed: step, x_m, y_m",
+        ),
+        ("step,", "", rf"{NO_TABLE}the columns are \['x_m'"),
+        ("error_deg", "error_deg,more", f"{NO_TABLE}the columns are"),
+        ("-1.0,inf", "-1.0", f"{NO_TABLE}row 1 has 3 values; allowed: 4"),
+        ("3.0,4.0", "3.0,4.0,5.0", f"{NO_TABLE}row 2 has 5 values; allowed: 4"),
+        ("3.0,4.0\n", "3.0,4.0\n\n", f"{NO_TABLE}row 3 has 0 values; allowed: 4"),
+        ("2,0.25", "2.0,0.25", "step.1 = 2.0: Input should be a valid integer"),
+        ("2,0.25", "x,0.25", f"{NO_TABLE}step = 'x'; allowed: numbers"),
+        ("2,0.25", ",0.25", f"{NO_TABLE}step = ''; allowed: numbers"),
+        ("3.0,4.0", "broken,4.0", f"{NO_TABLE}y_m = 'broken'; allowed: numbers"),
+        ("3.0,4.0", "true,4.0", f"{NO_TABLE}y_m = 'true'; allowed: numbers"),
+        ("0.25", "inf", "place.1.0 = inf: Input should be a finite number"),
+        ("0.25", "nan", "place.1.0 = nan: Input should be a finite number"),
+        ("4.0", "nan", "error: nan; allowed: numbers, or infinite"),
+    ],
+)
+def test_a_damaged_table_is_refused_by_column(old, new, said):
+    assert from_csv(Table, GOOD, FILE).place.tolist() == [[0.5, -1.0], [0.25, 3.0]]
+    assert old in GOOD
+    with pytest.raises(RunFolderError, match=f"^record.json: {said}"):
+        from_csv(Table, GOOD.replace(old, new), FILE)
