@@ -30,6 +30,7 @@ import posegsa
 from contenders import c
 from contenders.scene import RULES, Scene
 from posegsa import config
+from posegsa.model.vectors import Wahba
 from posegsa.optimisers import Box, minimise
 from posegsa.runtime import enable_compilation_cache, fast_path_flags
 from posegsa.search.build import TuningProblem, tuning_problem
@@ -84,9 +85,11 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         raise ValueError("the other contenders know the paper's rules and the exact centroid")
     training = task.training
     sample, truth, begun = training.samples.sample, training.samples.truth, training.initial
-    if truth is None:
-        raise ValueError("the true pose is needed for the cost")
+    if truth is None or not isinstance(sample.vectors, Wahba):
+        raise ValueError("the other contenders need the true pose, and vectors without biases")
+    wahba = sample.vectors
     (landmark,) = sample.landmarks
+    (weight,) = training.settings.landmark_weights or (1.0,)
 
     def plain(a: jax.Array) -> np.ndarray:
         return np.asarray(a, np.float64)
@@ -100,13 +103,13 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         time_step=plain(sample.time_step),
         angular_velocity=joined(sample.angular_velocity),
         velocity=joined(sample.velocity),
-        profile=np.stack([joined(row) for row in sample.profile], axis=-2),
-        vector_power=plain(sample.vector_power),
-        vector_curvature=plain(sample.vector_curvature),
-        attitude_scale=plain(sample.attitude_scale),
+        profile=np.stack([joined(row) for row in wahba.profile], axis=-2),
+        vector_power=plain(wahba.power),
+        vector_curvature=plain(wahba.curvature),
+        attitude_scale=plain(wahba.scale),
         landmark_body=joined(landmark.body),
         landmark_inertial=joined(landmark.inertial),
-        landmark_weight=plain(landmark.weight),
+        landmark_weight=plain(landmark.factor * weight),
         true_attitude=joined(truth.attitude),
         true_origin=joined(truth.origin),
         attitude=joined(begun.attitude),
@@ -115,7 +118,7 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         cost_weight=plain(training.weights.transient) + plain(training.weights.steady),
         cost_position=float(training.weights.position),
         gamma=np.array([settings.gamma_angular, settings.gamma_linear], np.float64),
-        gain_limit=0.0 if settings.gain_limit is None else float(settings.gain_limit),
+        gain_limit=0.0 if jnp.isinf(settings.gain_limit) else float(settings.gain_limit),
         position_weight=float(signal.position_weight),
         smoothing=float(signal.smoothing),
         error_scale=float(signal.error_scale),

@@ -246,14 +246,15 @@ def initial_state(
     w, x, y, z = unstack(quaternion(R))
     px, py, pz = unstack(P)
     b0, b1, b2, b3, b4, b5 = unstack(b)
-    zero = (jnp.zeros_like(px),) * 3
+    zero = jnp.zeros_like(px)
+    zeros: Vec3 = (zero, zero, zero)
     return FilterState(
         attitude=(w, x, y, z),
         place=(px, py, pz),
         bias_angular=(b0, b1, b2),
         bias_linear=(b3, b4, b5),
-        vector_biases=(zero,) * learnt_vectors,
-        turning=zero if learnt_vectors else (),
+        vector_biases=(zeros,) * learnt_vectors,
+        turning=zeros if learnt_vectors else (),
     )
 
 

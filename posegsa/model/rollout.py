@@ -4,20 +4,18 @@ One loop serves all that is asked of a simulation: its estimates, its true error
 alone, which is summed up on the way, so that its memory does not grow with time.
 """
 
-import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting
 from posegsa.model.cost import CostParts, CostWeights, sample_error
-from posegsa.model.elementwise import choose
 from posegsa.model.filter import FilterSettings, FilterState, observe, see
+from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
@@ -33,9 +31,6 @@ from posegsa.model.signal import (
     scheduled_gain,
 )
 from posegsa.model.vectors import VectorSettings
-
-LONGEST_LOOP = 256
-"""Steps of a loop that stores something, at most; more are several loops inside each other."""
 
 
 class Samples(NamedTuple):
@@ -182,63 +177,8 @@ def _simulate(
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
-    (last, total), stored = _scan(body, (begin(schedule, initial), total), (samples, extra))
+    (last, total), stored = scan_rows(body, (begin(schedule, initial), total), (samples, extra))
     return last.state, total, stored
-
-
-def _scan(body: Callable[[Any, Any], tuple[Any, Any]], start: Any, samples: Any) -> tuple[Any, Any]:
-    """`lax.scan` over the samples, whose numbers travel as one row of one array.
-
-    A step then takes its numbers by one slice. Were they some fifty arrays, XLA would fuse a slice
-    of each into the loops over agents, and LLVM does not vectorise a loop that looks up its own
-    index: 2.3 times slower on CPUs.
-    """
-    leaves, structure = jax.tree.flatten(samples)
-    rows = jnp.stack(leaves, axis=-1)
-
-    def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
-        return body(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
-
-    _, (_, stored) = jax.eval_shape(lambda: (None, on_row(start, rows[0])))
-    if not jax.tree.leaves(stored):
-        return lax.scan(on_row, start, rows)
-    return _storing_scan(on_row, start, rows)
-
-
-def _storing_scan(on_row: Callable[[Any, Array], tuple[Any, Any]], start: Any, rows: Array) -> Any:
-    """`lax.scan` over rows (N, ...) whose price for each step does not grow with N.
-
-    XLA:CPU with the fast path's options (`runtime`) copies all that a loop stores at every step. So
-    the loop is cut into a few loops inside each other, each of so few steps that this does not
-    matter. Rows are added to fill the last one up; they change nothing.
-    """
-    count = rows.shape[0]
-    lengths = _loop_lengths(count)
-    full = math.prod(lengths)
-    filled = jnp.concatenate([rows, jnp.broadcast_to(rows[-1:], (full - count, *rows.shape[1:]))])
-
-    def step(carry: Any, numbered: tuple[Array, Array]) -> tuple[Any, Any]:
-        number, row = numbered
-        after, stored = on_row(carry, row)
-        return jax.tree.map(lambda a, b: choose(number < count, a, b), after, carry), stored
-
-    for _ in lengths[1:]:
-        step = partial(lax.scan, step)
-    parts = jax.tree.map(lambda a: a.reshape(*lengths, *a.shape[1:]), (jnp.arange(full), filled))
-    last, stored = lax.scan(step, start, parts)
-    return last, jax.tree.map(lambda a: a.reshape(full, *a.shape[len(lengths) :])[:count], stored)
-
-
-def _loop_lengths(count: int) -> list[int]:
-    """Lengths of as few loops inside each other as keep to LONGEST_LOOP, for `count` steps."""
-    depth = 1
-    while LONGEST_LOOP**depth < count:
-        depth += 1
-    lengths = []
-    for level in range(depth, 0, -1):
-        lengths.append(math.ceil(count ** (1 / level)))
-        count = math.ceil(count / lengths[-1])
-    return lengths
 
 
 def simulate_cost(

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
+from posegsa.model.loops import scan
 from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import move, quaternion, rotation_matrix, stack, unstack
 
@@ -163,7 +164,7 @@ def integrate(scenario: Scenario) -> Truth:
 
     w, x, y, z = unstack(quaternion(scenario.rotation))
     px, py, pz = unstack(scenario.position)
-    _, (attitude, place) = lax.scan(body, ((w, x, y, z), (px, py, pz)), (omega, v))
+    _, (attitude, place) = scan(body, ((w, x, y, z), (px, py, pz)), (omega, v))
     return Truth(time, rotation_matrix(stack(attitude)), stack(place), omega, v)
 
 
