@@ -1,5 +1,6 @@
 """What the tests of the filter share: settings, states, measurements that fit or that do not."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -8,30 +9,111 @@ import numpy as np
 from builders import as_arrays, random_measurements, random_poses
 from jax import Array
 
-from posegsa.config import FilterConfig
 from posegsa.model import se3
-from posegsa.model.filter import FilterSettings, FilterState, initial_state, innovation, observe
-from posegsa.model.measurements import Measurements, prepare
-from posegsa.search.build import filter_settings
+from posegsa.model.filter import (
+    GammaLaw,
+    Law,
+    FilterSettings,
+    FilterState,
+    Innovation,
+    VectorBias,
+    initial_state,
+    innovation,
+    observe,
+    see,
+)
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample, prepare
+from posegsa.model.schedules import Gains
+from posegsa.model.vectors import VectorSettings
 
 GAMMA = (3.0, 7.0)
 
-jitted_observe, jitted_innovation = jax.jit(observe), jax.jit(innovation)
-jitted_transform = jax.jit(se3.transform)
-jitted_prepare, jitted_state = jax.jit(prepare), jax.jit(initial_state)
+
+def vector_settings(
+    dtype: Any = np.float64,
+    *,
+    weights: Sequence[float] | None = None,
+    cross_weight: float | None = None,
+    normalise: bool = False,
+    each_agent: bool = False,
+) -> VectorSettings:
+    """What is made of vectors; by default they are used as they are, without a cross product."""
+    return VectorSettings(
+        weights=None if weights is None else tuple(jnp.asarray(s, dtype) for s in weights),
+        cross_weight=jnp.asarray(cross_weight or 0.0, dtype),
+        normalise=normalise,
+        cross=cross_weight is not None,
+        each_agent=each_agent,
+    )
+
+
+def vector_bias(
+    dtype: Any = np.float64,
+    *,
+    gain: float = 0.5,
+    leak: float = 0.0,
+    bound: float = 0.5,
+    excitation: float = 0.2,
+    excitation_time: float = 1.0,
+) -> VectorBias:
+    """The law of the vectors' biases."""
+    return VectorBias(
+        gain=jnp.asarray(gain, dtype),
+        leak=jnp.asarray(leak, dtype),
+        per_bound=jnp.asarray(bound**-2, dtype),
+        per_turning=jnp.asarray(excitation**-4, dtype),
+        excitation_time=jnp.asarray(excitation_time, dtype),
+    )
 
 
 def settings(
     dtype: Any = np.float64,
     *,
-    law: str = "gradient",
+    law: Law = "gradient",
+    gamma_law: GammaLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = 1.5,
     gamma: tuple[float, float] = GAMMA,
+    vectors: VectorSettings | None = None,
+    landmark_weights: Sequence[float] | None = None,
+    learnt: VectorBias | None = None,
 ) -> FilterSettings:
-    limit = "off" if gain_limit is None else gain_limit
-    chosen = FilterConfig(law=law, substeps=substeps, gain_limit=limit, gamma=gamma)
-    return filter_settings(chosen, dtype)
+    """The filter's settings; by default it takes measurements, and their weights, as they are."""
+    return FilterSettings(
+        law=law,
+        gamma_law=gamma_law,
+        substeps=substeps,
+        gamma_angular=jnp.asarray(gamma[0], dtype),
+        gamma_linear=jnp.asarray(gamma[1], dtype),
+        gain_limit=jnp.asarray(np.inf if gain_limit is None else gain_limit, dtype),
+        vectors=vector_settings(dtype, each_agent=learnt is not None) if vectors is None else vectors,
+        landmark_weights=landmark_weights
+        and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
+        vector_bias=learnt,
+    )
+
+
+def prepared(m: Measurements) -> Sample:
+    """What the filter reads of measurements that it takes as they are."""
+    return prepare(m, vector_settings(m.time_step.dtype))
+
+
+def innovated(state: FilterState, sample: Sample) -> Innovation:
+    """U and L of a filter that takes measurements as they are."""
+    return innovation(state, sample, see(state, sample, settings(sample.time_step.dtype)))
+
+
+def observed(
+    state: FilterState, sample: Sample, gain: Array, chosen: FilterSettings
+) -> tuple[FilterState, Array]:
+    """One sample of the filter, all that is learnt at its full gain."""
+    return observe(state, sample, see(state, sample, chosen), Gains(gain), chosen)
+
+
+jitted_observe, jitted_innovation = jax.jit(observed), jax.jit(innovated)
+jitted_transform = jax.jit(se3.transform)
+jitted_prepare, jitted_state = jax.jit(prepared), jax.jit(initial_state)
 
 
 def random_estimates(

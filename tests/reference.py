@@ -10,7 +10,7 @@ P_err = P_est - R_err P.  Time-major arrays.  A measurement of weight 0 may hold
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, product
 from typing import Any, Literal
 
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Signal = Literal["measured", "pose"]
+Rate = Literal["per_sample", "per_second"]
+GammaLaw = Literal["fixed", "linear", "quadratic"]
 
 # Table I: [row of the rate, column of the error] -> output term, all ascending: 0 = VS, 1 = S,
 # 2 = M, 3 = L, 4 = VL.  The paper prints both axes from VL down to VS and writes L as "V".
@@ -52,9 +54,20 @@ class Sample:
     y: Array  # (L, 3) measured landmarks in B, m (Eq. 4)
     p: Array  # (L, 3) known landmarks in I, m
     sL: Array  # (L,) landmark weights, 0: not measured
-    vB: Array  # (n, 3) measured vectors in B (Eqs. 2, 3)
-    vI: Array  # (n, 3) known vectors in I
+    vB: Array  # (n, 3) measured vectors in B, as measured (Eq. 2) or as used (`used_vectors`)
+    vI: Array  # (n, 3) known vectors in I, likewise
     sR: Array  # (n,) vector weights, 0: not measured
+
+
+@dataclass(frozen=True)
+class VectorBias:
+    """The numbers of the law by which the vectors' biases are learnt."""
+
+    gain: float  # gamma_c, 1/s
+    leak: float  # rate at which an estimate is forgotten, 1/s
+    bound: float  # largest length of an estimate, in the vector's unit
+    excitation: float  # w_0, angular velocity from which on all of the gain is used, rad/s
+    excitation_time: float  # time constant of the low-pass filter of the angular velocity, s
 
 
 @dataclass(frozen=True)
@@ -63,8 +76,10 @@ class Trajectory:
 
     T_est: Array  # (N, 4, 4) pose estimate
     b_est: Array  # (N, 6) estimated velocity bias, rad/s and m/s
+    c_est: Array  # (N, n, 3) estimated bias of each vector, in its unit
     gain: Array  # (N,) K asked for, before any gain limit
-    e: Array  # (N,) error signal, neither scaled nor clipped
+    e: Array  # (N,) error signal, smoothed, neither scaled nor clipped
+    rate: Array  # (N,) its change since the sample before, neither scaled nor clipped
     attitude_error: Array  # (N,) ||R_err||_I, in [0, 1]
     position_error: Array  # (N,) |P_err|, m
 
@@ -138,6 +153,65 @@ def curvature(
     return float(total)
 
 
+def used_sample(
+    sample: Sample,
+    c_est: Array,
+    *,
+    normalise: bool = False,
+    cross_weight: float | None = None,
+    vector_weights: Sequence[float] | None = None,
+    landmark_weights: Sequence[float] | None = None,
+) -> Sample:
+    """A sample whose vectors and weights are those that U and the error signal use.
+
+    Each measured vector less its estimated bias c_est (n, 3); then the cross product of the first
+    two with the weight cross_weight, missing where one of them is (None: without it); then all
+    brought to length 1 (Eq. 3). The filter's weights (None: all 1) multiply the sample's.
+    """
+    u = [v - c for v, c in zip(sample.vB, c_est, strict=True)]
+    v, s = list(sample.vI), list(sample.sR * (1.0 if vector_weights is None else vector_weights))
+    if cross_weight is not None:
+        u.append(np.cross(u[0], u[1]))
+        v.append(np.cross(v[0], v[1]))
+        s.append(cross_weight * min(sample.sR[0], sample.sR[1]))
+    if normalise:
+        u, v = ([a / np.linalg.norm(a) for a in vectors] for vectors in (u, v))
+    u, v = (np.reshape(np.array(vectors, np.float64), (-1, 3)) for vectors in (u, v))
+    sL = sample.sL * (1.0 if landmark_weights is None else landmark_weights)
+    return replace(sample, vB=u, vI=v, sR=np.array(s, np.float64), sL=np.array(sL, np.float64))
+
+
+def learn_vector_biases(
+    T_est: Array,
+    b_est: Array,
+    c_est: Array,
+    turning: Array,
+    sample: Sample,
+    learning: float,
+    law: VectorBias,
+) -> tuple[Array, Array]:
+    """Vectors' biases (n, 3), and low-passed angular velocity (3,), at t_{k+1} from those at t_k.
+
+    dc/dt = gamma_c (v^B - c - R_est^T v^I) - leak c, by one step of Euler's; gamma_c is multiplied
+    by learning and by min(1, (|w| / w_0)^4), w the low-passed measured angular velocity (backward
+    Euler) less its estimated bias. What is missing stays. Where a bias is longer than the bound, by
+    a factor x, it is multiplied by max(0, (3 - x^2) / 2).
+    """
+    dt, R = sample.dt, T_est[:3, :3]
+    turning = (law.excitation_time * turning + dt * sample.omega) / (law.excitation_time + dt)
+    w = np.linalg.norm(turning - b_est[:3])
+    share = learning * law.gain * min(1.0, float(w / law.excitation) ** 4)
+    c_new = c_est.copy()
+    for i in np.flatnonzero(sample.sR):
+        residual = sample.vB[i] - c_est[i] - R.T @ sample.vI[i]
+        c_new[i] = c_est[i] + dt * (share * residual - law.leak * c_est[i])
+    for i in range(len(c_new)):
+        x = np.linalg.norm(c_new[i]) / law.bound
+        if x > 1:
+            c_new[i] *= max(0.0, (3 - x**2) / 2)
+    return c_new, turning
+
+
 def filter_step(
     T_est: Array,
     b_est: Array,
@@ -146,26 +220,32 @@ def filter_step(
     *,
     law: Literal["gradient", "printed"] = "gradient",
     gamma: tuple[float, float] = (5.0, 5.0),
+    gamma_law: GammaLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = None,
 ) -> tuple[Array, Array]:
     """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
-    gamma is the bias gain of (omega, v); gain_limit is c of K_used = min(K, c / (dt/n L)).  Each of
-    the n inner steps evaluates everything at its own start, the measurement held; the velocity
-    (Y_m - b_est) dt enters with the last one only.
+    gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
+    and its square, and K_used / h at most; gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
+    of the n inner steps evaluates everything at its own start, the measurement held; the velocity
+    (Y_m - b_est) dt enters with the last one only.  The sample's vectors are those that are used.
     """
     s, h = sample, sample.dt / substeps
-    Gamma = np.diag([gamma[0]] * 3 + [gamma[1]] * 3)
     measured = (s.y, s.p, s.sL, s.vB, s.vI, s.sR)
     for inner in range(substeps):
         U = innovation(T_est, *measured)
         inverse, transpose = np.linalg.inv(adjoint(T_est)), adjoint(T_est).T
         for_W, for_b = {"gradient": (inverse, transpose), "printed": (transpose, inverse)}[law]
-        W, b_dot = for_W @ U, -Gamma @ for_b @ U
+        W = for_W @ U
         K_used, hL = gain, h * curvature(T_est, *measured)
         if gain_limit is not None and hL > 0:
             K_used = min(gain, gain_limit / hL)
+        g = np.repeat(np.array(gamma, np.float64), 3)
+        if gamma_law != "fixed":
+            power = {"linear": 1, "quadratic": 2}[gamma_law]
+            g = np.minimum(g * (K_used / 10.0) ** power, K_used / h)
+        b_dot = -g * (for_b @ U)
         move = K_used * W * h
         if inner == substeps - 1:
             move = move + (np.concatenate([s.omega, s.v]) - b_est) * s.dt
@@ -181,26 +261,25 @@ def pose_errors(T_est: Array, T_true: Array) -> tuple[float, float]:
     return attitude_distance(R_err), float(np.linalg.norm(P_err))
 
 
-def error_signal(
-    T_est: Array, sample: Sample, T_true: Array, signal: Signal, position_weight: float
-) -> float:
-    """Error e the gain looks at, neither scaled nor clipped.
+def measured_errors(T_est: Array, sample: Sample) -> tuple[float | None, float | None]:
+    """Attitude and position part of the measured error signal; None where nothing is measured.
 
-    "measured": 3/(8 sum s^R) sum s^R |R_est v^B - v^I|^2 plus position_weight times the weighted
-    mean of |T_est y - p|; a part whose weights are all 0 is 0.  "pose": the same with true errors.
+    3/(8 sum s^R) sum s^R |R_est u - v^I|^2 of the vectors that are used, and the weighted mean of
+    |T_est y - p|.
     """
-    if signal == "pose":
-        attitude, position = pose_errors(T_est, T_true)
-        return attitude + position_weight * position
-    s = sample
-    R_est, P_est = T_est[:3, :3], T_est[:3, 3]
-    attitude = position = 0.0
-    for i in np.flatnonzero(s.sR):
-        squared = np.sum((R_est @ s.vB[i] - s.vI[i]) ** 2)
-        attitude += 3.0 / (8.0 * np.sum(s.sR)) * s.sR[i] * squared
-    for i in np.flatnonzero(s.sL):
-        position += s.sL[i] * np.linalg.norm(R_est @ s.y[i] + P_est - s.p[i]) / np.sum(s.sL)
-    return float(attitude + position_weight * position)
+    s, R_est, P_est = sample, T_est[:3, :3], T_est[:3, 3]
+    attitude = position = None
+    if np.any(s.sR > 0):
+        attitude = 0.0
+        for i in np.flatnonzero(s.sR):
+            squared = np.sum((R_est @ s.vB[i] - s.vI[i]) ** 2)
+            attitude += float(3.0 / (8.0 * np.sum(s.sR)) * s.sR[i] * squared)
+    if np.any(s.sL > 0):
+        position = 0.0
+        for i in np.flatnonzero(s.sL):
+            distance = np.linalg.norm(R_est @ s.y[i] + P_est - s.p[i])
+            position += float(s.sL[i] * distance / np.sum(s.sL))
+    return attitude, position
 
 
 def triangle(x: float, a: float, b: float, c: float) -> float:
@@ -332,27 +411,51 @@ def run(
     *,
     signal: Signal = "measured",
     position_weight: float = 0.2,
+    smoothing: float = 0.0,
     error_scale: float = 1.0,
+    rate: Rate = "per_sample",
     rate_scale: float = 1.0,
     lower: float = 0.0,
     upper: float = 100.0,
+    vector_bias: VectorBias | None = None,
+    learning: Callable[[float], float] = lambda time: 1.0,
+    as_used: dict[str, Any] | None = None,
     **step_options: Any,
 ) -> Trajectory:
     """The loop of gain and filter over N samples; T_true is (N, 4, 4).
 
+    The error signal e is attitude + position_weight * position, each part at its last value (0
+    before the first) where it is not measured, passed through a low-pass filter (backward Euler,
+    time constant `smoothing` in s) that starts at its first value.  "pose": of true errors.
     gain_function(error, rate, last gain) -> K sees e / error_scale and |e_k - e_{k-1}| rate_scale,
-    each clipped to [0, 1], the rate 0 at sample 0.  The last gain is the K asked for at
-    the sample before, 1 + (lower + upper) / 2 at sample 0.  step_options go to `filter_step`.
+    "per_second" over the time between the two, each clipped to [0, 1], the rate 0 at sample 0.  The
+    last gain is the K asked for at the sample before, 1 + (lower + upper) / 2 at sample 0.
+    learning(time) is the factor on vector_bias' gain.  as_used goes to `used_sample`, step_options
+    to `filter_step`.
     """
     T_est, b_est, last = T0_est, b0_est, 1.0 + (lower + upper) / 2.0
-    rows: list[tuple[Any, ...]] = []
+    c_est, turning, time = np.zeros_like(samples[0].vI), np.zeros(3), 0.0
+    parts, e, rows = [0.0, 0.0], 0.0, []
     for k, sample in enumerate(samples):
-        e = error_signal(T_est, sample, T_true[k], signal, position_weight)
-        rate = abs(e - rows[-1][3]) if rows else 0.0
-        seen = np.clip([e / error_scale, rate * rate_scale], 0.0, 1.0)
+        used = used_sample(sample, c_est, **as_used or {})
+        true = pose_errors(T_est, T_true[k])
+        measured = true if signal == "pose" else measured_errors(T_est, used)
+        parts = [old if new is None else new for old, new in zip(parts, measured, strict=True)]
+        before, e, change = e, parts[0] + position_weight * parts[1], 0.0
+        if k > 0:
+            passed = samples[k - 1].dt
+            e = (passed * e + smoothing * before) / (passed + smoothing)
+            change = abs(e - before) / (passed if rate == "per_second" else 1.0)
+        seen = np.clip([e / error_scale, change * rate_scale], 0.0, 1.0)
         last = gain_function(float(seen[0]), float(seen[1]), last)
-        rows.append((T_est, b_est, last, e, *pose_errors(T_est, T_true[k])))
-        T_est, b_est = filter_step(T_est, b_est, sample, last, **step_options)
+        rows.append((T_est, b_est, c_est, last, e, change, *true))
+        learnt = c_est, turning
+        if vector_bias is not None:
+            learnt = learn_vector_biases(
+                T_est, b_est, c_est, turning, sample, learning(time), vector_bias
+            )
+        T_est, b_est = filter_step(T_est, b_est, used, last, **step_options)
+        (c_est, turning), time = learnt, time + sample.dt
     return Trajectory(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
 

@@ -22,13 +22,14 @@ from numpy.typing import ArrayLike
 from posegsa import config
 from posegsa.errors import PosegsaWarning
 from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
-from posegsa.model.filter import FilterState, initial_state
+from posegsa.model.filter import FilterSettings, FilterState, initial_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import Estimates, Samples, samples_of
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
-from posegsa.search.build import parameter_space, scenario, scenario_batch
+from posegsa.model.vectors import VectorSettings
+from posegsa.search.build import filter_settings, parameter_space, scenario, scenario_batch
 from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
@@ -129,11 +130,18 @@ class World(NamedTuple):
 
 
 @jax.jit
-def _world(one: Scenario, key: Array) -> World:
+def _world(one: Scenario, settings: FilterSettings, key: Array) -> World:
     truth = integrate(one)
-    sensed = measure(one, truth, key)
-    initial = initial_state(one.rotation_estimate, one.position_estimate, one.bias_estimate)
-    return World(truth, sensed, samples_of(sensed, truth.rotation, truth.position), initial)
+    m = measure(one, truth, key).measurements
+    initial = initial_state(
+        one.rotation_estimate,
+        one.position_estimate,
+        one.bias_estimate,
+        learnt_vectors=0 if settings.vector_bias is None else one.vectors.shape[0],
+    )
+    return World(
+        truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial
+    )
 
 
 def built(experiment: config.Experiment) -> Scenario:
@@ -144,7 +152,7 @@ def built(experiment: config.Experiment) -> Scenario:
 
 def world(experiment: config.Experiment, seed: int = 0) -> World:
     """Truth and measurements of an experiment's scenario, at its dtype."""
-    return _world(built(experiment), jax.random.key(seed))
+    return _world(built(experiment), filter_settings(experiment), jax.random.key(seed))
 
 
 def posed(experiment: config.Experiment, scenarios: int = 1) -> ScenarioBatch:
@@ -239,10 +247,12 @@ def sensed(
     return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)
 
 
-def tracked(measurements: Measurements, truth: np.ndarray, dtype: str) -> Samples:
+def tracked(
+    measurements: Measurements, truth: np.ndarray, vectors: VectorSettings, dtype: str
+) -> Samples:
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
-    return jax.jit(samples_of)(as_arrays(measurements, dtype), rotation, position)
+    return jax.jit(samples_of)(as_arrays(measurements, dtype), vectors, rotation, position)
 
 
 @jax.jit
@@ -252,7 +262,7 @@ def cost_of_estimates(estimates: Estimates, scenario: Samples, weights: CostWeig
     return trajectory_cost(*pose_errors(poses, scenario.truth), weights)
 
 
-def start(dtype: str) -> FilterState:
+def start(dtype: str, learnt_vectors: int = 0) -> FilterState:
     """The paper's initial estimate."""
     T = jnp.asarray(reference_start(PAPER.scenario), dtype)
-    return initial_state(T[:3, :3], T[:3, 3])
+    return initial_state(T[:3, :3], T[:3, 3], learnt_vectors=learnt_vectors)

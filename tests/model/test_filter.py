@@ -18,6 +18,8 @@ from filters import (
     jitted_transform,
     leaves_close,
     matrices,
+    observed,
+    prepared,
     random_estimates,
     random_samples,
     settings,
@@ -26,9 +28,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
-from posegsa.config import FilterConfig, GainConfig
-from posegsa.model.filter import FilterState, _step, initial_state, observe, step
-from posegsa.model.measurements import Measurements, prepare
+from posegsa.config import Experiment, FilterConfig, GainConfig, RunConfig, override
+from posegsa.model.filter import FilterSettings, FilterState, _step, initial_state, step
+from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings, signal_settings
@@ -214,15 +216,50 @@ def test_step_compiles_once_for_all_numbers() -> None:
     assert _step._cache_size() == 1
 
 
+def configured(dtype: Any, **section: Any) -> FilterSettings:
+    """The filter settings of a [filter] section, with the paper's scenario."""
+    run = RunConfig(dtype=np.dtype(dtype).name)
+    return filter_settings(Experiment(run=run, filter=FilterConfig(**section)))
+
+
 def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
-    chosen = filter_settings(FilterConfig(gamma=4.0, gain_limit=0.5, substeps=3), dtype)
-    assert (chosen.law, chosen.substeps) == ("gradient", 3)
+    chosen = configured(dtype, gamma=4.0, gain_limit=0.5, substeps=3)
+    assert (chosen.law, chosen.gamma_law, chosen.substeps) == ("gradient", "fixed", 3)
     numbers = (chosen.gamma_angular, chosen.gamma_linear, chosen.gain_limit)
     assert [float(a) for a in numbers] == [4, 4, 0.5]
-    assert {a.dtype for a in numbers} == {np.dtype(dtype)}
-    chosen = filter_settings(FilterConfig(gamma=(1.0, 2.0), gain_limit="off", law="printed"), dtype)
+    assert {a.dtype for a in jax.tree.leaves(chosen)} == {np.dtype(dtype)}
+    chosen = configured(dtype, gamma=(1.0, 2.0), gain_limit="off", law="printed")
     assert (float(chosen.gamma_angular), float(chosen.gamma_linear)) == (1, 2)
     assert (chosen.law, float(chosen.gain_limit)) == ("printed", np.inf)
+    chosen = configured(dtype, gamma_law="quadratic", normalise_vectors=False, cross_vector=False)
+    assert chosen.gamma_law == "quadratic"
+    assert (chosen.vectors.normalise, chosen.vectors.cross) == (False, False)
+    assert chosen.vector_bias is None
+
+
+def test_weights_and_the_law_of_the_vectors_biases_are_those_of_the_configuration() -> None:
+    changes = [
+        "scenario.vectors.1.weight=0.25",
+        "scenario.landmarks.0.weight=2.0",
+        "filter.cross_vector_weight=0.75",
+        "filter.vector_bias=estimated",
+        "filter.vector_bias_gain=0.5",
+        "filter.vector_bias_leak=0.01",
+        "filter.vector_bias_bound=0.25",
+        "filter.excitation=0.5",
+        "filter.excitation_time=2.0",
+    ]
+    chosen = filter_settings(override(Experiment(), changes))
+    assert chosen.vectors.weights is not None
+    assert [float(s) for s in chosen.vectors.weights] == [1, 0.25]
+    assert float(chosen.vectors.cross_weight) == 0.75
+    assert chosen.vectors.each_agent
+    assert chosen.landmark_weights is not None
+    assert [float(s) for s in chosen.landmark_weights] == [2]
+    law = chosen.vector_bias
+    assert law is not None
+    numbers = (law.gain, law.leak, law.per_bound, law.per_turning, law.excitation_time)
+    np.testing.assert_allclose(numbers, [0.5, 0.01, 16, 16, 2], rtol=1e-6)
 
 
 # Transformations ---------------------------------------------------------------------------------
@@ -232,7 +269,7 @@ def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
 def test_jit_equals_eager() -> None:
     m, _, state = random_samples(5)
     inputs = (state, jitted_prepare(m), jnp.linspace(1.0, 40.0, 5), settings())
-    leaves_close(jitted_observe(*inputs), observe(*inputs), atol=1e-12)
+    leaves_close(jitted_observe(*inputs), observed(*inputs), atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
@@ -240,7 +277,7 @@ def test_vmap_over_agents_equals_a_loop() -> None:
     m, _, states = random_samples(1)
     sample, state = jax.tree.map(lambda a: a[0], (jitted_prepare(m), states))
     gains, chosen = np.linspace(1.0, 60.0, 7), settings()
-    together = jax.jit(jax.vmap(observe, in_axes=(None, None, 0, None)))
+    together = jax.jit(jax.vmap(observed, in_axes=(None, None, 0, None)))
     got = together(state, sample, gains, chosen)
     for i, gain in enumerate(gains):
         one = jitted_observe(state, sample, gain, chosen)
@@ -256,7 +293,7 @@ def test_float32_stays_float32(wide, gain_limit) -> None:
     def result(raw: Measurements, T: Array, b: Array, gain: Array) -> Any:
         state = initial_state(T[:, :3, :3], T[:, :3, 3], b)
         chosen = settings(np.float32, gain_limit=gain_limit, substeps=2)
-        return observe(state, prepare(raw), gain, chosen)
+        return observed(state, prepared(raw), gain, chosen)
 
     with jax.enable_x64(wide):
         shapes = jax.eval_shape(result, *as_arrays((raw, T, b, np.ones(4)), np.float32))
@@ -270,7 +307,7 @@ def test_float32_agrees_with_float64_to_rounding() -> None:
     @jax.jit
     def result(m: Measurements, T: Array, b: Array, gain: Array) -> Any:
         state = initial_state(T[:, :3, :3], T[:, :3, 3], b)
-        return observe(state, prepare(m), gain, settings(gain.dtype))
+        return observed(state, prepared(m), gain, settings(gain.dtype))
 
     inputs = (raw, T, b, np.linspace(1, 40, 30))
     single = result(*as_arrays(inputs, np.float32))
@@ -285,7 +322,7 @@ def forward_and_reverse(*inputs: Any) -> tuple[Any, Any]:
     """Derivatives of the sum of all that a step returns, by state, gain and measurements."""
 
     def total(state: FilterState, gain: Array, m: Measurements) -> Array:
-        after, _ = observe(state, prepare(m), gain, settings(np.float32))
+        after, _ = observed(state, prepared(m), gain, settings(np.float32))
         return sum(jax.tree.leaves(after))
 
     ones = jax.tree.map(jnp.ones_like, inputs)
