@@ -89,7 +89,7 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
     body = jnp.where(factors[..., None] > 0, measurements.vectors, 0.0)
     inertial = measurements.vector_references
     count = factors.shape[-1]
-    if settings.each_agent:
+    if settings.each_agent and count:
         references = with_cross_vector(inertial) if settings.cross else inertial
         if settings.normalise:
             references = normalised(references)
@@ -105,8 +105,8 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
         last = references[..., -1, :] if settings.cross else jnp.zeros_like(body[..., 0, :])
         return VectorSamples(each, _vec3(last))
     weights = factors
-    if settings.weights is not None:
-        weights = factors * jnp.stack(settings.weights)
+    if settings.weights is not None and count:
+        weights = factors * jnp.broadcast_to(jnp.stack(settings.weights), factors.shape)
     if settings.cross:
         body, inertial = with_cross_vector(body), with_cross_vector(inertial)
         both = settings.cross_weight * jnp.minimum(factors[..., 0], factors[..., 1])
