@@ -427,9 +427,10 @@ def _learn(
     biases = []
     for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):
         residual = subtract(d, unrotate(R, vector.known))
-        # A vector that is missing teaches nothing.
-        now = choose(vector.factor > 0, share, jnp.zeros_like(share))
-        c = add(scale(kept, c), scale(now, residual))
+        # A vector that is missing teaches nothing, and nothing of what it taught is forgotten.
+        measured = vector.factor > 0
+        now = choose(measured, share, jnp.zeros_like(share))
+        c = add(scale(choose(measured, kept, 1.0), c), scale(now, residual))
         # With x = |c| / bound, x (3 - x^2) / 2 <= 1: a Newton step back to the bound, with neither
         # a square root nor a division.
         excess = law.per_bound * dot(c, c)
