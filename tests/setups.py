@@ -216,15 +216,21 @@ def reference_truth(c: config.ScenarioConfig, step: np.ndarray | None = None) ->
 
 
 def sensed(
-    step: np.ndarray, vectors: ArrayLike, landmarks: ArrayLike, *, missing: float = 0.0
+    step: np.ndarray,
+    vectors: ArrayLike,
+    landmarks: ArrayLike,
+    *,
+    missing: float = 0.0,
+    vector_bias: float = 0.0,
 ) -> tuple[np.ndarray, Measurements]:
     """True poses (N, 4, 4) of the paper's motion and what other sensors say of it, by NumPy alone.
 
     Args:
         step: (N,) time steps [s].
-        vectors: (n, 3) directions, used as they are, of any length.
+        vectors: (n, 3) of any length.
         landmarks: (m, 3) [m].
         missing: share of vectors and landmarks that have weight 0, and NaN for their value.
+        vector_bias: standard deviation of each component of the vectors' constant biases.
     """
     rng, N = np.random.default_rng(0), len(step)
     truth = reference_truth(PAPER.scenario, step)
@@ -242,6 +248,7 @@ def sensed(
         return np.where(weights[..., None] > 0, body, np.nan), weights
 
     v_B, v_weights = seen(v_I)
+    v_B = v_B + vector_bias * np.random.default_rng(1).normal(size=np.shape(vectors))
     y, y_weights = seen(p_I - P[:, None])
     noisy = (u + b + 0.1 * rng.normal(size=u.shape) for u, b in zip((omega, v), bias, strict=True))
     return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)

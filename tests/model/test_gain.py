@@ -8,16 +8,21 @@ import numpy as np
 import pytest
 import reference
 from builders import as_arrays, random_measurements, random_poses, reference_sample
+from filters import jitted_prepare, jitted_state, settings
 from jax import Array
 from scipy.spatial.transform import Rotation
 from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
-from posegsa.model.filter import FilterState, initial_state
-from posegsa.model.measurements import Measurements, prepare
-from posegsa.model.schedules import ConstantGain, FuzzyGain, ScheduleInputs
+from posegsa.model.filter import FilterState
+from posegsa.model.filter import see
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample
+from posegsa.model.schedules import ConstantGain, FuzzyGain, Gains, ScheduleInputs, SwitchGain
+from posegsa.model.rollout import run_filter
 from posegsa.model.se3 import quaternion, unstack
 from posegsa.model.signal import (
+    Measured,
     SignalMemory,
     TruePose,
     initial_memory,
@@ -29,8 +34,11 @@ from posegsa.search.build import signal_settings
 
 N = 60
 
-jitted_state, jitted_prepare = jax.jit(initial_state), jax.jit(prepare)
-jitted_errors = jax.jit(measured_errors)
+
+@jax.jit
+def jitted_errors(state: FilterState, sample: Sample) -> Measured:
+    """The errors that a filter measures which takes vectors as they are."""
+    return measured_errors(state, sample, see(state, sample, settings(sample.time_step.dtype)))
 
 
 def states(poses: np.ndarray) -> FilterState:
@@ -49,8 +57,8 @@ class Listener(NamedTuple):
 
     field: str
 
-    def __call__(self, inputs: ScheduleInputs) -> Array:
-        return getattr(inputs, self.field)
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        return Gains(getattr(inputs, self.field))
 
 
 def nothing_yet(gain: float) -> SignalMemory:
@@ -58,12 +66,14 @@ def nothing_yet(gain: float) -> SignalMemory:
     return initial_memory(ConstantGain(jnp.asarray(gain)), jnp.asarray(0.0))
 
 
-def told(errors: list[tuple[float, float]], field: str, **settings: float) -> np.ndarray:
+def told(
+    errors: list[tuple[float | None, float | None]], field: str, step: float = 0.01, **changes: Any
+) -> np.ndarray:
     """What a schedule is told of `field` at each sample, given its attitude and position errors."""
     memory = nothing_yet(0.0)
     heard = []
     for k, now in enumerate(errors):
-        gain, memory = listen(Listener(field), memory, now, 0.01 * k, **settings)
+        gain, memory = listen(Listener(field), memory, now, step * k, step, **changes)
         heard.append(gain)
     return np.array(heard)
 
@@ -71,48 +81,42 @@ def told(errors: list[tuple[float, float]], field: str, **settings: float) -> np
 def listen(
     schedule: Any,
     memory: SignalMemory,
-    errors: tuple[float, float],
+    errors: tuple[float | None, float | None],
     time: float,
     step: float = 0.01,
-    **settings: float,
+    **changes: Any,
 ) -> tuple[Array, SignalMemory]:
-    """One sample of `schedule`, and what it leaves in memory."""
-    made = signal_settings(GainConfig(**PAPER.gain.model_dump() | settings), jnp.float32)
-    now = jnp.asarray(errors[0]), jnp.asarray(errors[1])
-    gain, _, memory = scheduled_gain(
-        schedule, memory, now, jnp.asarray(time), jnp.asarray(step), made
+    """One sample of `schedule`, and what it leaves in memory; None is an error not measured."""
+    made = signal_settings(GainConfig(**PAPER.gain.model_dump() | changes), jnp.float32)
+    values = (jnp.asarray(0.0 if error is None else error) for error in errors)
+    seen = (jnp.asarray(error is not None) for error in errors)
+    gains, _, memory = scheduled_gain(
+        schedule, memory, Measured(*values, *seen), jnp.asarray(time), jnp.asarray(step), made
     )
-    return gain, memory
+    return gains.gain, memory
 
 
 # The two error signals ----------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("position_weight", [0.2, 1.5, 0.0])
 @pytest.mark.parametrize(("vectors", "landmarks"), [(3, 1), (2, 2), (4, 3), (3, 0), (0, 2)])
-def test_measured_signal_against_the_reference(
-    vectors: int, landmarks: int, position_weight: float
-) -> None:
+def test_measured_signal_against_the_reference(vectors: int, landmarks: int) -> None:
     rng = np.random.default_rng(vectors)
     poses = random_poses(rng, N)
     sensed = random_measurements(rng, N, vectors, landmarks, missing=0.3)
-    attitude, position = jitted_errors(
-        states(poses), jitted_prepare(as_arrays(sensed, jnp.float64))
-    )
+    errors = jitted_errors(states(poses), jitted_prepare(as_arrays(sensed, jnp.float64)))
     expected = [
-        reference.error_signal(T, reference_sample(sensed, k), T, "measured", position_weight)
-        for k, T in enumerate(poses)
+        reference.measured_errors(T, reference_sample(sensed, k)) for k, T in enumerate(poses)
     ]
-    # A difference of sums of a few squares, so their rounding and no more.
-    np.testing.assert_allclose(
-        attitude + position_weight * position, expected, rtol=1e-13, atol=1e-14
-    )
     # What is missing takes no part, and some samples have nothing at all.
-    weights = sensed.vector_weights.sum(axis=1), sensed.landmark_weights.sum(axis=1)
-    for part, weight in zip((attitude, position), weights, strict=True):
-        np.testing.assert_array_equal(np.asarray(part)[weight == 0], 0)
-    assert (weights[0] == 0).any() or vectors > 3
+    each = (errors.attitude, errors.attitude_seen), (errors.position, errors.position_seen)
+    for (part, seen), wanted in zip(each, zip(*expected, strict=True), strict=True):
+        assert np.asarray(seen).tolist() == [want is not None for want in wanted]
+        # A difference of sums of a few squares, so their rounding and no more.
+        want = [0.0 if want is None else want for want in wanted]
+        np.testing.assert_allclose(part, want, rtol=1e-13, atol=1e-14)
+    assert not np.all(errors.attitude_seen) or vectors > 3
 
 
 @pytest.mark.usefixtures("x64")
@@ -140,12 +144,13 @@ def test_attitude_parts_are_equal_for_orthonormal_vectors_without_noise() -> Non
         vector_weights=0.7,
         dtype=np.float64,
     )
-    measured, _ = jitted_errors(states(estimates), jitted_prepare(sensed))
+    measured = jitted_errors(states(estimates), jitted_prepare(sensed)).attitude
     true, _ = pose_errors(states(estimates), true_poses(truths))
     np.testing.assert_allclose(measured, true, rtol=1e-12)
     # Not so for two of them: the third direction is not seen.
     two = sensed._replace(vector_weights=sensed.vector_weights.at[:, 2].set(0.0))
-    assert np.abs(jitted_errors(states(estimates), jitted_prepare(two))[0] - true).max() > 0.05
+    unseen = jitted_errors(states(estimates), jitted_prepare(two)).attitude
+    assert np.abs(unseen - true).max() > 0.05
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -167,7 +172,7 @@ def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> 
 
 # What the schedule is told ------------------------------------------------------------------------
 
-ERRORS = [(0.5, 10.0), (0.4, 8.0), (0.4, 2.0), (0.1, 1.0), (0.1, 1.0), (0.3, 0.0)]
+ERRORS: list[tuple[float | None, float | None]] = [(0.5, 10.0), (0.4, 8.0), (0.4, 2.0), (0.1, 1.0), (0.1, 1.0), (0.3, 0.0)]
 """Unscaled signals 2.5, 2.0, 0.8, 0.3, 0.3, 0.3 at the weight 0.2."""
 
 
@@ -200,6 +205,35 @@ def test_a_schedule_is_told_the_time_and_its_own_last_gain() -> None:
     gain, after = listen(Listener("last"), memory, (0.5, 0.0), 0.0)
     assert gain == after.gain == 12.5
     assert listen(Listener("error"), memory, (0.5, 0.0), 0.0)[0] == 0.5
+
+
+def test_the_rate_per_second_is_over_the_time_since_the_last_sample() -> None:
+    halved = told(ERRORS, "rate", step=0.5, rate="per_second", rate_scale=0.25)
+    np.testing.assert_allclose(halved, [0, 0.25, 0.6, 0.25, 0, 0], atol=1e-6)
+    # The same signal sampled twice as often changes half as much, in half the time.
+    slow, fast = ([(0.1 * k / n, 0.0) for k in range(4 * n)] for n in (1, 2))
+    slow = told(slow, "rate", step=0.02, rate="per_second", rate_scale=0.1)
+    fast = told(fast, "rate", step=0.01, rate="per_second", rate_scale=0.1)
+    np.testing.assert_allclose(slow[1:], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(fast[1:], 0.5, rtol=1e-5)
+    assert slow[0] == fast[0] == 0
+
+
+def test_a_part_that_is_not_measured_keeps_its_last_value() -> None:
+    errors = [(None, None), (0.4, None), (None, 1.0), (0.2, None), (None, None), (None, 2.0)]
+    want = [0, 0.4, 0.6, 0.4, 0.4, 0.6]
+    np.testing.assert_allclose(told(errors, "error"), want, rtol=1e-6)
+    np.testing.assert_allclose(told(errors, "rate"), [0, 0.4, 0.2, 0.2, 0, 0.2], atol=1e-6)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.5])
+def test_a_steady_error_of_a_landmark_in_one_sample_of_ten_is_seen_whole(smoothing: float) -> None:
+    always = told([(0.0, 2.0)] * 40, "error", smoothing=smoothing)
+    seldom = told(
+        [(0.0, 2.0 if k % 10 == 0 else None) for k in range(40)], "error", smoothing=smoothing
+    )
+    np.testing.assert_allclose(always, 0.4, rtol=1e-6)
+    np.testing.assert_array_equal(seldom, always)
 
 
 def test_smoothing_is_a_low_pass_filter_before_all_else() -> None:
@@ -254,9 +288,34 @@ def test_a_fuzzy_gain_is_held_from_sample_to_sample_where_nothing_fires() -> Non
     assert len({51.0, fired, later}) == 3
 
 
+def test_a_switch_changes_gain_and_learning_each_at_its_time() -> None:
+    schedule = SwitchGain(*(jnp.asarray(x) for x in (80.0, 10.0, 2.0, 1.0)))
+    assert schedule.initial_gain() == 80
+    time = jnp.asarray([0.0, 0.9, 1.0, 1.9, 2.0, 9.0])
+    gains = schedule.prepare()(ScheduleInputs(0 * time, 0 * time, time, 0 * time))
+    assert gains.gain.tolist() == [80, 80, 80, 80, 10, 10]
+    assert jnp.asarray(gains.learning).tolist() == [0, 0, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("limit", [None, 1.5])
+def test_a_gain_that_is_nan_stays_nan(limit: float | None) -> None:
+    poses = random_poses(np.random.default_rng(0), 1)[0]
+    sensed = as_arrays(random_measurements(np.random.default_rng(0), 3, 2, 1), np.float32)
+    estimates = run_filter(
+        ConstantGain(jnp.asarray(jnp.nan)),
+        sensed,
+        jax.tree.map(lambda a: a.astype(np.float32), jitted_state(poses[:3, :3], poses[:3, 3])),
+        settings(np.float32, gain_limit=limit),
+        signal_settings(GainConfig(), np.float32),
+    )
+    assert np.isnan(estimates.gain).all()
+    assert np.isnan(estimates.gain_used).all()
+
+
 def test_a_constant_gain_is_constant() -> None:
     schedule = ConstantGain(jnp.asarray(7.5))
     assert schedule.initial_gain() == 7.5
     inputs = ScheduleInputs(*(jnp.linspace(0, 1, 4) for _ in range(4)))
-    assert schedule.prepare()(inputs).tolist() == [7.5] * 4
+    assert schedule.prepare()(inputs).gain.tolist() == [7.5] * 4
+    assert schedule.prepare()(inputs).learning == 1
     assert initial_memory(schedule, jnp.zeros(3)).gain.tolist() == [7.5] * 3

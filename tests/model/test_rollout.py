@@ -1,7 +1,7 @@
 """Whole simulations, against the reference: the compiled chain in float64, agent by agent."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ from posegsa.model.filter import initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import Estimates, run_filter, simulate, simulate_cost
 from posegsa.model.scenario import Truth
-from posegsa.model.schedules import ConstantGain, FuzzyGain
+from posegsa.model.schedules import ConstantGain, FuzzyGain, SwitchGain
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
 
@@ -41,6 +41,8 @@ VECTOR = search_vectors(1, seed=1)[0]
 """A schedule with nothing special about it; its gains run from 11 to 75 in the paper's scenario."""
 THREE = [[1.0, 0.2, -0.3], [-0.2, 0.8, 0.4], [0.1, -0.5, 1.4]]
 """Vectors that are independent, neither orthogonal nor of one length."""
+TWO = [[0.5, 1.4, 1.0], [-1.0, 0.3, 2.0]]
+"""Landmarks [m]."""
 cost_of = jax.jit(simulate_cost)
 
 
@@ -64,15 +66,34 @@ def reference_gain(experiment: Experiment) -> Callable[[float, float, float], fl
     return gain
 
 
+def as_used(experiment: Experiment) -> dict[str, Any]:
+    """How the reference is to use the vectors, and the weights of vectors and landmarks."""
+    f, scenario = experiment.filter, experiment.scenario
+    return {
+        "normalise": f.normalise_vectors,
+        "cross_weight": f.cross_vector_weight if f.cross_vector else None,
+        "vector_weights": [v.weight for v in scenario.vectors],
+        "landmark_weights": [p.weight for p in scenario.landmarks],
+    }
+
+
 def reference_run(
     experiment: Experiment,
     measurements: Measurements,
     truth: np.ndarray,
     gain: Callable[[float, float, float], float],
+    learning: Callable[[float], float] = lambda time: 1.0,
 ) -> reference.Trajectory:
     """The reference's trajectory, at an experiment's settings."""
     f, g = experiment.filter, experiment.gain
     gamma = f.gamma if isinstance(f.gamma, tuple) else (f.gamma, f.gamma)
+    law = reference.VectorBias(
+        gain=f.vector_bias_gain,
+        leak=f.vector_bias_leak,
+        bound=f.vector_bias_bound,
+        excitation=f.excitation,
+        excitation_time=f.excitation_time,
+    )
     return reference.run(
         reference_samples(measurements),
         reference_start(PAPER.scenario),
@@ -81,10 +102,16 @@ def reference_run(
         gain,
         signal=g.signal,
         position_weight=g.position_weight,
+        smoothing=g.smoothing,
         error_scale=g.error_scale,
+        rate=g.rate,
         rate_scale=g.rate_scale,
+        vector_bias=law if f.vector_bias == "estimated" else None,
+        learning=learning,
+        as_used=as_used(experiment),
         law=f.law,
         gamma=gamma,
+        gamma_law=f.gamma_law,
         substeps=f.substeps,
         gain_limit=None if f.gain_limit == "off" else f.gain_limit,
     )
@@ -93,19 +120,20 @@ def reference_run(
 def assert_same_run(
     estimates: Estimates, expected: reference.Trajectory, signal: SignalSettings
 ) -> None:
-    """Every signal within 1e-8 of its largest magnitude."""
-    change = np.abs(np.diff(expected.e, prepend=expected.e[0]))
+    """Every signal within 1e-9 of its largest magnitude."""
     pairs = {
         "rotation": (estimates.rotation, expected.T_est[:, :3, :3]),
         "position": (estimates.position, expected.T_est[:, :3, 3]),
         "bias": (estimates.bias, expected.b_est),
         "gain": (estimates.gain, expected.gain),
         "error": (estimates.error, np.clip(expected.e / signal.error_scale, 0, 1)),
-        "rate": (estimates.rate, np.clip(change * signal.rate_scale, 0, 1)),
+        "rate": (estimates.rate, np.clip(expected.rate * signal.rate_scale, 0, 1)),
     }
+    if estimates.vector_bias.shape[1] > 0:
+        pairs["vector_bias"] = (estimates.vector_bias, expected.c_est)
     for name, (ours, theirs) in pairs.items():
         off = np.abs(np.asarray(ours) - theirs).max()
-        assert off <= 1e-8 * np.abs(theirs).max(), f"{name}: {off}"
+        assert off <= 1e-9 * np.abs(theirs).max(), f"{name}: {off}"
 
 
 def assert_same_errors(truth: Truth, estimates: Estimates, expected: reference.Trajectory) -> None:
@@ -126,7 +154,7 @@ def test_the_papers_experiment_against_the_reference() -> None:
     truth, measurements, scenario, initial = world(experiment)
     true_poses = reference_truth(experiment.scenario)
     expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
-    settings = filter_settings(experiment.filter, "float64")
+    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, "float64")
 
     estimates = simulate(fuzzy_schedule(), scenario, initial, settings, signal)
@@ -139,54 +167,138 @@ def test_the_papers_experiment_against_the_reference() -> None:
     np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
 
     # The gain limit is at work: K_used = min(K, c / (dt L)) is not K.
-    limited = np.minimum(expected.gain, gain_limits(measurements, expected, 1.5, 0.01))
+    limited = np.minimum(expected.gain, gain_limits(experiment, measurements, expected))
     np.testing.assert_allclose(estimates.gain_used, limited, rtol=1e-8)
     assert (limited < expected.gain).sum() > 10
     np.testing.assert_allclose(estimates.time, 0.01 * np.arange(1500), rtol=1e-12)
 
 
 def gain_limits(
-    measurements: Measurements, expected: reference.Trajectory, c: float, step: float
+    experiment: Experiment, measurements: Measurements, expected: reference.Trajectory
 ) -> np.ndarray:
-    """c / (step L) at each sample (N,)."""
-    pairs = zip(expected.T_est, reference_samples(measurements), strict=True)
-    curvature = [reference.curvature(T, s.y, s.p, s.sL, s.vB, s.vI, s.sR) for T, s in pairs]
-    return c / (step * np.array(curvature))
+    """c / (dt/n L) of the first sub-step of each sample (N,)."""
+    f, limits = experiment.filter, []
+    assert f.gain_limit != "off"
+    samples = reference_samples(measurements)
+    for T, c, sample in zip(expected.T_est, expected.c_est, samples, strict=True):
+        s = reference.used_sample(sample, c, **as_used(experiment))
+        L = reference.curvature(T, s.y, s.p, s.sL, s.vB, s.vI, s.sR)
+        limits.append(f.gain_limit * f.substeps / (s.dt * L) if L > 0 else np.inf)
+    return np.array(limits)
 
 
-CHAINS: dict[str, tuple[tuple[str, ...], list, list]] = {
-    # settings, vectors, landmarks
-    "printed law": (("filter.law=printed", "filter.gamma=1.0"), THREE[:2], [[0.5, 1.4, 1]]),
-    "two landmarks": ((), THREE[:2], [[0.5, 1.4, 1], [-1, 0.3, 2]]),
-    "three vectors": (("filter.gamma=[4.0, 6.0]",), THREE, [[0.5, 1.4, 1]]),
-    "two sub-steps": (("filter.substeps=2",), THREE[:2], [[0.5, 1.4, 1]]),
-    "no gain limit": (("filter.substeps=4", "filter.gain_limit=off"), THREE[:2], [[0.5, 1.4, 1]]),
-    "pose signal": (("gain.signal=pose",), THREE[:2], [[0.5, 1.4, 1]]),
-    "scaled signal": (
-        ("gain.error_scale=0.5", "gain.rate_scale=3.0", "gain.position_weight=0.4"),
-        THREE[:2],
-        [[0.5, 1.4, 1]],
+class Chain(NamedTuple):
+    """What a chain is run with: settings of the filter and the signal, and sensors."""
+
+    settings: tuple[str, ...]
+    vectors: int = 2
+    landmarks: int = 1
+    missing: float = 0.0
+
+
+RAW = ("filter.normalise_vectors=false", "filter.cross_vector=false")
+"""Vectors are used as they are measured."""
+LEARNT = ("filter.vector_bias=estimated", "filter.vector_bias_gain=2.0")
+"""Their biases are learnt, fast enough to matter in two seconds."""
+CHAINS = {
+    "printed law": Chain((*RAW, "filter.law=printed", "filter.gamma=1.0")),
+    "two landmarks": Chain((), landmarks=2),
+    "three vectors": Chain((*RAW, "filter.gamma=[4.0, 6.0]"), vectors=3),
+    "two sub-steps": Chain((*RAW, "filter.substeps=2")),
+    "no gain limit": Chain((*RAW, "filter.substeps=4", "filter.gain_limit=off")),
+    "pose signal": Chain((*RAW, "gain.signal=pose")),
+    "scaled signal": Chain(
+        (
+            *RAW,
+            "gain.error_scale=0.5",
+            "gain.rate_scale=3.0",
+            "gain.position_weight=0.4",
+            "gain.smoothing=0.05",
+        )
+    ),
+    "gamma follows the gain": Chain(("filter.gamma_law=linear", "filter.substeps=2")),
+    "gamma follows its square": Chain(
+        ("filter.gamma_law=quadratic", "filter.gamma=[3.0, 300.0]"), missing=0.3
+    ),
+    "biases of one vector": Chain(
+        (*LEARNT, "filter.cross_vector=false", "filter.gamma_law=linear"), vectors=1, landmarks=2
+    ),
+    "biases of two vectors": Chain(
+        (
+            *LEARNT,
+            "filter.cross_vector_weight=0.4",
+            "filter.excitation=1.0",
+            "filter.excitation_time=0.3",
+            "filter.substeps=2",
+            "filter.gamma_law=quadratic",
+            "gain.smoothing=0.02",
+        ),
+        missing=0.3,
+    ),
+    "biases of three vectors as measured": Chain(
+        (
+            *LEARNT,
+            "filter.normalise_vectors=false",
+            "filter.vector_bias_leak=0.5",
+            "filter.vector_bias_bound=0.1",
+            "gain.rate=per_second",
+            "gain.rate_scale=0.02",
+        ),
+        vectors=3,
+        landmarks=2,
+        missing=0.4,
+    ),
+    "biases without a cross product": Chain(
+        (*LEARNT, "filter.cross_vector=false", "filter.law=printed", "filter.gamma=1.0")
     ),
 }
 
 
-@pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(("changes", "vectors", "landmarks"), CHAINS.values(), ids=CHAINS.keys())
-def test_the_chain_against_the_reference(
-    changes: tuple[str, ...], vectors: list, landmarks: list
-) -> None:
-    experiment = paper(*lasting(2.0), *changes)
-    true_poses, measurements = sensed(np.full(200, 0.01), vectors, landmarks)
-    expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
-    scenario = tracked(measurements, true_poses, "float64")
-    settings = filter_settings(experiment.filter, "float64")
-    signal = signal_settings(experiment.gain, "float64")
+def weighted(chain: Chain) -> Experiment:
+    """The experiment of a chain, in which each vector and landmark has a weight of its own."""
+    vectors = [
+        f"{{direction = {v}, weight = {w}}}"
+        for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
+    ]
+    landmarks = [f"{{position = {p}, weight = {w}}}" for p, w in zip(TWO, (1.2, 0.7), strict=True)]
+    return paper(
+        *lasting(2.0),
+        f"scenario.vectors=[{', '.join(vectors[: chain.vectors])}]",
+        f"scenario.landmarks=[{', '.join(landmarks[: chain.landmarks])}]",
+        *chain.settings,
+    )
 
-    estimates = simulate(fuzzy_schedule(), scenario, start("float64"), settings, signal)
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS.keys())
+def test_the_chain_against_the_reference(chain: Chain) -> None:
+    experiment = weighted(chain)
+    rng = np.random.default_rng(2)
+    # Where measurements are missing the time steps are uneven too.
+    step = rng.uniform(0.005, 0.015, 200) if chain.missing else np.full(200, 0.01)
+    true_poses, measurements = sensed(
+        step,
+        THREE[: chain.vectors],
+        TWO[: chain.landmarks],
+        missing=chain.missing,
+        vector_bias=0.2,
+    )
+    expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
+    settings = filter_settings(experiment)
+    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
+    signal = signal_settings(experiment.gain, "float64")
+    learnt = chain.vectors if settings.vector_bias is not None else 0
+
+    estimates = simulate(fuzzy_schedule(), scenario, start("float64", learnt), settings, signal)
     assert_same_run(estimates, expected, signal)
+    assert estimates.vector_bias.shape == (200, learnt, 3)
+    if learnt:
+        assert np.abs(expected.c_est[-1]).max() > 0.05
     # In sub-steps too, a gain well under the limit is used as it is.
-    limits = gain_limits(measurements, expected, 1.5, 0.01 / settings.substeps)
-    free = expected.gain < 0.5 * limits
+    if experiment.filter.gain_limit == "off":
+        free = np.full(200, True)
+    else:
+        free = expected.gain < 0.5 * gain_limits(experiment, measurements, expected)
     assert free.sum() > 10
     np.testing.assert_allclose(estimates.gain_used[free], expected.gain[free], rtol=1e-8)
     # The cost of the trajectory; that the running form is the same is shown once, above and in
@@ -209,22 +321,49 @@ def test_the_chain_against_the_reference(
 @pytest.mark.usefixtures("x64")
 def test_run_filter_with_missing_measurements_and_uneven_steps_against_the_reference() -> None:
     step = np.random.default_rng(1).uniform(0.002, 0.02, 300)
-    landmarks = [[0.5, 1.4, 1], [-1, 0.3, 2]]
-    true_poses, measurements = sensed(step, THREE, landmarks, missing=0.4)
+    experiment = weighted(Chain(LEARNT, vectors=3, landmarks=2))
+    true_poses, measurements = sensed(step, THREE, TWO, missing=0.4, vector_bias=0.2)
     nothing = (measurements.vector_weights.sum(axis=1) == 0) & (
         measurements.landmark_weights.sum(axis=1) == 0
     )
-    assert nothing.any()  # some samples have only the velocities
-    experiment = paper()
+    assert nothing[1:].any()  # some samples have only the velocities
     expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
-    settings = filter_settings(experiment.filter, "float64")
+    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, "float64")
     own = as_arrays(measurements, "float64")
-    estimates = run_filter(fuzzy_schedule(), own, start("float64"), settings, signal)
+    estimates = run_filter(fuzzy_schedule(), own, start("float64", 3), settings, signal)
     assert_same_run(estimates, expected, signal)
     np.testing.assert_allclose(estimates.time, np.cumsum(step) - step, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(np.asarray(estimates.gain_used)[nothing], estimates.gain[nothing])
-    assert (np.asarray(estimates.error)[nothing] == 0).all()
+    # What can't be measured stays as it was.
+    error, k = np.asarray(estimates.error), np.flatnonzero(nothing[1:]) + 1
+    np.testing.assert_array_equal(error[k], error[k - 1])
+    assert (np.asarray(estimates.rate)[k] == 0).all()
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_switch_of_gain_and_learning_against_the_reference() -> None:
+    experiment = weighted(CHAINS["biases of two vectors"])
+    step = np.full(200, 0.01)
+    true_poses, measurements = sensed(step, THREE[:2], TWO[:1], vector_bias=0.2)
+    # Half a sample away from one, so that rounding of the time can't matter.
+    before, after, time, learning_time = 40.0, 6.0, 0.705, 1.205
+    clock = iter(0.01 * np.arange(200))
+    expected = reference_run(
+        experiment,
+        measurements,
+        true_poses,
+        lambda error, rate, last: before if next(clock) < time else after,
+        learning=lambda now: float(now >= learning_time),
+    )
+    settings = filter_settings(experiment)
+    signal = signal_settings(experiment.gain, "float64")
+    schedule = SwitchGain(*(jnp.asarray(x) for x in (before, after, time, learning_time)))
+    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
+    estimates = simulate(schedule, scenario, start("float64", 2), settings, signal)
+    assert_same_run(estimates, expected, signal)
+    assert (np.asarray(estimates.vector_bias)[:121] == 0).all()
+    assert (np.asarray(estimates.vector_bias)[122] != 0).any()
 
 
 def user_measurements(samples: int, dtype: str) -> Measurements:
@@ -239,7 +378,7 @@ def test_run_filter_refuses_the_pose_signal() -> None:
             ConstantGain(jnp.asarray(10.0)),
             user_measurements(5, "float32"),
             initial_state(jnp.eye(3), jnp.zeros(3)),
-            filter_settings(experiment.filter, "float32"),
+            filter_settings(experiment),
             signal_settings(experiment.gain, "float32"),
         )
 
@@ -254,7 +393,7 @@ def test_compiled_equals_eager() -> None:
         fuzzy_schedule(),
         user_measurements(2, "float64"),
         start("float64"),
-        filter_settings(experiment.filter, "float64"),
+        filter_settings(experiment),
         signal_settings(experiment.gain, "float64"),
     )
     compiled = run_filter(*inputs)
@@ -269,9 +408,9 @@ def test_compiled_equals_eager() -> None:
 def test_derivatives_of_the_cost_by_the_parameters_are_those_of_the_cost() -> None:
     experiment = paper(*lasting(1.5))
     true_poses, measurements = sensed(np.full(150, 0.01), THREE[:2], [[0.5, 1.4, 1]])
-    scenario = tracked(measurements, true_poses, "float64")
     made = space()
-    settings = filter_settings(experiment.filter, "float64")
+    settings = filter_settings(experiment)
+    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
     signal = signal_settings(experiment.gain, "float64")
     weights = cost_weights(experiment.cost, 150, jnp.dtype("float64"))
 
