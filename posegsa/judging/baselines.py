@@ -28,7 +28,7 @@ from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotG
 from posegsa.optimisers import Box, Optimiser, runner, start
 from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
-from posegsa.search.keys import keys, oracle_keys, training_keys
+from posegsa.search.keys import keys, open_loop_keys, training_keys
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
 from posegsa.search.run import run_search
 
@@ -227,7 +227,7 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
         return schedule, SmoothDescription(kind="smooth", **values)
 
     def best_sequence() -> tuple[GainSchedule, Description]:
-        of = oracle_keys(seed, ORACLE_SCENARIOS)
+        of = open_loop_keys(seed, ORACLE_SCENARIOS)
         knots, how = oracle(scenario_batch(experiment, one, of))
         gain = np.exp(np.asarray(knots.log_gain, np.float64))
         time = np.asarray(knots.time, np.float64)
