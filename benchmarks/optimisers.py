@@ -39,6 +39,7 @@ from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
 from posegsa.saving.comparison import load_comparison
 from posegsa.search.build import scenario_batch, tuning_problem
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import run_search
@@ -142,8 +143,8 @@ def scenarios(options: argparse.Namespace) -> None:
             found = run_search(task).search
             # The same validation scenarios for all; held-out ones are not read.
             key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
-            controller = task.space.controller(found.best_position)
-            one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+            controller = task.space.schedules.controller(found.best_position)
+            one = Candidate(FuzzyGain(jax.tree.map(lambda a: a[None], controller)))
             costs = costs_by_scenario(one, scenario_batch(experiment, task.scenario, key))
             held[f"{name} {count} {seed}"] = float(found.best_cost), float(np.mean(costs))
             print(seed, name, count, *held[f"{name} {count} {seed}"], flush=True)

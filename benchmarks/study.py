@@ -56,7 +56,7 @@ def judge(experiment: config.Experiment) -> tuple[float, float, float]:
     found = run_search(task)
     key = keys(experiment.run.seed).validation
     validation = scenario_batch(experiment, task.scenario, scenario_keys(key, VALIDATION_SCENARIOS))
-    tuned = FuzzyGain(task.space.controller(found.search.best_position))
+    tuned = FuzzyGain(task.space.schedules.controller(found.search.best_position))
     constant: ConstantGain = best_constant(
         task.training, experiment.parameters.gain_range, experiment.objective
     )

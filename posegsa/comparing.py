@@ -13,7 +13,6 @@ from posegsa import config
 from posegsa.arguments import check_callable, check_number, check_type, check_whole
 from posegsa.errors import ArgumentError, ConfigError
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
-from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
@@ -77,8 +76,7 @@ class _Filter:
         return run_search(task, progress, search=first_search(task, key))
 
     def held_out(self, position: Array) -> float:
-        controller = self.task.space.controller(position)
-        one = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        one = jax.tree.map(lambda a: a[None], self.task.space.candidate(position))
         return float(np.mean(costs_by_scenario(one, self.unseen)))
 
 

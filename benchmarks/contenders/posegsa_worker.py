@@ -31,7 +31,7 @@ from contenders import c
 from contenders.scene import RULES, Scene
 from posegsa import config
 from posegsa.model.vectors import Wahba
-from posegsa.optimisers import Box, minimise
+from posegsa.optimisers import minimise
 from posegsa.runtime import enable_compilation_cache, fast_path_flags
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.keys import keys
@@ -66,7 +66,7 @@ def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Tun
 def parameter_vectors(task: TuningProblem, agents: int) -> jax.Array:
     """Parameter vectors (agents, 22), uniform in their boxes; the same in every dtype."""
     unit = jax.random.uniform(jax.random.key(1), (CHECKED_AGENTS, 22), jnp.float32)
-    lower, upper = task.space.lower, task.space.upper
+    lower, upper = task.space.box
     drawn = lower[None] + (upper - lower)[None] * unit.astype(lower.dtype)
     return jnp.resize(drawn, (agents, drawn.shape[1]))
 
@@ -81,7 +81,10 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
     one_landmark = len(e.scenario.landmarks) == 1 and e.gain.signal == "measured"
     if e.filter.substeps != 1 or e.filter.law != "gradient" or not one_landmark:
         raise ValueError("the other contenders know one landmark, one step and the gradient law")
-    if task.space.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != ("exact", "hold"):
+    if task.space.schedules.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != (
+        "exact",
+        "hold",
+    ):
         raise ValueError("the other contenders know the paper's rules and the exact centroid")
     training = task.training
     sample, truth, begun = training.samples.sample, training.samples.truth, training.initial
@@ -98,7 +101,7 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         return np.stack([plain(a) for a in components], axis=-1)
 
     settings, signal = training.settings, training.signal
-    controller = jax.jit(jax.vmap(task.space.controller))(vectors)
+    controller = jax.jit(jax.vmap(task.space.schedules.controller))(vectors)
     return Scene(
         time_step=plain(sample.time_step),
         angular_velocity=joined(sample.angular_velocity),
@@ -194,7 +197,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
     first = time.perf_counter() - ready
     runs = [run_search(task) for _ in range(options.repeats)]
     optimiser = task.experiment.search
-    box, key = Box(task.space.lower, task.space.upper), keys(0).search
+    box, key = task.space.box, keys(0).search
 
     def sphere(k: jax.Array) -> jax.Array:
         return jnp.sum(k * k, axis=-1)

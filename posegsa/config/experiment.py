@@ -8,15 +8,26 @@ from pydantic import Field
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.config.tunable import also_conflicts
 from posegsa.optimisers import GSA, OPTIMISERS, Optimiser
 from posegsa.settings.choice import Choice
-from posegsa.settings.fields import Ascending, Count, Flag, Index, NonNegative, Positive, Section
+from posegsa.settings.fields import (
+    Ascending,
+    Count,
+    Flag,
+    Index,
+    NonNegative,
+    Positive,
+    Section,
+    Tunable,
+)
 from posegsa.settings.violations import Violation
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """What [search] can be."""
+_OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
 
 
 class RunConfig(Section):
@@ -38,14 +49,14 @@ class FilterConfig(Section):
     law: Literal["gradient", "printed"] = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
-    gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)
+    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = (5.0, 10.0)
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
     gamma_law: Literal["fixed", "linear", "quadratic"] = "fixed"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
-    gain_limit: Positive | Literal["off"] = 1.5
+    gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" applies every gain as it is."""
     normalise_vectors: Flag = True
@@ -53,20 +64,20 @@ class FilterConfig(Section):
     is taken off)."""
     cross_vector: Flag = True
     """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
-    cross_vector_weight: NonNegative = 1.0
+    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 1.0
     """Weight s^R of that vector, no unit."""
     vector_bias: Literal["off", "estimated"] = "off"
     """Whether the constant biases of the vectors are estimated."""
-    vector_bias_gain: NonNegative = 0.5
+    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.5
     """Gain gamma_c of their law [1/s]."""
-    vector_bias_leak: NonNegative = 0.0
+    vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
     """Rate at which an estimate is forgotten [1/s]."""
-    vector_bias_bound: Positive = 0.5
+    vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
     """Largest length of an estimated bias, in its vector's unit."""
-    excitation: Positive = 0.2
+    excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.2
     """Angular velocity [rad/s] from which on all of vector_bias_gain is used; below it falls with
     the fourth power, as at rest a bias can't be told from an error of the attitude."""
-    excitation_time: NonNegative = 1.0
+    excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
     """Time constant of the low-pass filter that the angular velocity passes for that [s]."""
 
 
@@ -154,6 +165,7 @@ class Experiment(Section):
                 "allowed: false, or two vectors to begin with that are not collinear",
                 True,
             )
+        yield from also_conflicts(self, self.parameters.also)
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:

@@ -17,6 +17,7 @@ from posegsa.settings.fields import (
     Number,
     Positive,
     Section,
+    Tunable,
     Vector3,
     Vector6,
 )
@@ -50,7 +51,7 @@ class Vector(Section):
     """Bias b_i^B of the measurement, body frame, same unit."""
     noise: NonNegative = 0.1
     """Standard deviation of the noise n_i^B of each component, body frame, same unit."""
-    weight: NonNegative = 1.0
+    weight: Annotated[NonNegative, Tunable()] = 1.0
     """Weight s_i^R in the filter, no unit; 0 leaves the vector out."""
 
     @field_validator("direction")
@@ -70,7 +71,7 @@ class Landmark(Section):
     """Bias of the measured position, body frame [m]; the paper gives none."""
     noise: NonNegative = 0.1
     """Standard deviation of the noise of each component, body frame [m]."""
-    weight: NonNegative = 1.0
+    weight: Annotated[NonNegative, Tunable()] = 1.0
     """Weight s_i^L in the filter, no unit; 0 leaves the landmark out."""
 
 

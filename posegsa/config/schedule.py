@@ -6,7 +6,8 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import Field
 
-from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section
+from posegsa.config.tunable import AlsoTuned
+from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
 from posegsa.settings.violations import Violation
 
 Term = Literal["VS", "S", "M", "L", "VL"]
@@ -74,16 +75,16 @@ class GainConfig(Section):
     signal: Literal["measured", "pose"] = "measured"
     """What e is made of: "measured", the vectors and landmarks that a vehicle has, or "pose", the
     true errors in attitude and position (an oracle, for simulation only)."""
-    position_weight: NonNegative = 0.2
+    position_weight: Annotated[NonNegative, Tunable()] = 0.2
     """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
-    smoothing: NonNegative = 2.0
+    smoothing: Annotated[NonNegative, Tunable()] = 2.0
     """Time constant of the first-order low-pass filter that e passes before all else [s]; 0 is
     none."""
-    error_scale: Positive = 1.0
+    error_scale: Annotated[Positive, Tunable()] = 1.0
     """e is divided by this before it is clipped to [0, 1], in the unit of e."""
     rate: Literal["per_sample", "per_second"] = "per_sample"
     """What the controller's second input is: |e_k - e_(k-1)|, or that over the time between."""
-    rate_scale: NonNegative = 1.0
+    rate_scale: Annotated[NonNegative, Tunable()] = 1.0
     """Factor on it (no unit, or [s]) before it is clipped to [0, 1]."""
 
 
@@ -137,6 +138,8 @@ class ParametersConfig(Section):
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
+    also: tuple[AlsoTuned, ...] = ()
+    """Further numbers that are searched together with k1..k22."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if self.gain_range[0] >= self.gain_range[1]:

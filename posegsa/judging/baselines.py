@@ -27,7 +27,8 @@ from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
 from posegsa.optimisers import Box, Optimiser, runner, start
 from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
-from posegsa.search.keys import keys, oracle_keys, training_keys
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import keys, open_loop_keys, training_keys
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
 from posegsa.search.run import run_search
 
@@ -64,7 +65,9 @@ def best_constant(
     """
     low, high = gain_range
     gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
-    costs = np.asarray(over_scenarios(costs_by_scenario(ConstantGain(gains), training), objective))
+    costs = np.asarray(
+        over_scenarios(costs_by_scenario(Candidate(ConstantGain(gains)), training), objective)
+    )
     return ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
 
 
@@ -113,7 +116,7 @@ class _Objective(NamedTuple):
 
         def costs(vectors: Array) -> Array:
             schedules = jax.vmap(self.schedule)(vectors)
-            return over_scenarios(agent_costs(schedules, training), self.objective)
+            return over_scenarios(agent_costs(Candidate(schedules), training), self.objective)
 
         return costs
 
@@ -126,7 +129,7 @@ def _descend(
 
     def cost(knots: Array) -> Array:
         schedule = jax.tree.map(lambda a: a[None], KnotGain(time, knots))
-        return jnp.mean(agent_costs(schedule, batch))
+        return jnp.mean(agent_costs(Candidate(schedule), batch))
 
     def cost_and_gradient(knots: Array) -> tuple[Array, Array]:
         # Forward mode: few inputs, 1500 steps, and nothing to store.
@@ -224,7 +227,7 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
         return schedule, SmoothDescription(kind="smooth", **values)
 
     def best_sequence() -> tuple[GainSchedule, Description]:
-        of = oracle_keys(seed, ORACLE_SCENARIOS)
+        of = open_loop_keys(seed, ORACLE_SCENARIOS)
         knots, how = oracle(scenario_batch(experiment, one, of))
         gain = np.exp(np.asarray(knots.log_gain, np.float64))
         time = np.asarray(knots.time, np.float64)

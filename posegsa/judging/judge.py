@@ -26,8 +26,8 @@ from posegsa.search.run import Found
 def judge(problem: TuningProblem, found: Found) -> TuneResult:
     """Judge the best controller that a search found, beside the best constant gain."""
     experiment, search = problem.experiment, found.search
-    controller = problem.space.controller(search.best_position)
-    parameters = np.asarray(problem.space.vector(controller), np.float64)
+    controller = problem.space.schedules.controller(search.best_position)
+    parameters = np.asarray(problem.space.schedules.vector(controller), np.float64)
     tuned = FuzzyGain(controller)
     constant = best_constant(
         problem.training, experiment.parameters.gain_range, experiment.objective

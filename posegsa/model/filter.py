@@ -69,7 +69,7 @@ from posegsa.errors import MeasurementError
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.measurements import Measurements, finite_array, numeric_array
 from posegsa.model.sample import Sample, prepare
-from posegsa.model.schedules import Gains
+from posegsa.model.schedules import Gains, check_gain
 from posegsa.model.se3 import (
     Matrix3,
     Quaternion,
@@ -380,7 +380,9 @@ def observe(
     """
     n, dt = settings.substeps, sample.time_step
     h = dt / n
-    gain, used_total = gains.gain, jnp.zeros_like(gains.gain)
+    # A gain below 0 or NaN is none: it makes the estimate NaN, which everyone sees.
+    gain = choose(gains.gain >= 0, gains.gain, jnp.nan)
+    used_total = jnp.zeros_like(gain)
     vector_biases, turning = _learn(state, sample, seen, gains.learning, settings)
     for j in range(n):
         U = innovation(state, sample, seen)
@@ -389,7 +391,7 @@ def observe(
         # where there is nothing to limit, nor a derivative of a division by 0.
         length = h * U.curvature
         limit = settings.gain_limit / choose(length > 0, length, 1.0)
-        used = choose(length > 0, minimum(gain, limit), gain)
+        used = choose(length > 0, minimum(limit, gain), gain)
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:
@@ -446,13 +448,16 @@ def step(
     Args:
         state: current estimate (`initial_state`).
         measurement: one sample, without a time axis (`measurements.at(k)`).
-        gain: K [1/s], scalar, e.g. from `FuzzyController`.
-        settings: from `posegsa.filter_settings(section)`, or made by hand.
+        gain: K [1/s], scalar, e.g. from `FuzzyController`; at least 0, and NaN makes the estimate
+            NaN.
+        settings: from `posegsa.filter_settings(experiment)`, or made by hand.
 
     Raises:
-        ArgumentError: an argument is of another type, or they do not fit together.
+        ArgumentError: an argument is of another type, the gain is negative, or they do not fit
+            together.
     """
     check_type("state", state, FilterState)
+    check_gain("gain", gain)
     check_type("measurement", measurement, Measurements)
     check_type("settings", settings, FilterSettings)
     with fitting("step"):

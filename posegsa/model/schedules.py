@@ -9,7 +9,9 @@ from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from posegsa.errors import ArgumentError
 from posegsa.model.fuzzy import FuzzyController, PreparedController
@@ -183,8 +185,15 @@ class SwitchGain:
         return Gains(jnp.broadcast_to(gain, shape), jnp.broadcast_to(learning, shape))
 
 
+def check_gain(name: str, gain: ArrayLike) -> None:
+    """Raise an ArgumentError if a gain is negative; inside jit, where that isn't known, never."""
+    if not isinstance(gain, jax.core.Tracer) and np.any(np.less(gain, 0)):
+        raise ArgumentError(f"{name} = {np.min(gain)}; allowed: at least 0 [1/s]")
+
+
 def check_schedule(schedule: GainSchedule) -> None:
-    """Raise an ArgumentError unless a value has the methods of a schedule."""
+    """Raise an ArgumentError unless a value has the methods of a schedule and begins at K >= 0."""
     if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
         what = type(schedule).__name__
         raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")
+    check_gain("schedule: its gain", schedule.initial_gain())

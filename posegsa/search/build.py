@@ -23,6 +23,7 @@ from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
+from posegsa.search.candidates import Candidate, Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
@@ -36,7 +37,7 @@ class TuningProblem(NamedTuple):
     everywhere: ScenarioBatch
     """Training scenarios, then held-out ones."""
     training: ScenarioBatch
-    space: ParameterSpace
+    space: SearchSpace[ParameterSpace]
 
     @property
     def held_out(self) -> ScenarioBatch:
@@ -63,7 +64,7 @@ def tuning_problem(experiment: config.Experiment) -> TuningProblem:
         scenario=one,
         everywhere=everywhere,
         training=everywhere.select(slice(run.training_scenarios)),
-        space=parameter_space(experiment),
+        space=search_space(experiment, parameter_space(experiment)),
     )
 
 
@@ -248,7 +249,8 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             cross_weight=number(section.cross_vector_weight),
             normalise=section.normalise_vectors,
             cross=section.cross_vector,
-            each_agent=learnt,
+            # With their own weights, too, candidates make different things of the vectors.
+            each_agent=learnt or any("vector" in one.key for one in experiment.parameters.also),
         ),
         landmark_weights=tuple(number(p.weight) for p in scenario.landmarks),
         vector_bias=VectorBias(
@@ -327,6 +329,33 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
         no_rule=fuzzy.no_rule,
         reach=_reach(parameters),
     )
+
+
+def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchSpace[Schedules]:
+    """Where an experiment searches: the numbers of a schedule, and those that are tuned too."""
+    also, dtype = experiment.parameters.also, jnp.dtype(experiment.run.dtype)
+    logarithmic = tuple(one.scale == "logarithmic" for one in also)
+
+    def bounds(values: list[float]) -> Array:
+        searched = [
+            math.log(value) if by_logarithm else value
+            for value, by_logarithm in zip(values, logarithmic, strict=True)
+        ]
+        return jnp.asarray(np.asarray(searched, dtype))
+
+    return SearchSpace(
+        schedules=schedules,
+        also_lower=bounds([one.lower for one in also]),
+        also_upper=bounds([one.upper for one in also]),
+        keys=tuple(one.key for one in also),
+        logarithmic=logarithmic,
+    )
+
+
+def with_values(experiment: config.Experiment, candidate: Candidate) -> config.Experiment:
+    """An experiment with a candidate's own numbers in it."""
+    values = zip(candidate.keys, candidate.values, strict=True)
+    return config.override(experiment, [f"{key}={float(value)!r}" for key, value in values])
 
 
 def _reach(parameters: config.ParametersConfig) -> int:

@@ -21,10 +21,12 @@ class Keys(NamedTuple):
     """Of the scenarios that only judge."""
     validation: Array
     """Of the scenarios that choices between configurations are made on."""
-    oracle: Array
-    """Of the scenarios that the oracle is fitted to."""
+    open_loop: Array
+    """Of the scenarios that the best open-loop gains are fitted to."""
     baselines: Array
     """Of the searches for the baselines."""
+    endurance: Array
+    """Of the long scenarios that only judge."""
 
 
 def keys(seed: int) -> Keys:
@@ -61,6 +63,11 @@ def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
     return scenario_keys(key, count)
 
 
-def oracle_keys(seed: int, count: int) -> Array:
-    """Keys (count,) of the scenarios that the open-loop reference is fitted to."""
-    return scenario_keys(keys(seed).oracle, count)
+def open_loop_keys(seed: int, count: int) -> Array:
+    """Keys (count,) of the scenarios that the best open-loop gains are fitted to."""
+    return scenario_keys(keys(seed).open_loop, count)
+
+
+def endurance_keys(seed: int, count: int) -> Array:
+    """Keys (count,) of the long scenarios that show what holds past the tuned window."""
+    return scenario_keys(keys(seed).endurance, count)

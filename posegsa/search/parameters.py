@@ -25,6 +25,7 @@ from posegsa.config import (
 )
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
+from posegsa.model.schedules import FuzzyGain
 
 _SEARCHED = slice(2, 13)
 """Where the searched values stand among the 15 entries of five triangles; the other four are
@@ -104,6 +105,10 @@ class ParameterSpace:
             reach=self.reach,
         )
 
+    def schedule(self, vector: Array) -> FuzzyGain:
+        """The gain schedule of a vector k (22,)."""
+        return FuzzyGain(self.controller(vector))
+
     def vector(self, controller: FuzzyController) -> Array:
         """The vector k (22,) of a controller, the inverse of `controller` on repaired vectors."""
         inputs, outputs = (
@@ -111,11 +116,11 @@ class ParameterSpace:
         )
         return jnp.concatenate([inputs[_SEARCHED], outputs[_SEARCHED]])
 
-    def valid(self, k: Array) -> Array:
+    def valid(self, vector: Array) -> Array:
         """Whether a vector k (22,) has a cost: with ordering off, only if it is in order."""
         if self.ordering:
             return jnp.asarray(True)
-        return jnp.all(jnp.stack([in_order(t) for t in self.raw_terms(k)]))
+        return jnp.all(jnp.stack([in_order(t) for t in self.raw_terms(vector)]))
 
     def checked(self, k: ArrayLike) -> Array:
         """A vector k from a user, as an array (22,) of the space's dtype.

@@ -12,9 +12,8 @@ from posegsa.config import ObjectiveConfig
 from posegsa.model.cost import CostWeights
 from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import Samples, simulate_cost
-from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
-from posegsa.search.parameters import ParameterSpace
+from posegsa.search.candidates import Candidate, SearchSpace
 
 MEAN = ObjectiveConfig(name="mean")
 
@@ -97,20 +96,20 @@ def _divided(count: int, size: int) -> int:
     return math.ceil(count / size)
 
 
-def agent_costs(schedules: GainSchedule, batch: ScenarioBatch, axis: str | None = None) -> Array:
-    """Cost (S, A) of A schedules on S scenarios (pure, jittable).
+def agent_costs(agents: Candidate, batch: ScenarioBatch, axis: str | None = None) -> Array:
+    """Cost (S, A) of A agents on S scenarios (pure, jittable).
 
     All agents meet the same noise (common random numbers), so that their differences are their
     own. The agents are the innermost batch axis: one time step of all agents of a piece is a few
     fused kernels.
 
     Args:
-        schedules: One kind of schedule whose leaves have a leading axis of agents.
+        agents: Candidates of one kind, leaves (A, ...).
         batch: Scenarios and settings.
-        axis: Inside `jax.shard_map`, the mesh axis over which the work is divided. Schedules and
+        axis: Inside `jax.shard_map`, the mesh axis over which the work is divided. Agents and
             scenarios are the same on all its devices, and so are the costs: only they travel.
     """
-    count = batch.samples.time.shape[0], jax.tree.leaves(schedules)[0].shape[0]
+    count = batch.samples.time.shape[0], jax.tree.leaves(agents)[0].shape[0]
     shards = 1 if axis is None else lax.axis_size(axis)
     on_cpu = jax.default_backend() == "cpu"
     cut = partition(*count, shards=shards, piecewise=on_cpu)
@@ -118,12 +117,13 @@ def agent_costs(schedules: GainSchedule, batch: ScenarioBatch, axis: str | None 
     def piece(part: Array) -> Array:
         group, chunk = part // cut.chunks, part % cut.chunks
         samples, initial = _part((batch.samples, batch.initial), group, cut.scenarios, count[0])
-        some = _part(schedules, chunk, cut.agents, count[1])
+        some = _part(agents, chunk, cut.agents, count[1])
 
         def on_scenario(samples: Samples, initial: FilterState) -> Array:
-            def agent(schedule: GainSchedule) -> Array:
+            def agent(one: Candidate) -> Array:
+                settings, signal = one.applied(batch.settings, batch.signal)
                 return simulate_cost(
-                    schedule, samples, initial, batch.weights, batch.settings, batch.signal
+                    one.schedule, samples, initial, batch.weights, settings, signal
                 ).total
 
             return jax.vmap(agent)(some)
@@ -180,17 +180,17 @@ def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:
 def population_costs(
     vectors: Array,
     batch: ScenarioBatch,
-    space: ParameterSpace,
+    space: SearchSpace,
     objective: ObjectiveConfig = MEAN,
     axis: str | None = None,
 ) -> Array:
-    """Cost (A,) of A parameter vectors (A, 22), by default the mean over scenarios (jittable).
+    """Cost (A,) of A search vectors (A, d), by default the mean over scenarios (jittable).
 
     An agent that diverges costs infinity or NaN, one that is out of order where that is not
     repaired infinity; the search sees to it that neither is ever best. `axis` is `agent_costs`'.
     """
-    schedules = FuzzyGain(jax.vmap(space.controller)(vectors))
-    costs = over_scenarios(agent_costs(schedules, batch, axis), objective)
+    agents = jax.vmap(space.candidate)(vectors)
+    costs = over_scenarios(agent_costs(agents, batch, axis), objective)
     return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
 
 

@@ -14,7 +14,6 @@ from jax.sharding import Mesh
 from posegsa import config
 from posegsa.errors import ConfigError
 from posegsa.optimisers import (
-    Box,
     Differentiable,
     Search,
     advance,
@@ -25,6 +24,7 @@ from posegsa.optimisers import (
 )
 from posegsa.optimisers.driver import Runner
 from posegsa.search.build import TuningProblem
+from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
 from posegsa.search.parameters import ParameterSpace
@@ -110,11 +110,7 @@ def run_timed(
 def first_search(task: TuningProblem, key: Array | None = None) -> Search:
     """A task's search before its first iteration; by default with the key of its seed."""
     key = keys(task.experiment.run.seed).search if key is None else key
-    return start(task.experiment.search, _box(task.space), key)
-
-
-def _box(space: ParameterSpace) -> Box:
-    return Box(space.lower, space.upper)
+    return start(task.experiment.search, task.space.box, key)
 
 
 def run_search(
@@ -138,7 +134,7 @@ def run_search(
         run = _run_on_host(task)
     else:
         mesh = _mesh(task)
-        begin, box, *data = spread((begin, _box(task.space), task.training, task.space), mesh)
+        begin, box, *data = spread((begin, task.space.box, task.training, task.space), mesh)
         run = runner(optimiser, _objective(task, mesh), box, *data, on_devices=on_each(mesh))
     return run_timed(run, begin, optimiser.total_iterations, progress, keep)
 
@@ -158,10 +154,10 @@ def search_batch(
             "batch"
         )
     try:
-        reach = max(task.space.reach for task in tasks)  # more than one's own changes no bit of it
+        reach = max(task.space.schedules.reach for task in tasks)  # more changes no bit of any
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves),
-            *((task.training, replace(task.space, reach=reach)) for task in tasks),
+            *((task.training, _with_reach(task.space, reach)) for task in tasks),
         )
     except (ValueError, TypeError) as error:
         raise ConfigError(
@@ -169,10 +165,10 @@ def search_batch(
             f"only, such as noise, gamma, weights, boxes and initial errors ({error})"
         ) from None
     search_keys = jnp.stack([keys(task.experiment.run.seed).search for task in tasks])
-    search = jax.vmap(partial(start, optimiser))(_box(space), search_keys)
+    search = jax.vmap(partial(start, optimiser))(space.box, search_keys)
 
     mesh = _mesh(tasks[0])
-    search, box, *data = spread((search, _box(space), training, space), mesh)
+    search, box, *data = spread((search, space.box, training, space), mesh)
     run = runner(optimiser, _objective(tasks[0], mesh), box, *data, on_devices=on_each(mesh))
     found = run_timed(run, search, optimiser.total_iterations, progress)
     share = len(tasks)
@@ -184,6 +180,10 @@ def search_batch(
         )
         for i in range(share)
     ]
+
+
+def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[ParameterSpace]:
+    return replace(space, schedules=replace(space.schedules, reach=reach))
 
 
 def _mesh(task: TuningProblem) -> Mesh | None:
@@ -198,7 +198,7 @@ class _Objective(NamedTuple):
     axis: str | None
     """Axis of the mesh over which the simulations are divided, if they are."""
 
-    def __call__(self, training: ScenarioBatch, space: ParameterSpace) -> Differentiable:
+    def __call__(self, training: ScenarioBatch, space: SearchSpace) -> Differentiable:
         """As a function of vectors (A, 22), on training scenarios."""
 
         def costs(vectors: Array) -> Array:
@@ -217,9 +217,9 @@ def _costs(
     on_devices: Callable[[Callable[..., Array]], Callable[..., Array]],
     vectors: Array,
     training: ScenarioBatch,
-    space: ParameterSpace,
+    space: SearchSpace,
 ) -> Array:
-    def costs(vectors: Array, training: ScenarioBatch, space: ParameterSpace) -> Array:
+    def costs(vectors: Array, training: ScenarioBatch, space: SearchSpace) -> Array:
         return objective(training, space).costs(vectors)
 
     return on_devices(costs)(vectors, training, space)
@@ -243,8 +243,8 @@ def _run_on_host(task: TuningProblem) -> Runner:
 
     def run(search: Search, stop: int) -> Search:
         if stop == 0:  # compile
-            anything = jnp.tile(space.lower[None], (optimiser.agents, 1))
+            anything = jnp.tile(space.box.lower[None], (optimiser.agents, 1))
             jax.block_until_ready(costs(anything))
-        return advance(optimiser, costs, _box(space), search, stop)
+        return advance(optimiser, costs, space.box, search, stop)
 
     return run

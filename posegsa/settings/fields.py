@@ -51,6 +51,22 @@ Ascending = AfterValidator(_ascending)
 """Of a pair: its first value is not above the second."""
 
 
+class Tunable:
+    """Marks a number that a search may tune.
+
+    Args:
+        name: Another field of the section, with which alone it has an effect; by default none.
+        value: What that field must be.
+    """
+
+    def __init__(self, name: str | None = None, value: object = None) -> None:
+        self._name, self._value = name, value
+
+    def has_effect(self, section: "Section") -> bool:
+        """Whether the number has an effect in a section."""
+        return self._name is None or getattr(section, self._name) == self._value
+
+
 class Section(BaseModel):
     """One table of the configuration: frozen, and closed to keys that it does not know.
 

@@ -192,7 +192,7 @@ def test_the_knot_schedule_passes_its_knots_and_holds_its_ends():
 def test_the_oracle_improves_on_its_starts(training, monkeypatch):
     monkeypatch.setattr(baselines, "ORACLE_STEPS", 25)
     monkeypatch.setattr(baselines, "KNOTS", 6)
-    knots, how = baselines.oracle(training)
+    knots, how = baselines.open_loop(training)
     starts = ConstantGain(jnp.float32(baselines.ORACLE_STARTS))
     cost = how["cost_fitted"]
     assert cost < float(jnp.min(jnp.mean(costs_by_scenario(starts, training), axis=0)))

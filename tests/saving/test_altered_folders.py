@@ -214,7 +214,7 @@ def test_every_field_of_a_comparison(comparison):
             "evaluation.json",
             ("contenders", "oracle K(t)", "schedule", "time"),
             ["a", "b"],
-            "contenders.oracle K(t).schedule.open loop.time.1 = 'b': ",
+            "contenders.open_loop K(t).schedule.open loop.time.1 = 'b': ",
         ),
         (
             "evaluation.json",
@@ -226,7 +226,7 @@ def test_every_field_of_a_comparison(comparison):
             "evaluation.json",
             ("contenders", "oracle K(t)", "metrics", "cost"),
             [1.0],
-            "contenders.oracle K(t).metrics.cost: shape (1,)",
+            "contenders.open_loop K(t).metrics.cost: shape (1,)",
         ),
     ],
 )

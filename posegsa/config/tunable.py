@@ -1,0 +1,91 @@
+"""Numbers beside k1..k22 that a search may tune: of the filter, its error signal, its weights."""
+
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+from pydantic import ValidationError
+
+from posegsa.settings.fields import Number, Section, Tunable
+from posegsa.settings.violations import Violation
+
+
+class AlsoTuned(Section):
+    """[[parameters.also]]: a further number that is searched together with k1..k22."""
+
+    key: str
+    """Which: a key such as "filter.vector_bias_gain" or "scenario.vectors.0.weight"."""
+    lower: Number
+    """Lower bound, in the unit of the key."""
+    upper: Number
+    """Upper bound, likewise."""
+    scale: Literal["linear", "logarithmic"] = "linear"
+    """Whether the number itself is searched, or its logarithm."""
+
+    def _conflicts(self) -> Iterator[Violation]:
+        if self.lower > self.upper:
+            yield Violation("lower", f"allowed: at most upper = {self.upper}", self.lower)
+        if self.scale == "logarithmic" and self.lower <= 0:
+            reason = 'allowed: above 0, because scale = "logarithmic"'
+            yield Violation("lower", reason, self.lower)
+
+
+class _Place(NamedTuple):
+    """Where a tunable number stands: the section, its field, and the index within that."""
+
+    section: Section
+    field: str
+    index: int | None
+
+    def refusal(self, value: float) -> str | None:
+        """Why the section refuses a value there; None if it takes it."""
+        given: Any = value
+        if self.index is not None:
+            given = list(getattr(self.section, self.field))
+            given[self.index] = value
+        try:
+            # Not by calling the section, which would report as if a user had made it.
+            type(self.section).model_validate(dict(self.section) | {self.field: given})
+        except ValidationError as error:
+            return error.errors(include_url=False)[0]["msg"].removeprefix("Input ")
+        return None
+
+
+def tunable(experiment: Section) -> dict[str, _Place]:
+    """The numbers of an experiment that a search may tune and that have an effect, by key."""
+    return dict(_places(experiment, ""))
+
+
+def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
+    if isinstance(value, tuple):
+        for i, each in enumerate(value):
+            yield from _places(each, f"{path}.{i}")
+    if not isinstance(value, Section):
+        return
+    for name, field in type(value).model_fields.items():
+        inner, key = getattr(value, name), f"{path}.{name}" if path else name
+        marks = [mark for mark in field.metadata if isinstance(mark, Tunable)]
+        if not marks:
+            yield from _places(inner, key)
+        elif marks[0].has_effect(value):
+            if isinstance(inner, tuple):
+                for i in range(len(inner)):
+                    yield f"{key}.{i}", _Place(value, name, i)
+            elif not isinstance(inner, str):  # "off" is no number
+                yield key, _Place(value, name, None)
+
+
+def also_conflicts(experiment: Section, also: tuple[AlsoTuned, ...]) -> Iterator[Violation]:
+    """What is wrong with the numbers that an experiment wants tuned too."""
+    places, seen = tunable(experiment), set()
+    for i, one in enumerate(also):
+        at = f"parameters.also.{i}"
+        if one.key not in places:
+            reason = f"cannot be tuned, or has no effect here; allowed: {', '.join(places)}"
+            yield Violation(f"{at}.key", reason, one.key)
+            continue
+        if one.key in seen:
+            yield Violation(f"{at}.key", "allowed: each key once", one.key)
+        seen.add(one.key)
+        for name in ("lower", "upper"):
+            if refusal := places[one.key].refusal(getattr(one, name)):
+                yield Violation(f"{at}.{name}", f"{one.key} {refusal}", getattr(one, name))
