@@ -7,7 +7,7 @@ import numpy as np
 
 from posegsa.model.filter import FilterState
 from posegsa.model.rollout import ErrorTrack, Samples, simulate_errors
-from posegsa.model.schedules import GainSchedule
+from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Numbers
 
@@ -71,23 +71,25 @@ class Bands(NamedTuple):
 
 
 @jax.jit
-def _error_tracks(schedule: GainSchedule, batch: ScenarioBatch) -> ErrorTrack:
+def _error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
+    settings, signal = candidate.applied(batch.settings, batch.signal)
+
     def one(samples: Samples, initial: FilterState) -> ErrorTrack:
-        return simulate_errors(schedule, samples, initial, batch.settings, batch.signal)
+        return simulate_errors(candidate.schedule, samples, initial, settings, signal)
 
     return jax.vmap(one)(batch.samples, batch.initial)
 
 
-def error_tracks(schedule: GainSchedule, batch: ScenarioBatch) -> ErrorTrack:
-    """What a schedule does on all S scenarios of a batch; on the host, leaves (S, ...)."""
+def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
+    """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
     count = batch.bias.shape[0]
     if count <= BATCH:
-        return jax.device_get(_error_tracks(schedule, batch))
+        return jax.device_get(_error_tracks(candidate, batch))
     parts = []
     for first in range(0, count, BATCH):
         # The last part wraps round, so that all have one shape and are compiled once.
         index = np.arange(first, first + BATCH) % count
-        parts.append(jax.device_get(_error_tracks(schedule, batch.select(index))))
+        parts.append(jax.device_get(_error_tracks(candidate, batch.select(index))))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 

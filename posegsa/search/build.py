@@ -26,7 +26,7 @@ from posegsa.search import memory
 from posegsa.search.candidates import Candidate, Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.search.parameters import ParameterSpace
-from posegsa.search.population import ScenarioBatch
+from posegsa.search.population import ScenarioBatch, TrackCost
 
 
 class TuningProblem(NamedTuple):
@@ -38,6 +38,8 @@ class TuningProblem(NamedTuple):
     """Training scenarios, then held-out ones."""
     training: ScenarioBatch
     space: SearchSpace[ParameterSpace]
+    cost: TrackCost | None = None
+    """A user's own cost of a simulation; None for the configured one."""
 
     @property
     def held_out(self) -> ScenarioBatch:
@@ -45,7 +47,7 @@ class TuningProblem(NamedTuple):
         return self.everywhere.select(slice(self.experiment.run.training_scenarios, None))
 
 
-def tuning_problem(experiment: config.Experiment) -> TuningProblem:
+def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None) -> TuningProblem:
     """An experiment's scenarios and parameter space.
 
     Raises:
@@ -65,6 +67,7 @@ def tuning_problem(experiment: config.Experiment) -> TuningProblem:
         everywhere=everywhere,
         training=everywhere.select(slice(run.training_scenarios)),
         space=search_space(experiment, parameter_space(experiment)),
+        cost=cost,
     )
 
 

@@ -1,6 +1,7 @@
 """Agents x scenarios -> costs, in one compiled call."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,7 @@ from jax import Array, lax
 from posegsa.config import ObjectiveConfig
 from posegsa.model.cost import CostWeights
 from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import Samples, simulate_cost
+from posegsa.model.rollout import ErrorTrack, Samples, simulate_cost, simulate_errors
 from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate, SearchSpace
 
@@ -23,6 +24,11 @@ SMALL = 64
 """So few agents share a piece with other scenarios'."""
 LANES = 16
 """Numbers of 32 bits in the widest vectors of a CPU."""
+
+
+TrackCost = Callable[[ErrorTrack, Array], Array]
+"""A cost of a user's own: maps the errors of a simulation and the times (N,) [s] to one number, to
+be minimised (pure, jittable)."""
 
 
 class ScenarioBatch(NamedTuple):
@@ -96,7 +102,12 @@ def _divided(count: int, size: int) -> int:
     return math.ceil(count / size)
 
 
-def agent_costs(agents: Candidate, batch: ScenarioBatch, axis: str | None = None) -> Array:
+def agent_costs(
+    agents: Candidate,
+    batch: ScenarioBatch,
+    axis: str | None = None,
+    cost: TrackCost | None = None,
+) -> Array:
     """Cost (S, A) of A agents on S scenarios (pure, jittable).
 
     All agents meet the same noise (common random numbers), so that their differences are their
@@ -108,6 +119,7 @@ def agent_costs(agents: Candidate, batch: ScenarioBatch, axis: str | None = None
         batch: Scenarios and settings.
         axis: Inside `jax.shard_map`, the mesh axis over which the work is divided. Agents and
             scenarios are the same on all its devices, and so are the costs: only they travel.
+        cost: A cost of the user's own instead of the configured one.
     """
     count = batch.samples.time.shape[0], jax.tree.leaves(agents)[0].shape[0]
     shards = 1 if axis is None else lax.axis_size(axis)
@@ -122,6 +134,9 @@ def agent_costs(agents: Candidate, batch: ScenarioBatch, axis: str | None = None
         def on_scenario(samples: Samples, initial: FilterState) -> Array:
             def agent(one: Candidate) -> Array:
                 settings, signal = one.applied(batch.settings, batch.signal)
+                if cost is not None:
+                    track = simulate_errors(one.schedule, samples, initial, settings, signal)
+                    return cost(track, samples.time)
                 return simulate_cost(
                     one.schedule, samples, initial, batch.weights, settings, signal
                 ).total
@@ -183,16 +198,18 @@ def population_costs(
     space: SearchSpace,
     objective: ObjectiveConfig = MEAN,
     axis: str | None = None,
+    cost: TrackCost | None = None,
 ) -> Array:
     """Cost (A,) of A search vectors (A, d), by default the mean over scenarios (jittable).
 
     An agent that diverges costs infinity or NaN, one that is out of order where that is not
-    repaired infinity; the search sees to it that neither is ever best. `axis` is `agent_costs`'.
+    repaired infinity; the search sees to it that neither is ever best. `axis` and `cost` are
+    `agent_costs`'.
     """
     agents = jax.vmap(space.candidate)(vectors)
-    costs = over_scenarios(agent_costs(agents, batch, axis), objective)
+    costs = over_scenarios(agent_costs(agents, batch, axis, cost), objective)
     return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
 
 
-costs_by_scenario = jax.jit(agent_costs, static_argnames="axis")
-evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis"))
+costs_by_scenario = jax.jit(agent_costs, static_argnames=("axis", "cost"))
+evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis", "cost"))

@@ -28,7 +28,7 @@ from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
 from posegsa.search.parameters import ParameterSpace
-from posegsa.search.population import ScenarioBatch, population_costs
+from posegsa.search.population import ScenarioBatch, TrackCost, population_costs
 
 CHUNKS = 50
 """Parts in which a search reports its progress; results do not depend on it."""
@@ -197,18 +197,20 @@ class _Objective(NamedTuple):
     objective: config.ObjectiveConfig
     axis: str | None
     """Axis of the mesh over which the simulations are divided, if they are."""
+    cost: TrackCost | None
+    """A user's own cost of a simulation, instead of the configured one."""
 
     def __call__(self, training: ScenarioBatch, space: SearchSpace) -> Differentiable:
         """As a function of vectors (A, 22), on training scenarios."""
 
         def costs(vectors: Array) -> Array:
-            return population_costs(vectors, training, space, self.objective, self.axis)
+            return population_costs(vectors, training, space, self.objective, self.axis, self.cost)
 
         return forward_mode(costs)
 
 
 def _objective(task: TuningProblem, mesh: Mesh | None) -> _Objective:
-    return _Objective(task.experiment.objective, None if mesh is None else AXIS)
+    return _Objective(task.experiment.objective, None if mesh is None else AXIS, task.cost)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -1,0 +1,94 @@
+"""How a tuned filter fares long after the window that it was tuned for."""
+
+import warnings
+from itertools import pairwise
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from posegsa import config
+from posegsa.errors import PosegsaWarning
+from posegsa.judging.metrics import error_tracks
+from posegsa.search.build import scenario, scenario_batch
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import endurance_keys
+from posegsa.settings.arrays import Numbers
+
+TIMES = 8
+"""How many times as long as its scenarios a filter is run."""
+SCENARIOS = 16
+"""Unseen scenarios that it is run on."""
+
+PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
+
+
+class Endurance(NamedTuple):
+    """Errors over windows of time, each (w,): root mean squares over all scenarios."""
+
+    begin: PerWindow
+    """When each window begins [s]; the first one is that of the scenarios."""
+    end: PerWindow
+    """When it ends [s]."""
+    attitude: PerWindow
+    """Error of the tuned filter's attitude [deg]."""
+    position: PerWindow
+    """Error of its position [m]."""
+    constant_attitude: PerWindow
+    """The same with the best constant gain [deg]."""
+    constant_position: PerWindow
+    """[m]"""
+
+    def worse(self) -> list[str]:
+        """Where the tuned filter is worse than the constant gain after the first window."""
+        found = []
+        for name, own, other in (
+            ("attitude", self.attitude, self.constant_attitude),
+            ("position", self.position, self.constant_position),
+        ):
+            # Not below is worse too: no comparison with NaN holds.
+            windows = [i for i in range(1, len(own)) if not own[i] <= other[i]]
+            found += [f"{name} from {self.begin[i]:g} to {self.end[i]:g} s" for i in windows]
+        return found
+
+
+def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candidate) -> Endurance:
+    """Run both filters TIMES as long as the experiment's scenarios, on unseen ones.
+
+    The windows double in length: with scenarios of 15 s, 0 to 15, 15 to 30, 30 to 60, 60 to 120 s.
+    """
+    duration = experiment.scenario.duration
+    edges = [0.0, duration]
+    while edges[-1] < TIMES * duration:
+        edges.append(min(2 * edges[-1], TIMES * duration))
+    longer = config.override(experiment, [f"scenario.duration={edges[-1]!r}"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)  # it has been said of the experiment
+        one = scenario(longer)
+    batch = scenario_batch(longer, one, endurance_keys(experiment.run.seed, SCENARIOS))
+    time = np.asarray(batch.samples.time[0], np.float64)
+
+    def errors(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+        tracks = error_tracks(candidate, batch)
+        half = np.sqrt(np.clip(np.asarray(tracks.attitude, np.float64), 0, 1))
+        squares = np.degrees(2 * np.arcsin(half)) ** 2, np.asarray(tracks.position, np.float64) ** 2
+        attitude, position = (
+            np.sqrt(
+                [
+                    np.mean(square[:, (time >= begin) & (time < end)])
+                    for begin, end in pairwise(edges)
+                ]
+            )
+            for square in squares
+        )
+        return attitude, position
+
+    attitude, position = errors(tuned)
+    constant_attitude, constant_position = errors(constant)
+    return Endurance(
+        begin=np.array(edges[:-1]),
+        end=np.array(edges[1:]),
+        attitude=attitude,
+        position=position,
+        constant_attitude=constant_attitude,
+        constant_position=constant_position,
+    )
