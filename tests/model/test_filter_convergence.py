@@ -15,11 +15,10 @@ from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import Estimates, Samples, samples_of, simulate
 from posegsa.model.scenario import Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain
+from posegsa.model.vectors import VectorSettings
 from posegsa.search.build import signal_settings
 
 LAWS = ("printed", "gradient")
-PAPERS = vector_settings(normalise=True, cross_weight=1.0)
-"""What the paper makes of vectors."""
 
 FREE = {  # of noise and of biases
     "vectors": tuple(
@@ -35,6 +34,11 @@ BIASED = FREE | {"angular_velocity_bias": (0.1, -0.1, 0.1), "velocity_bias": (0.
 BIASES = np.array([0.1, -0.1, 0.1, 0.2, 0.5, 0.1])
 
 
+def papers() -> VectorSettings:
+    """What the paper makes of vectors."""
+    return vector_settings(normalise=True, cross_weight=1.0)
+
+
 @cache
 def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
     """The paper's motion for 60 s, what these sensors say of it, and its initial estimate."""
@@ -42,7 +46,7 @@ def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
     initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
-    return truth, jax.jit(samples_of)(m, PAPERS), initial
+    return truth, jax.jit(samples_of)(m, papers()), initial
 
 
 def run(chosen: FilterSettings, gain: float, *, biased: bool) -> tuple[Truth, Estimates]:
@@ -70,7 +74,7 @@ def _errors(truth, estimates):
 @pytest.mark.parametrize("biased", [False, True], ids=["no bias", "velocity biases"])
 def test_without_noise_pose_and_bias_converge_to_the_truth(substeps, gain_limit, biased) -> None:
     chosen = settings(
-        substeps=substeps, gain_limit=gain_limit, gamma=(10.0, 10.0), vectors=PAPERS
+        substeps=substeps, gain_limit=gain_limit, gamma=(10.0, 10.0), vectors=papers()
     )
     truth, estimates = run(chosen, 5.0, biased=biased)
     attitude, position = errors(truth, estimates)
@@ -92,7 +96,7 @@ def test_the_printed_law_fails_with_velocity_biases_where_the_gradient_law_conve
     holds with the two exchanged. At gamma = 10 it diverges; at gamma = 1 the attitude error is 0.23
     after 60 s, and wanders on. (At some gammas, 2 for one, it happens to converge.)
     """
-    chosen = settings(gain_limit=None, gamma=(gamma, gamma), vectors=PAPERS)
+    chosen = settings(gain_limit=None, gamma=(gamma, gamma), vectors=papers())
     printed, gradient = (errors(*run(replace(chosen, law=law), 1.0, biased=True)) for law in LAWS)
     assert gradient[0][-1] < 1e-6
     assert gradient[1][-1] < 1e-3
