@@ -184,7 +184,8 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
         return jax.random.normal(key, shape, jnp.float32).astype(dtype)
 
     N, n, m = scenario.samples, scenario.vectors.shape[0], scenario.landmarks.shape[0]
-    walk = jnp.sqrt(scenario.time_step) * jnp.cumsum(noise(of_drift, N, 6), axis=0)
+    steps = jnp.sqrt(scenario.time_step) * noise(of_drift, N, 6)
+    walk = jnp.cumsum(steps, axis=0) - steps  # from 0 at the first sample
     bias = scenario.bias[None] + scenario.bias_drift[None] * walk
 
     def from_body(inertial: Array) -> Array:
