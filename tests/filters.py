@@ -124,6 +124,19 @@ def random_estimates(
     return T, b, jitted_state(T[:, :3, :3], T[:, :3, 3], b)
 
 
+def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> FilterState:
+    """The same state, with some estimate of the biases of `count` vectors and of the turning."""
+    rng = np.random.default_rng(9)
+
+    def vec3(size: float) -> se3.Vec3:
+        x, y, z = size * jnp.asarray(rng.normal(size=(3, *state.place[0].shape)))
+        return x, y, z
+
+    return state._replace(
+        vector_biases=tuple(vec3(length / 3) for _ in range(count)), turning=vec3(0.5)
+    )
+
+
 def matrices(state: FilterState) -> np.ndarray:
     """T_est (..., 4, 4)."""
     return np.asarray(jitted_transform(state.rotation, state.position))

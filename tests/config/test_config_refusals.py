@@ -35,8 +35,8 @@ def setting_refusal(*texts: str) -> str:
         ('run.seed="1"', 'run.seed = "1"', "should be a valid integer"),
         ("scenario.duration=true", "scenario.duration = true", "should be a valid number"),
         ('scenario.duration="15"', 'scenario.duration = "15"', "should be a valid number"),
-        ("scenario.cross_vector=1", "scenario.cross_vector = 1", "should be a valid boolean"),
-        ("scenario.cross_vector=yes", 'scenario.cross_vector = "yes"', "should be a valid boolean"),
+        ("filter.cross_vector=1", "filter.cross_vector = 1", "should be a valid boolean"),
+        ("filter.cross_vector=yes", 'filter.cross_vector = "yes"', "should be a valid boolean"),
         ("scenario.vectors=3", "scenario.vectors = 3", "should be an array"),
         ("scenario.vectors.0=3", "scenario.vectors.0 = 3", "a table with the keys direction, bias"),
         ("filter.law=1979-05-27", "filter.law = 1979-05-27", "'gradient' or 'printed'"),
@@ -195,7 +195,7 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("gain.Signal=pose", "gain.Signal unknown key; did you mean gain.signal?"),
         ("filter.agents=3", "filter.agents unknown key; did you mean search.agents?"),
         ("scenario.vectors.0.nose=3", "did you mean scenario.vectors.0.noise?"),
-        ("scenario.normalize_vectors=false", "did you mean scenario.normalise_vectors?"),
+        ("filter.normalize_vectors=false", "did you mean filter.normalise_vectors?"),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
         ("x.y=3", "known here: run, scenario, family, filter"),
     ],
@@ -254,7 +254,8 @@ def points(*positions: tuple[float, float, float]) -> list[dict[str, Any]]:
 
 
 def sensors(vectors: list[Any], landmarks: list[Any], cross: bool = False) -> dict[str, Any]:
-    return {"scenario": {"vectors": vectors, "landmarks": landmarks, "cross_vector": cross}}
+    scenario = {"vectors": vectors, "landmarks": landmarks}
+    return {"scenario": scenario, "filter": {"cross_vector": cross}}
 
 
 @pytest.mark.parametrize(
@@ -296,7 +297,7 @@ def test_unobservable_sensors_are_refused(data: dict[str, Any], found: str) -> N
 @pytest.mark.parametrize("vectors", [[], [UP], [ALONG, AGAINST]])
 def test_a_cross_product_needs_two_directions(vectors: list[Any]) -> None:
     data = sensors(vectors, points((0, 0, 0), (1, 0, 0), (0, 1, 0)), cross=True)
-    assert "scenario.cross_vector = true allowed: false, or two vectors" in refusal(from_dict, data)
+    assert "filter.cross_vector = true allowed: false, or two vectors" in refusal(from_dict, data)
 
 
 # Files --------------------------------------------------------------------------------------------
