@@ -220,6 +220,8 @@ words = {
         "signal": ("measured", "pose"),
         "no_rule": ("hold", "midrange"),
         "term": config.TERMS,
+        "gamma_law": ("fixed", "linear", "quadratic"),
+        "vector_bias": ("off", "estimated"),
     }.items()
 }
 sines = st.lists(st.builds(dict, amplitude=numbers, frequency=numbers, phase=numbers), max_size=2)
