@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.errors import ArgumentError
@@ -187,7 +188,7 @@ class SwitchGain:
 
 def check_gain(name: str, gain: ArrayLike) -> None:
     """Raise an ArgumentError if a gain is negative; inside jit, where that isn't known, never."""
-    if not isinstance(gain, jax.core.Tracer) and np.any(np.less(gain, 0)):
+    if not isinstance(gain, Tracer) and np.any(np.less(gain, 0)):
         raise ArgumentError(f"{name} = {np.min(gain)}; allowed: at least 0 [1/s]")
 
 
