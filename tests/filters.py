@@ -11,11 +11,11 @@ from jax import Array
 
 from posegsa.model import se3
 from posegsa.model.filter import (
-    GammaLaw,
-    Law,
     FilterSettings,
     FilterState,
+    GammaLaw,
     Innovation,
+    Law,
     VectorBias,
     initial_state,
     innovation,
@@ -87,7 +87,9 @@ def settings(
         gamma_angular=jnp.asarray(gamma[0], dtype),
         gamma_linear=jnp.asarray(gamma[1], dtype),
         gain_limit=jnp.asarray(np.inf if gain_limit is None else gain_limit, dtype),
-        vectors=vector_settings(dtype, each_agent=learnt is not None) if vectors is None else vectors,
+        vectors=vector_settings(dtype, each_agent=learnt is not None)
+        if vectors is None
+        else vectors,
         landmark_weights=landmark_weights
         and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
         vector_bias=learnt,

@@ -139,9 +139,7 @@ def _world(one: Scenario, settings: FilterSettings, key: Array) -> World:
         one.bias_estimate,
         learnt_vectors=0 if settings.vector_bias is None else one.vectors.shape[0],
     )
-    return World(
-        truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial
-    )
+    return World(truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial)
 
 
 def built(experiment: config.Experiment) -> Scenario:

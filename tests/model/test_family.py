@@ -52,9 +52,7 @@ def test_by_default_only_the_noise_differs(base):
     one = one_drawn(base, varied(), jax.random.key(4))
     for before, after in zip(jax.tree.leaves(base), jax.tree.leaves(one), strict=True):
         np.testing.assert_array_equal(before, after)
-    first, second = (
-        realised(base, varied(), jax.random.key(i))[2].measurements for i in (0, 1)
-    )
+    first, second = (realised(base, varied(), jax.random.key(i))[2].measurements for i in (0, 1))
     assert not np.array_equal(first.velocity, second.velocity)
 
 

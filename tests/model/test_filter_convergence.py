@@ -108,7 +108,7 @@ def test_the_printed_law_fails_with_velocity_biases_where_the_gradient_law_conve
         assert not np.isfinite(printed[0][-1])
 
 
-# With the vectors' biases learnt -------------------------------------------------------------------
+# With the vectors' biases learnt -----------------------------------------------------------------
 
 VECTOR_BIASES = np.array([[0.0, 0.1, 0.1], [0.0, 0.0, 0.1]])
 VECTORS_BIASED = BIASED | {

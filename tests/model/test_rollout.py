@@ -257,8 +257,7 @@ CHAINS = {
 def weighted(chain: Chain) -> Experiment:
     """The experiment of a chain, in which each vector and landmark has a weight of its own."""
     vectors = [
-        f"{{direction = {v}, weight = {w}}}"
-        for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
+        f"{{direction = {v}, weight = {w}}}" for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
     ]
     landmarks = [f"{{position = {p}, weight = {w}}}" for p, w in zip(TWO, (1.2, 0.7), strict=True)]
     return paper(

@@ -420,7 +420,12 @@ def test_numbers_change_without_compiling_again() -> None:
         compiled += 1
         return measure(s, integrate(s), key)
 
-    given = {"duration": 0.1, "landmark_period": 3, "velocity_noise": 0.1, "angular_velocity_bias": (0.1, 0.2, 0.3)}
+    given = {
+        "duration": 0.1,
+        "landmark_period": 3,
+        "velocity_noise": 0.1,
+        "angular_velocity_bias": (0.1, 0.2, 0.3),
+    }
     other = {"duration": 0.1, "velocity_noise": 0.5, "angular_velocity_bias": (0.0, 0.0, 0.0)}
     for seed, changes in enumerate((given, other, {**other, **START})):
         run(quietly(experiment("float32", **changes)), jax.random.key(seed))

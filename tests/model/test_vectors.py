@@ -35,7 +35,7 @@ N = 15
 def in_the_loop(
     m: Measurements, biases: Array | None, settings: VectorSettings
 ) -> tuple[Wahba, tuple[Vec3, ...]]:
-    """Wahba's sums made in the loop of vectors freed of biases (N, n, 3), and what they are then."""
+    """Wahba's sums of vectors freed of biases (N, n, 3), made in the loop, and those vectors."""
     vectors = prepare_vectors(m, settings)
     assert isinstance(vectors, VectorSamples)
     columns = [] if biases is None else [biases[:, i] for i in range(biases.shape[1])]
@@ -128,7 +128,9 @@ def test_vectors_are_freed_of_their_biases_before_all_else(
         "vector_weights": weights,
     }
     want = by_definition(raw, biases, **as_used)
-    np.testing.assert_allclose(np.array(wahba.profile).transpose(2, 0, 1), want["profile"], atol=1e-13)
+    np.testing.assert_allclose(
+        np.array(wahba.profile).transpose(2, 0, 1), want["profile"], atol=1e-13
+    )
     for name in ("power", "curvature", "scale"):
         np.testing.assert_allclose(getattr(wahba, name), want[name], rtol=1e-12, err_msg=name)
     seen = raw.vector_weights > 0
@@ -165,9 +167,7 @@ def test_turned_vectors_turn_the_sums_and_change_no_size(seed: int, body: bool) 
 def test_values_of_missing_vectors_do_not_matter_even_nan(each_agent: bool) -> None:
     raw = random_measurements(np.random.default_rng(0), N, 3, 1, missing=0.5)
     other = raw._replace(vectors=np.nan_to_num(raw.vectors, nan=7.0))
-    settings = vector_settings(
-        np.float32, cross_weight=1.0, normalise=True, each_agent=each_agent
-    )
+    settings = vector_settings(np.float32, cross_weight=1.0, normalise=True, each_agent=each_agent)
 
     def made(m: Measurements) -> Wahba:
         m = as_arrays(m, np.float32)
