@@ -29,7 +29,14 @@ from posegsa.model.rollout import Estimates, Samples, samples_of
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
 from posegsa.model.vectors import VectorSettings
-from posegsa.search.build import filter_settings, parameter_space, scenario, scenario_batch
+from posegsa.search.build import (
+    filter_settings,
+    parameter_space,
+    scenario,
+    scenario_batch,
+    search_space,
+)
+from posegsa.search.candidates import SearchSpace
 from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
@@ -85,6 +92,12 @@ def repaired_terms(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def space(*settings: str, dtype: str = "float64") -> ParameterSpace:
     """The parameter space of the paper's experiment with single values changed."""
     return parameter_space(paper(*settings, dtype=dtype))
+
+
+def searched(*settings: str, dtype: str = "float64") -> SearchSpace[ParameterSpace]:
+    """What a search of the paper's experiment with single values changed looks for."""
+    experiment = paper(*settings, dtype=dtype)
+    return search_space(experiment, parameter_space(experiment))
 
 
 def fuzzy(
