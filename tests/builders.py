@@ -9,7 +9,7 @@ import numpy as np
 import reference
 from scipy.spatial.transform import Rotation
 
-from posegsa.config import CostConfig, Experiment, RunConfig, ScenarioConfig
+from posegsa.config import CostConfig, Experiment, FilterConfig, RunConfig, ScenarioConfig
 from posegsa.errors import PosegsaWarning
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Scenario
@@ -77,9 +77,10 @@ def reference_sample(measurements: Measurements, k: int) -> reference.Sample:
     )
 
 
-def experiment(dtype: str = "float64", **scenario: Any) -> Experiment:
+def experiment(dtype: str = "float64", *, cross_vector: bool = True, **scenario: Any) -> Experiment:
     """The paper's experiment with another scenario, of any length."""
     return Experiment(
+        filter=FilterConfig(cross_vector=cross_vector),
         run=RunConfig(dtype=dtype),
         scenario=ScenarioConfig(**scenario),
         cost=CostConfig(transient_window=(0, 1), steady_window=(1, 1)),

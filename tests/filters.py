@@ -11,11 +11,11 @@ from jax import Array
 
 from posegsa.model import se3
 from posegsa.model.filter import (
-    GammaLaw,
-    Law,
     FilterSettings,
     FilterState,
+    GammaLaw,
     Innovation,
+    Law,
     VectorBias,
     initial_state,
     innovation,
@@ -87,7 +87,9 @@ def settings(
         gamma_angular=jnp.asarray(gamma[0], dtype),
         gamma_linear=jnp.asarray(gamma[1], dtype),
         gain_limit=jnp.asarray(np.inf if gain_limit is None else gain_limit, dtype),
-        vectors=vector_settings(dtype, each_agent=learnt is not None) if vectors is None else vectors,
+        vectors=vector_settings(dtype, each_agent=learnt is not None)
+        if vectors is None
+        else vectors,
         landmark_weights=landmark_weights
         and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
         vector_bias=learnt,
@@ -122,6 +124,19 @@ def random_estimates(
     """Poses (count, 4, 4) and biases (count, 6), and the same as the filter's state."""
     T, b = random_poses(rng, count), rng.normal(size=(count, 6))
     return T, b, jitted_state(T[:, :3, :3], T[:, :3, 3], b)
+
+
+def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> FilterState:
+    """The same state, with some estimate of the biases of `count` vectors and of the turning."""
+    rng = np.random.default_rng(9)
+
+    def vec3(size: float) -> se3.Vec3:
+        x, y, z = size * jnp.asarray(rng.normal(size=(3, *state.place[0].shape)))
+        return x, y, z
+
+    return state._replace(
+        vector_biases=tuple(vec3(length / 3) for _ in range(count)), turning=vec3(0.5)
+    )
 
 
 def matrices(state: FilterState) -> np.ndarray:

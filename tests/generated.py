@@ -179,7 +179,7 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         return values
 
     N, n, m = (int(rng.integers(1, 4)) for _ in range(3))
-    settings = posegsa.filter_settings(experiment.filter, np.float32)
+    settings = posegsa.filter_settings(experiment)
     signal = posegsa.signal_settings(experiment.gain, np.float32)
     state = posegsa.initial_state(np.eye(3), np.zeros(3))
     calls: dict[str, Callable[[], Any]] = {
@@ -193,7 +193,6 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
             landmarks=any_of(None, array(N, m, 3)),
             landmark_references=any_of(None, array(m, 3)),
             landmark_weights=any_of(None, np.ones(m)),
-            normalise_vectors=bool(rng.integers(2)),
             dtype=any_of(np.float32, np.float64),
         ),
         "box": lambda: posegsa.box(array(n), array(int(rng.choice([n, m])))),
@@ -227,8 +226,7 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
             no_rule=any_of("hold"),
         ),
         "initial_state": lambda: posegsa.initial_state(array(3, 3), array(3), any_of(None)),
-        "filter_settings": lambda: posegsa.filter_settings(hostile(), np.float32),
-        "filter_settings dtype": lambda: posegsa.filter_settings(experiment.filter, hostile()),
+        "filter_settings": lambda: posegsa.filter_settings(hostile()),
         "signal_settings": lambda: posegsa.signal_settings(hostile(), np.float32),
         "step": lambda: posegsa.step(state, hostile(), 1.0, settings),
         "begin": lambda: posegsa.begin(any_of(result.schedule), hostile()),

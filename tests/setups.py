@@ -29,7 +29,14 @@ from posegsa.model.rollout import Estimates, Samples, samples_of
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
 from posegsa.model.vectors import VectorSettings
-from posegsa.search.build import filter_settings, parameter_space, scenario, scenario_batch
+from posegsa.search.build import (
+    filter_settings,
+    parameter_space,
+    scenario,
+    scenario_batch,
+    search_space,
+)
+from posegsa.search.candidates import SearchSpace
 from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
@@ -87,6 +94,12 @@ def space(*settings: str, dtype: str = "float64") -> ParameterSpace:
     return parameter_space(paper(*settings, dtype=dtype))
 
 
+def searched(*settings: str, dtype: str = "float64") -> SearchSpace[ParameterSpace]:
+    """What a search of the paper's experiment with single values changed looks for."""
+    experiment = paper(*settings, dtype=dtype)
+    return search_space(experiment, parameter_space(experiment))
+
+
 def fuzzy(
     inputs: ArrayLike, outputs: ArrayLike, dtype: str = "float64", **options: Any
 ) -> FuzzyController:
@@ -139,9 +152,7 @@ def _world(one: Scenario, settings: FilterSettings, key: Array) -> World:
         one.bias_estimate,
         learnt_vectors=0 if settings.vector_bias is None else one.vectors.shape[0],
     )
-    return World(
-        truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial
-    )
+    return World(truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial)
 
 
 def built(experiment: config.Experiment) -> Scenario:

@@ -159,12 +159,14 @@ class Experiment(Section):
                     f"{self.scenario.sampling_time} make {samples}",
                     window,
                 )
-        if self.filter.cross_vector and not self.scenario.has_cross_vector:
+        if self.filter.cross_vector and not self.scenario.cross_vector:
             yield Violation(
                 "filter.cross_vector",
                 "allowed: false, or two vectors to begin with that are not collinear",
                 True,
             )
+        weight = self.filter.cross_vector_weight if self.filter.cross_vector else 0.0
+        yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
         yield from also_conflicts(self, self.parameters.also)
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())

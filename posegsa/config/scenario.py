@@ -177,27 +177,40 @@ class ScenarioConfig(Section):
         for i, (begin, end) in enumerate(self.rest):
             if begin > end:
                 yield Violation(f"rest.{i}", "allowed: a beginning before the end", (begin, end))
-        try:
-            self._check_observability()
-        except ScenarioError as error:
-            yield Violation("vectors", f"with these and the landmarks, {error}")
 
     @property
-    def has_cross_vector(self) -> bool:
-        """Whether the cross product of the first two vectors is defined."""
+    def cross_vector(self) -> Vector3 | None:
+        """v_1 x v_2 of the first two vectors at length one; None where it is not defined."""
         if len(self.vectors) < 2:
-            return False
+            return None
         first, second = (vector.direction for vector in self.vectors[:2])
-        return not are_collinear(first, second)
-
-    def _check_observability(self) -> None:
-        """Raises a `ScenarioError` if what the filter is given does not determine the pose."""
-        check_observability(
-            [vector.direction for vector in self.vectors],
-            [landmark.position for landmark in self.landmarks],
-            [vector.weight for vector in self.vectors],
-            [landmark.weight for landmark in self.landmarks],
+        if are_collinear(first, second):
+            return None
+        x, y, z = np.cross(
+            np.array(first) / math.hypot(*first), np.array(second) / math.hypot(*second)
         )
+        return (float(x), float(y), float(z))
+
+    def observability_conflicts(self, cross_vector_weight: float) -> Iterator[Violation]:
+        """What is wrong if all that the filter is given does not determine the pose.
+
+        Args:
+            cross_vector_weight: Weight of `cross_vector` in the filter; 0 without it.
+        """
+        vectors = [(vector.direction, vector.weight) for vector in self.vectors]
+        product = self.cross_vector if cross_vector_weight > 0 else None
+        if product:
+            vectors.append((product, cross_vector_weight))
+        try:
+            check_observability(
+                [direction for direction, _ in vectors],
+                [landmark.position for landmark in self.landmarks],
+                [weight for _, weight in vectors],
+                [landmark.weight for landmark in self.landmarks],
+            )
+        except ScenarioError as error:
+            these = "these, their cross product" if product else "these"
+            yield Violation("vectors", f"with {these} and the landmarks, {error}")
 
 
 def _near_rotation(matrix: np.ndarray, within: float) -> bool:

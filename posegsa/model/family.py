@@ -171,7 +171,7 @@ def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
         count = scenario.vectors.shape[0]
         changed["bursts"] = Bursts(
             window=_windows(family.bursts, family.most_windows, of_window),
-            vector=random.randint(of_vector, (family.most_windows,), 0, count),
+            vector=random.randint(of_vector, (family.most_windows,), 0, count, jnp.int32),
             offset=family.burst_size * direction / length,
         )
     if family.landmark_interval is not None:

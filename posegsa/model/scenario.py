@@ -184,7 +184,8 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
         return jax.random.normal(key, shape, jnp.float32).astype(dtype)
 
     N, n, m = scenario.samples, scenario.vectors.shape[0], scenario.landmarks.shape[0]
-    walk = jnp.sqrt(scenario.time_step) * jnp.cumsum(noise(of_drift, N, 6), axis=0)
+    steps = jnp.sqrt(scenario.time_step) * noise(of_drift, N, 6)
+    walk = jnp.cumsum(steps, axis=0) - steps  # from 0 at the first sample
     bias = scenario.bias[None] + scenario.bias_drift[None] * walk
 
     def from_body(inertial: Array) -> Array:
@@ -199,7 +200,8 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
     landmarks = landmarks + scenario.landmark_bias[None]
     landmarks = landmarks + scenario.landmark_noise[None, :, None] * noise(of_landmarks, N, m, 3)
     vectors_seen = ~_inside(scenario.vector_outages, time)
-    in_turn = jnp.arange(N) % scenario.landmark_period == 0
+    period = scenario.landmark_period
+    in_turn = jnp.arange(N, dtype=period.dtype) % period == 0
     landmarks_seen = in_turn & ~_inside(scenario.landmark_outages, time)
     measurements = Measurements(
         time_step=jnp.broadcast_to(scenario.time_step, (N,)),
@@ -227,6 +229,7 @@ def _disturbance(bursts: Bursts, time: Array, count: int) -> Array:
     """What bursts add to `count` vectors at times (N,), (N, count, 3)."""
     begun = time[:, None] >= bursts.window[None, :, 0]
     active = begun & (time[:, None] < bursts.window[None, :, 1])
-    hit = bursts.vector[:, None] == jnp.arange(count)[None, :]
+    vectors = jnp.arange(count, dtype=bursts.vector.dtype)
+    hit = bursts.vector[:, None] == vectors[None, :]
     which = (active[:, :, None] & hit[None]).astype(time.dtype)
     return jnp.einsum("kwi,wj->kij", which, bursts.offset, precision="highest")

@@ -79,7 +79,7 @@ def test_the_paper_is_the_recommended_experiment_made_single() -> None:
 def test_the_literal_paper_differs_where_the_paper_says_so() -> None:
     assert changes("paper_literal") == {
         "run.training_scenarios": 1,
-        "scenario.normalise_vectors": False,
+        "filter.normalise_vectors": False,
         "filter.law": "printed",
         "filter.gamma": 1.0,
         "filter.substeps": 1,
@@ -220,6 +220,8 @@ words = {
         "signal": ("measured", "pose"),
         "no_rule": ("hold", "midrange"),
         "term": config.TERMS,
+        "gamma_law": ("fixed", "linear", "quadratic"),
+        "vector_bias": ("off", "estimated"),
     }.items()
 }
 sines = st.lists(st.builds(dict, amplitude=numbers, frequency=numbers, phase=numbers), max_size=2)
@@ -243,8 +245,10 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "velocity_bias": draw(triples),
         "velocity_noise": draw(non_negative),
         "vectors": draw(st.lists(st.builds(dict, **vector, weight=non_negative), max_size=3)),
-        "cross_vector": False,
         "landmarks": [{"position": p, "noise": draw(non_negative)} for p in corners],
+        "landmark_period": draw(st.integers(1, 50)),
+        "velocity_drift": draw(non_negative),
+        "rest": draw(st.lists(st.tuples(non_negative, non_negative).map(sorted), max_size=2)),
         "initial_position_estimate": draw(triples),
     }
 
@@ -271,6 +275,16 @@ def experiments(draw: st.DrawFn) -> Experiment:
             "filter": {
                 "gamma": draw(non_negative | st.tuples(non_negative, non_negative)),
                 "gain_limit": draw(positive | st.just("off")),
+                "gamma_law": draw(words["gamma_law"]),
+                "cross_vector": False,
+                "normalise_vectors": draw(st.booleans()),
+                "vector_bias": draw(words["vector_bias"]),
+                "vector_bias_bound": draw(positive),
+            },
+            "family": {
+                "vector_bias": draw(non_negative | st.just("off")),
+                "outages": draw(st.just("off") | st.builds(dict, rate=non_negative)),
+                "rest_share": draw(st.floats(0, 1)),
             },
             "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},
             "fuzzy": {"rules": draw(st.tuples(*[row] * 5)), "no_rule": draw(words["no_rule"])},

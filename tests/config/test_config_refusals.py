@@ -35,13 +35,54 @@ def setting_refusal(*texts: str) -> str:
         ('run.seed="1"', 'run.seed = "1"', "should be a valid integer"),
         ("scenario.duration=true", "scenario.duration = true", "should be a valid number"),
         ('scenario.duration="15"', 'scenario.duration = "15"', "should be a valid number"),
-        ("scenario.cross_vector=1", "scenario.cross_vector = 1", "should be a valid boolean"),
-        ("scenario.cross_vector=yes", 'scenario.cross_vector = "yes"', "should be a valid boolean"),
+        ("filter.cross_vector=1", "filter.cross_vector = 1", "should be a valid boolean"),
+        ("filter.cross_vector=yes", 'filter.cross_vector = "yes"', "should be a valid boolean"),
         ("scenario.vectors=3", "scenario.vectors = 3", "should be an array"),
         ("scenario.vectors.0=3", "scenario.vectors.0 = 3", "a table with the keys direction, bias"),
         ("filter.law=1979-05-27", "filter.law = 1979-05-27", "'gradient' or 'printed'"),
         ("search.random=true", "search.random = true", "'dimension' or 'agent'"),
+        (
+            "filter.gamma_law=cubic",
+            'filter.gamma_law = "cubic"',
+            "'fixed', 'linear' or 'quadratic'",
+        ),
+        ("filter.vector_bias=on", 'filter.vector_bias = "on"', "'off' or 'estimated'"),
+        ("gain.rate=slow", 'gain.rate = "slow"', "'per_sample' or 'per_second'"),
+        ("family.outages=often", 'family.outages = "often"', "'off'"),
+        ("family.outages.sensors=all", "family.outages is a single value", "it has no sensors"),
+        ("family.outages={rate=-1}", "family.outages.rate = -1", "greater than or equal to 0"),
+        (
+            "family.bursts={duration=[5, 1]}",
+            "family.bursts.duration = [5.0, 1.0]",
+            "a first value that is not above the second",
+        ),
         # not finite, out of range
+        (
+            "filter.vector_bias_gain=-1",
+            "filter.vector_bias_gain = -1",
+            "greater than or equal to 0",
+        ),
+        ("filter.vector_bias_leak=nan", "filter.vector_bias_leak = nan", "a finite number"),
+        ("filter.vector_bias_bound=0", "filter.vector_bias_bound = 0", "equal to 1e-09"),
+        ("filter.excitation=0", "filter.excitation = 0", "equal to 1e-09"),
+        ("filter.excitation_time=-1", "filter.excitation_time = -1", "greater than or equal to 0"),
+        (
+            "scenario.landmark_period=0",
+            "scenario.landmark_period = 0",
+            "greater than or equal to 1",
+        ),
+        (
+            "scenario.velocity_drift=-1",
+            "scenario.velocity_drift = -1",
+            "greater than or equal to 0",
+        ),
+        (
+            "scenario.rest=[[2.0, 1.0]]",
+            "scenario.rest.0 = [2.0, 1.0]",
+            "a beginning before the end",
+        ),
+        ("family.rest_share=1.5", "family.rest_share = 1.5", "less than or equal to 1"),
+        ("family.vector_bias=-0.1", "family.vector_bias", "greater than or equal to 0"),
         ("filter.gamma=nan", "filter.gamma = nan", "a finite number, or should be an array"),
         ("scenario.duration=inf", "scenario.duration = inf", "should be a finite number"),
         ("filter.gamma=-1", "filter.gamma = -1", "greater than or equal to 0"),
@@ -193,9 +234,10 @@ def test_a_bad_value_is_named_with_what_is_allowed(
         ("filter.substep=3", "filter.substep unknown key; did you mean filter.substeps?"),
         ("fliter.substeps=3", "fliter unknown key; did you mean filter?"),
         ("gain.Signal=pose", "gain.Signal unknown key; did you mean gain.signal?"),
+        ("family.outages={rat=1}", "did you mean family.outages.rate?"),
         ("filter.agents=3", "filter.agents unknown key; did you mean search.agents?"),
         ("scenario.vectors.0.nose=3", "did you mean scenario.vectors.0.noise?"),
-        ("scenario.normalize_vectors=false", "did you mean scenario.normalise_vectors?"),
+        ("filter.normalize_vectors=false", "did you mean filter.normalise_vectors?"),
         ("run.x=3", "known here: seed, dtype, training_scenarios, held_out_scenarios"),
         ("x.y=3", "known here: run, scenario, family, filter"),
     ],
@@ -254,7 +296,8 @@ def points(*positions: tuple[float, float, float]) -> list[dict[str, Any]]:
 
 
 def sensors(vectors: list[Any], landmarks: list[Any], cross: bool = False) -> dict[str, Any]:
-    return {"scenario": {"vectors": vectors, "landmarks": landmarks, "cross_vector": cross}}
+    scenario = {"vectors": vectors, "landmarks": landmarks}
+    return {"scenario": scenario, "filter": {"cross_vector": cross}}
 
 
 @pytest.mark.parametrize(
@@ -296,7 +339,7 @@ def test_unobservable_sensors_are_refused(data: dict[str, Any], found: str) -> N
 @pytest.mark.parametrize("vectors", [[], [UP], [ALONG, AGAINST]])
 def test_a_cross_product_needs_two_directions(vectors: list[Any]) -> None:
     data = sensors(vectors, points((0, 0, 0), (1, 0, 0), (0, 1, 0)), cross=True)
-    assert "scenario.cross_vector = true allowed: false, or two vectors" in refusal(from_dict, data)
+    assert "filter.cross_vector = true allowed: false, or two vectors" in refusal(from_dict, data)
 
 
 # Files --------------------------------------------------------------------------------------------

@@ -105,7 +105,7 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.load(5), "folder = 5"),
         (lambda r: posegsa.load_config(5), "path: a int"),
         (lambda r: config.override(tiny(), "run.seed=1"), "settings = 'run.seed=1'"),
-        (lambda r: posegsa.filter_settings({}, np.float32), "section: a dict"),
+        (lambda r: posegsa.filter_settings({}), "experiment: a dict"),
         (lambda r: posegsa.signal_settings(tiny().gain, int), "dtype = .*floating"),
         (lambda r: posegsa.initial_state(np.eye(2), np.zeros(3)), r"rotation: .*\(3, 3\)"),
         (lambda r: posegsa.initial_state(np.eye(3), "here"), "position"),
@@ -178,7 +178,7 @@ def test_measurements_made_by_hand_are_checked_too(result):
         landmark_references=np.ones((1, 3)),
     )
     start = (posegsa.initial_state(np.eye(3), np.zeros(3)),)
-    start += (posegsa.filter_settings(tiny().filter, np.float32),)
+    start += (posegsa.filter_settings(tiny()),)
     start += (posegsa.signal_settings(tiny().gain, np.float32),)
     for change, said in (
         ({"velocity": jnp.full((5, 3), jnp.nan)}, "velocity: must be finite, got nan"),

@@ -13,6 +13,7 @@ from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import cost_weights, scenario_batch
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import scenario_keys
 from posegsa.search.population import costs_by_scenario
 
@@ -36,13 +37,17 @@ def made(attitude, position, posed) -> ErrorTrack:
     """ErrorTrack with given errors, (S, 200) each."""
     S = len(attitude)
     return ErrorTrack(
-        np.float32(attitude), np.float32(position), np.ones((S, 200), np.float32), np.zeros((S, 6))
+        attitude=np.float32(attitude),
+        position=np.float32(position),
+        gain=np.ones((S, 200), np.float32),
+        bias=np.zeros((S, 6)),
+        vector_bias=np.zeros((S, 0, 3)),
     )
 
 
 def test_the_cost_is_the_running_cost(posed, tracks):
     found, _ = metrics_of(tracks, posed)
-    running = costs_by_scenario(ConstantGain(jnp.float32([20])), posed)[:, 0]
+    running = costs_by_scenario(Candidate(ConstantGain(jnp.float32([20]))), posed)[:, 0]
     np.testing.assert_allclose(found.cost, running, rtol=1e-5)
     np.testing.assert_allclose(found.transient + found.steady, found.cost)
 

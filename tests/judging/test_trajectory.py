@@ -30,7 +30,17 @@ def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
         )
         still = jnp.zeros_like(P)
         bias = jnp.asarray(rng.normal(size=(N, 6)), dtype)
-        estimates = Estimates(time, R_est, P_est, bias, gain, used, error, rate)
+        estimates = Estimates(
+            time=time,
+            rotation=R_est,
+            position=P_est,
+            bias=bias,
+            vector_bias=jnp.zeros((N, 0, 3), dtype),
+            gain=gain,
+            gain_used=used,
+            error=error,
+            rate=rate,
+        )
         made = trajectory(Truth(time, R, P, still, still), estimates)
     return T, T_est, made
 

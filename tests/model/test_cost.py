@@ -72,10 +72,11 @@ def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: floa
     experiment = paper(*lasting(2.0), dtype=dtype)
     truth, measurements = sensed(np.full(200, 0.01), [[0.6, 0, 0.8], [0, 1, 0]], [[0.5, 1.4, 1]])
     with jax.enable_x64(dtype == "float64"):
-        scenario, initial = tracked(measurements, truth, dtype), start(dtype)
+        settings = filter_settings(experiment)
+        scenario = tracked(measurements, truth, settings.vectors, dtype)
+        initial = start(dtype)
         vector = jnp.asarray(search_vectors(1, seed=1)[0], dtype)
         schedule = FuzzyGain(space(dtype=dtype).controller(vector))
-        settings = filter_settings(experiment.filter, dtype)
         signal = signal_settings(experiment.gain, dtype)
         weights = cost_weights(experiment.cost, 200, jnp.dtype(dtype))
         running = jax.jit(simulate_cost)(schedule, scenario, initial, weights, settings, signal)

@@ -1,5 +1,7 @@
 """Scenario families: what is drawn, what is not touched, and that keys stay apart."""
 
+from dataclasses import fields, replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +10,10 @@ from builders import quietly
 
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
+from posegsa.config.family import BurstsConfig, Outages
 from posegsa.errors import ConfigError
-from posegsa.model.family import draw, realise
+from posegsa.model.family import Family, draw, realise
+from posegsa.model.scenario import Scenario
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.search.build import family
 from posegsa.search.keys import Keys, keys, scenario_keys
@@ -28,10 +32,14 @@ def base():
     return quietly(SHORT)
 
 
+def varied(dtype: str = "float32", **settings) -> Family:
+    """The family of a [family] section, for the short scenario."""
+    return family(SHORT.model_copy(update={"family": FamilyConfig(**settings)}), dtype)
+
+
 def drawn(base, count: int = 200, **settings):
     """Many scenarios of a family, leaves (count, ...)."""
-    chosen = family(FamilyConfig(**settings), "float32")
-    return draw_many(base, chosen, scenario_keys(jax.random.key(0), count))
+    return draw_many(base, varied(**settings), scenario_keys(jax.random.key(0), count))
 
 
 def initial_angles(scenarios) -> np.ndarray:
@@ -41,12 +49,10 @@ def initial_angles(scenarios) -> np.ndarray:
 
 
 def test_by_default_only_the_noise_differs(base):
-    one = one_drawn(base, family(FamilyConfig(), "float32"), jax.random.key(4))
+    one = one_drawn(base, varied(), jax.random.key(4))
     for before, after in zip(jax.tree.leaves(base), jax.tree.leaves(one), strict=True):
         np.testing.assert_array_equal(before, after)
-    first, second = (
-        realised(base, family(FamilyConfig(), "float32"), jax.random.key(i))[2] for i in (0, 1)
-    )
+    first, second = (realised(base, varied(), jax.random.key(i))[2].measurements for i in (0, 1))
     assert not np.array_equal(first.velocity, second.velocity)
 
 
@@ -99,35 +105,158 @@ def test_scales_spread_and_phases(base):
     assert np.std(np.asarray(scenarios.angular_velocity.phase)[:, 0, 0]) > 1
 
 
+OUTAGES = Outages(rate=0.1, duration=(1.0, 5.0))
+BURSTS = BurstsConfig(rate=0.2, duration=(0.5, 2.0), size=0.7)
+EVERYTHING = {
+    "attitude_error": (0.0, 180.0),
+    "position_error": (0.0, 10.0),
+    "bias_scale": (0.0, 2.0),
+    "noise_scale": (0.5, 2.0),
+    "landmark_spread": 1.0,
+    "motion_scale": (0.5, 2.0),
+    "vector_bias": 0.1,
+    "landmark_bias": 0.2,
+    "angular_velocity_drift": (0.0, 0.01),
+    "velocity_drift": (0.1, 0.2),
+    "outages": OUTAGES,
+    "bursts": BURSTS,
+    "landmark_interval": (0.02, 0.2),
+    "rest": (5.0, 15.0),
+    "duration": (10.0, 60.0),
+    "random_phase": True,
+}
+"""Every setting that varies something; the rest of the section says how."""
+CHANGED = {
+    "attitude_error": ("rotation_estimate",),
+    "bias_scale": ("bias",),
+    "noise_scale": ("angular_noise", "linear_noise", "vector_noise", "landmark_noise"),
+    "landmark_spread": ("landmarks",),
+    "vector_bias": ("vector_bias",),
+    "landmark_bias": ("landmark_bias",),
+    "outages": ("vector_outages", "landmark_outages"),
+    "bursts": ("bursts",),
+    "landmark_interval": ("landmark_period",),
+    "rest": ("rest",),
+    "duration": ("end",),
+}
+"""What a setting changes that no other does."""
+
+
 def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
-    angles = initial_angles(drawn(base, 5, attitude_error=(0.0, 180.0)))
-    both = drawn(base, 5, attitude_error=(0.0, 180.0), landmark_spread=1.0, bias_scale=(0.0, 2.0))
-    np.testing.assert_array_equal(angles, initial_angles(both))
+    assert set(EVERYTHING) <= set(FamilyConfig.model_fields)
+    assert set(FamilyConfig.model_fields) - set(EVERYTHING) == {"rest_share"}
+    chosen = {name: varied(**{name: EVERYTHING[name]}) for name in CHANGED}
+    # As many windows as there are with all of them.
+    full = varied(**EVERYTHING)
+    chosen = {name: replace(f, most_windows=full.most_windows) for name, f in chosen.items()}
+    draws = jax.jit(lambda families, key: {n: draw(base, f, key) for n, f in families.items()})
+    each, together = draws(chosen, jax.random.key(3)), one_drawn(base, full, jax.random.key(3))
+    for name, one in each.items():
+        for field in (f.name for f in fields(Scenario) if f.name != "samples"):
+            mine = field in CHANGED[name]
+            wanted = getattr(together if mine else base, field)
+            if name == "attitude_error" and field == "position_estimate":
+                continue  # turned with the attitude, about the true position
+            for a, b in zip(
+                jax.tree.leaves(getattr(one, field)), jax.tree.leaves(wanted), strict=True
+            ):
+                np.testing.assert_allclose(a, b, rtol=1e-6, err_msg=f"{name}: {field}")
+            if mine and field != "bursts":
+                before = np.asarray(getattr(base, field))
+                assert not np.array_equal(before, getattr(one, field)), (name, field)
+
+
+def test_outages_come_at_random_and_last_as_long_as_they_may(base):
+    windows = np.asarray(drawn(base, outages=OUTAGES).vector_outages, np.float64)
+    lengths = windows[..., 1] - windows[..., 0]
+    assert lengths.min() >= 1 - 1e-3
+    assert lengths.max() <= 5 + 1e-3
+    count = lengths.size
+    assert lengths.mean() == pytest.approx(3, abs=5 * 4 / np.sqrt(12 * count))
+    # The time from the end of one to the next is exponential: of mean and deviation 1 / rate.
+    ends = np.concatenate([np.zeros((len(windows), 1)), windows[:, :-1, 1]], axis=1)
+    gaps = windows[..., 0] - ends
+    assert gaps.min() > -1e-3
+    assert gaps.mean() == pytest.approx(10, abs=5 * 10 / np.sqrt(count))
+    assert gaps.std() == pytest.approx(10, abs=5 * 10 * np.sqrt(2 / count))
+
+
+@pytest.mark.parametrize("sensors", ["all", "vectors", "landmarks"])
+def test_an_outage_is_of_the_sensors_asked_for(base, sensors):
+    outages = Outages(rate=0.1, sensors=sensors)
+    one = one_drawn(base, varied(outages=outages), jax.random.key(0))
+    for name in ("vectors", "landmarks"):
+        windows = getattr(one, f"{name.removesuffix('s')}_outages")
+        assert (len(windows) > 0) == (sensors in ("all", name))
+
+
+def test_nothing_happens_at_a_rate_of_zero(base):
+    one = one_drawn(base, varied(outages=Outages(rate=0.0)), jax.random.key(0))
+    assert not np.isnan(one.vector_outages).any()
+    assert (np.asarray(one.vector_outages)[:, 0] > 1e9).all()
+    _, _, sensed = realised(base, varied(outages=Outages(rate=0.0)), jax.random.key(0))
+    assert (np.asarray(sensed.measurements.vector_weights) == 1).all()
+
+
+def test_bursts_hit_one_vector_in_any_direction_with_their_size(base):
+    bursts = drawn(base, bursts=BURSTS).bursts
+    np.testing.assert_allclose(np.linalg.norm(bursts.offset, axis=-1), 0.7, rtol=1e-5)
+    count = bursts.vector.size
+    assert np.mean(bursts.vector) == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(count))
+    # Coordinates of unit vectors have the deviation 1 / sqrt(3).
+    limit = 5 * 0.7 / np.sqrt(3 * count)
+    assert np.abs(np.mean(bursts.offset, axis=(0, 1))).max() < limit
+
+
+def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):
+    scenarios = drawn(base, 400, **EVERYTHING, rest_share=0.3)
+    for name, deviation in (("vector_bias", 0.1), ("landmark_bias", 0.2)):
+        bias = np.asarray(getattr(scenarios, name))
+        assert bias.shape == (400, *np.shape(getattr(base, name)))
+        assert bias.std() == pytest.approx(deviation, rel=5 / np.sqrt(2 * bias.size))
+        assert np.abs(bias.mean(axis=0)).max() < 5 * deviation / np.sqrt(400)
+    drift = np.asarray(scenarios.bias_drift)
+    np.testing.assert_array_equal(drift[:, [0, 3]], drift[:, [2, 5]])  # one for all three axes
+    period, end = np.asarray(scenarios.landmark_period), np.asarray(scenarios.end)
+    for values, low, high in (
+        (drift[:, 0], 0, 0.01),
+        (drift[:, 3], 0.1, 0.2),
+        (period, 2, 20),
+        (end, 10, 60),
+    ):
+        assert low <= values.min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < values.max() <= high
+    rest = np.asarray(scenarios.rest)[:, -1]
+    assert (rest[:, 0] == 0).all()
+    resting = rest[:, 1] > 0
+    assert resting.mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.3 * 0.7 / 400))
+    assert 5 <= rest[resting, 1].min() < 6
+    assert 14 < rest[resting, 1].max() <= 15
 
 
 def test_a_key_means_the_same_scenario_in_both_precisions(base):
-    settings = FamilyConfig(
-        attitude_error=(0.0, 180.0), position_error=(0.0, 5.0), random_phase=True
-    )
-    single = one_drawn(base, family(settings, "float32"), jax.random.key(7))
+    single = one_drawn(base, varied(**EVERYTHING), jax.random.key(7))
     with jax.enable_x64(True):
         exact = quietly(config.override(SHORT, ["run.dtype=float64"]))
-        double = one_drawn(exact, family(settings, "float64"), jax.random.key(7))
-        np.testing.assert_allclose(single.rotation_estimate, double.rotation_estimate, atol=1e-6)
-        np.testing.assert_allclose(single.position_estimate, double.position_estimate, atol=1e-5)
+        double = one_drawn(exact, varied("float64", **EVERYTHING), jax.random.key(7))
+        for a, b in zip(jax.tree.leaves(single), jax.tree.leaves(double), strict=True):
+            # Lengths of up to 10 m, times of up to 400 s.
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)
 
 
 def test_vmap_equals_a_loop(base):
-    chosen = family(FamilyConfig(attitude_error=(0.0, 180.0), landmark_spread=1.0), "float32")
+    chosen = varied(**EVERYTHING)
     many = scenario_keys(jax.random.key(2), 3)
     together = draw_many(base, chosen, many)
     for i in range(3):
         alone = one_drawn(base, chosen, many[i])
         for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
-            np.testing.assert_allclose(a, b[i], atol=1e-6)
+            np.testing.assert_allclose(a, b[i], rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("key", ["attitude_error", "position_error", "bias_scale"])
+@pytest.mark.parametrize(
+    "key", ["attitude_error", "position_error", "bias_scale", "rest", "duration", "velocity_drift"]
+)
 def test_a_range_that_descends_is_refused_by_name(key):
     with pytest.raises(ConfigError, match=rf"family\.{key}"):
         config.override(Experiment(), [f"family.{key}=[2.0, 1.0]"])

@@ -23,15 +23,19 @@ from filters import (
     random_estimates,
     random_samples,
     settings,
+    vector_bias,
+    vector_settings,
+    with_vector_biases,
 )
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
 from posegsa.config import Experiment, FilterConfig, GainConfig, RunConfig, override
-from posegsa.model.filter import FilterSettings, FilterState, _step, initial_state, step
+from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
+from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings, signal_settings
 
@@ -262,21 +266,108 @@ def test_weights_and_the_law_of_the_vectors_biases_are_those_of_the_configuratio
     np.testing.assert_allclose(numbers, [0.5, 0.01, 16, 16, 2], rtol=1e-6)
 
 
-# Transformations ---------------------------------------------------------------------------------
+# What is learnt of the vectors --------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("x64")
-def test_jit_equals_eager() -> None:
+def test_an_estimated_bias_is_never_longer_than_its_bound() -> None:
+    m, _, state = random_samples(200)
+    state = with_vector_biases(state, 3, length=2.0)  # some of them beyond it already
+    chosen = learning(gain=60.0, bound=0.4, excitation=1e-3)
+    sample = prepared_for(m, chosen)
+    for _ in range(2):
+        state, _ = jitted_observe(state, sample, jnp.full(200, 20.0), chosen)
+        length = np.linalg.norm(state.vector_bias, axis=-1)
+        assert length.max() <= 0.4 * (1 + 1e-12)
+    assert length.max() > 0.3
+    assert (length == 0).any()  # a step far beyond it begins anew
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_estimated_bias_of_a_missing_vector_stays() -> None:
+    rng = np.random.default_rng(0)
+    m = as_arrays(random_measurements(rng, 30, 3, 2, missing=0.5), np.float64)
+    state = with_vector_biases(random_estimates(rng, 30)[2], 3, length=0.1)
+    chosen = learning(leak=0.2, excitation=1e-3)
+    after, _ = jitted_observe(state, prepared_for(m, chosen), jnp.full(30, 5.0), chosen)
+    missing = np.asarray(m.vector_weights) == 0
+    before, now = np.asarray(state.vector_bias), np.asarray(after.vector_bias)
+    np.testing.assert_array_equal(now[missing], before[missing])
+    assert (now[~missing] != before[~missing]).all()
+
+
+@pytest.mark.usefixtures("x64")
+def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
+    m, _, state = random_samples(30)
+    state = with_vector_biases(state, 3, length=0.1)
+    # The measured angular velocity is its bias, and always was.
+    omega = np.array(state.bias)[:, :3]
+    m = m._replace(angular_velocity=jnp.asarray(omega))
+    x, y, z = jnp.asarray(omega.T)
+    state = state._replace(turning=(x, y, z))
+    chosen = learning()
+    still, _ = jitted_observe(state, prepared_for(m, chosen), jnp.full(30, 5.0), chosen)
+    np.testing.assert_allclose(still.vector_bias, state.vector_bias, rtol=0, atol=1e-15)
+    # With a leak it is forgotten.
+    forgets = learning(leak=0.5)
+    leaked, _ = jitted_observe(state, prepared_for(m, forgets), jnp.full(30, 5.0), forgets)
+    kept = (1 - 0.5 * np.asarray(m.time_step))[:, None, None]
+    np.testing.assert_allclose(leaked.vector_bias, kept * state.vector_bias, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize(("law", "power"), [("linear", 1), ("quadratic", 2)])
+def test_gamma_follows_the_gain_used_as_far_as_a_step_is_stable(law, power) -> None:
+    K, h = np.meshgrid(np.geomspace(0.01, 1000, 21), np.geomspace(1e-3, 0.5, 11))
+    chosen = settings(gamma_law=law, gamma=(40.0, 700.0))
+    for gamma, g in zip(bias_gains(jnp.asarray(K), jnp.asarray(h), chosen), (40, 700), strict=True):
+        gamma, wanted = np.asarray(gamma), g * (K / 10) ** power
+        assert (gamma * h <= K * (1 + 1e-12)).all()
+        free = wanted * h <= K
+        assert 0 < free.mean() < 1
+        np.testing.assert_allclose(gamma[free], wanted[free], rtol=1e-12)
+        np.testing.assert_allclose((gamma * h)[~free], K[~free], rtol=1e-12)
+
+
+# Transformations ---------------------------------------------------------------------------------
+
+
+def learning(dtype: Any = np.float64, **law: float) -> FilterSettings:
+    """Settings of a filter that learns the vectors' biases, with all that it can make of them."""
+    return settings(
+        dtype,
+        gamma_law="linear",
+        substeps=2,
+        vectors=vector_settings(dtype, normalise=True, cross_weight=0.5, each_agent=True),
+        learnt=vector_bias(dtype, **law),
+    )
+
+
+@jax.jit
+def prepared_for(m: Measurements, chosen: FilterSettings) -> Sample:
+    return prepare(m, chosen.vectors)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("learns", [False, True])
+def test_jit_equals_eager(learns) -> None:
     m, _, state = random_samples(5)
-    inputs = (state, jitted_prepare(m), jnp.linspace(1.0, 40.0, 5), settings())
+    chosen = settings()
+    if learns:
+        state, chosen = with_vector_biases(state, 3), learning(leak=0.1)
+    inputs = (state, prepared_for(m, chosen), jnp.linspace(1.0, 40.0, 5), chosen)
     leaves_close(jitted_observe(*inputs), observed(*inputs), atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
-def test_vmap_over_agents_equals_a_loop() -> None:
+@pytest.mark.parametrize("learns", [False, True])
+def test_vmap_over_agents_equals_a_loop(learns) -> None:
     m, _, states = random_samples(1)
-    sample, state = jax.tree.map(lambda a: a[0], (jitted_prepare(m), states))
-    gains, chosen = np.linspace(1.0, 60.0, 7), settings()
+    chosen = settings()
+    if learns:
+        states, chosen = with_vector_biases(states, 3), learning(leak=0.1)
+    sample, state = jax.tree.map(lambda a: a[0], (prepared_for(m, chosen), states))
+    gains = np.linspace(1.0, 60.0, 7)
     together = jax.jit(jax.vmap(observed, in_axes=(None, None, 0, None)))
     got = together(state, sample, gains, chosen)
     for i, gain in enumerate(gains):
@@ -318,11 +409,11 @@ def test_float32_agrees_with_float64_to_rounding() -> None:
 
 
 @jax.jit
-def forward_and_reverse(*inputs: Any) -> tuple[Any, Any]:
+def forward_and_reverse(chosen: FilterSettings, *inputs: Any) -> tuple[Any, Any]:
     """Derivatives of the sum of all that a step returns, by state, gain and measurements."""
 
     def total(state: FilterState, gain: Array, m: Measurements) -> Array:
-        after, _ = observed(state, prepared(m), gain, settings(np.float32))
+        after, _ = observed(state, prepare(m, chosen.vectors), gain, chosen)
         return sum(jax.tree.leaves(after))
 
     ones = jax.tree.map(jnp.ones_like, inputs)
@@ -330,12 +421,16 @@ def forward_and_reverse(*inputs: Any) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("seen", [1.0, 0.0], ids=["all seen", "none seen"])
-def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(seen) -> None:
+@pytest.mark.parametrize("learns", [False, True], ids=["", "biases learnt"])
+def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(learns, seen) -> None:
     # Everything that has a square root or a division is at its zero here.
-    m = fitting(np.eye(4), np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)))
-    m = m._replace(vector_weights=np.full(1, seen), landmark_weights=np.full(1, seen))
-    state = jitted_state(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
-    forward, reverse = forward_and_reverse(state, jnp.float32(3), as_arrays(m, np.float32))
+    m = fitting(np.eye(4), np.array([[0.0, 0.0, 1.0]] * 2), np.zeros((1, 3)))
+    m = m._replace(vector_weights=np.full(2, seen), landmark_weights=np.full(1, seen))
+    state = initial_state(
+        np.eye(3, dtype=np.float32), np.zeros(3, np.float32), learnt_vectors=2 * learns
+    )
+    chosen = learning(np.float32) if learns else settings(np.float32)
+    forward, reverse = forward_and_reverse(chosen, state, jnp.float32(3), as_arrays(m, np.float32))
     assert np.isfinite(forward).all()
     for leaf in jax.tree.leaves(reverse):
         assert np.isfinite(leaf).all()

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
-from posegsa.model.filter import FilterState
-from posegsa.model.filter import see
+from posegsa.errors import ArgumentError
+from posegsa.model.filter import FilterState, initial_state, see, step
 from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import run_filter
 from posegsa.model.sample import Sample
 from posegsa.model.schedules import ConstantGain, FuzzyGain, Gains, ScheduleInputs, SwitchGain
-from posegsa.model.rollout import run_filter
 from posegsa.model.se3 import quaternion, unstack
 from posegsa.model.signal import (
     Measured,
@@ -172,7 +172,14 @@ def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> 
 
 # What the schedule is told ------------------------------------------------------------------------
 
-ERRORS: list[tuple[float | None, float | None]] = [(0.5, 10.0), (0.4, 8.0), (0.4, 2.0), (0.1, 1.0), (0.1, 1.0), (0.3, 0.0)]
+ERRORS: list[tuple[float | None, float | None]] = [
+    (0.5, 10.0),
+    (0.4, 8.0),
+    (0.4, 2.0),
+    (0.1, 1.0),
+    (0.1, 1.0),
+    (0.3, 0.0),
+]
 """Unscaled signals 2.5, 2.0, 0.8, 0.3, 0.3, 0.3 at the weight 0.2."""
 
 
@@ -249,8 +256,8 @@ def test_smoothing_is_a_low_pass_filter_before_all_else() -> None:
 
 def test_smoothing_goes_by_the_time_since_the_last_sample() -> None:
     memory, heard = nothing_yet(0.0), []
-    for e, step in ((0.8, 0.01), (0.0, 0.03), (0.0, 0.01)):
-        gain, memory = listen(Listener("error"), memory, (e, 0.0), 0.0, step, smoothing=0.03)
+    for e, passed in ((0.8, 0.01), (0.0, 0.03), (0.0, 0.01)):
+        gain, memory = listen(Listener("error"), memory, (e, 0.0), 0.0, passed, smoothing=0.03)
         heard.append(float(gain))
     # 0.01 s passed before the second sample, 0.03 s before the third.
     np.testing.assert_allclose(heard, [0.8, 0.8 * 0.75, 0.8 * 0.75 * 0.5], rtol=1e-6)
@@ -310,6 +317,19 @@ def test_a_gain_that_is_nan_stays_nan(limit: float | None) -> None:
     )
     assert np.isnan(estimates.gain).all()
     assert np.isnan(estimates.gain_used).all()
+
+
+def test_a_negative_gain_is_refused_and_inside_jit_makes_the_estimate_nan() -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(0), 3, 2, 1), np.float32)
+    state = initial_state(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
+    chosen, signal = settings(np.float32), signal_settings(GainConfig(), np.float32)
+    with pytest.raises(ArgumentError, match=r"gain = -1.*at least 0"):
+        step(state, m.at(0), -1.0, chosen)
+    with pytest.raises(ArgumentError, match=r"gain = -2.*at least 0"):
+        run_filter(ConstantGain(jnp.asarray(-2.0)), m, state, chosen, signal)
+    after = jax.jit(step)(state, m.at(0), jnp.float32(-1), chosen)
+    assert np.isnan(after.position).all()
+    assert np.isnan(after.rotation).all()
 
 
 def test_a_constant_gain_is_constant() -> None:

@@ -257,8 +257,7 @@ CHAINS = {
 def weighted(chain: Chain) -> Experiment:
     """The experiment of a chain, in which each vector and landmark has a weight of its own."""
     vectors = [
-        f"{{direction = {v}, weight = {w}}}"
-        for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
+        f"{{direction = {v}, weight = {w}}}" for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
     ]
     landmarks = [f"{{position = {p}, weight = {w}}}" for p, w in zip(TWO, (1.2, 0.7), strict=True)]
     return paper(
@@ -294,6 +293,8 @@ def test_the_chain_against_the_reference(chain: Chain) -> None:
     assert estimates.vector_bias.shape == (200, learnt, 3)
     if learnt:
         assert np.abs(expected.c_est[-1]).max() > 0.05
+        length = np.linalg.norm(estimates.vector_bias, axis=-1).max()
+        assert length <= experiment.filter.vector_bias_bound * (1 + 1e-12)
     # In sub-steps too, a gain well under the limit is used as it is.
     if experiment.filter.gain_limit == "off":
         free = np.full(200, True)

@@ -1,9 +1,11 @@
 """Truth and sensor errors, against the reference's integration and the sensors' equations."""
 
 import warnings
+from dataclasses import replace
 from itertools import combinations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
@@ -14,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from posegsa.config import Landmark, Sine, Vector
 from posegsa.errors import PosegsaWarning
 from posegsa.model.measurements import Measurements
-from posegsa.model.scenario import Scenario, Truth, integrate, measure
+from posegsa.model.scenario import Bursts, Scenario, Sensed, Truth, integrate, measure
 from posegsa.search.build import scenario
 
 SILENT = {
@@ -38,7 +40,11 @@ START = {
 }
 
 
-jitted_integrate, jitted_measure = jax.jit(integrate), jax.jit(measure)
+jitted_integrate, jitted_sense = jax.jit(integrate), jax.jit(measure)
+
+
+def jitted_measure(s: Scenario, truth: Truth, key: Array) -> Measurements:
+    return jitted_sense(s, truth, key).measurements
 
 
 def vector(*direction: float, **errors: object) -> Vector:
@@ -117,7 +123,6 @@ SENSORS = {
         vector(0.0, 0.0, 3.0, bias=(0.0, 0.2, 0.0), weight=2.0),
     ),
     "landmarks": (landmark(1.0, 2.0, 3.0, bias=(0.0, 0.5, 0.0)), landmark(-4.0, 0.0, 1.0)),
-    "cross_vector_weight": 0.25,
     **START,
     **SILENT,
 }
@@ -128,42 +133,15 @@ def from_body(truth: Truth, a: np.ndarray) -> np.ndarray:
     return np.array([R.T @ b for R, b in zip(np.asarray(truth.rotation), a, strict=True)])
 
 
-def expected_vectors(truth: Truth, *, cross: bool, unit: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors of `SENSORS` as measured, and as known, by Section V of the paper."""
-    N = len(truth.time)
-    known = np.array([v.direction for v in SENSORS["vectors"]])
-    seen = np.stack(
-        [from_body(truth, np.tile(v.direction, (N, 1))) + v.bias for v in SENSORS["vectors"]],
-        axis=1,
-    )
-    if cross:
-        # Of the vectors as measured, errors and all; not the true cross product seen from the body.
-        known = np.concatenate([known, np.cross(known[:1], known[1:])])
-        seen = np.concatenate([seen, np.cross(seen[:, :1], seen[:, 1:])], axis=1)
-    if unit:
-        known, seen = (a / np.linalg.norm(a, axis=-1, keepdims=True) for a in (known, seen))
-    return seen, known
-
-
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(("cross", "unit"), [(False, False), (True, False), (True, True)])
-def test_noise_free_vectors_are_the_turned_ones_with_bias(cross, unit) -> None:
-    e = experiment(**SENSORS, cross_vector=cross, normalise_vectors=unit)
-    truth, m = simulated(quietly(e))
-    seen, known = expected_vectors(truth, cross=cross, unit=unit)
-    np.testing.assert_allclose(m.vectors, seen, atol=1e-14)
-    np.testing.assert_allclose(m.vector_references, np.tile(known, (50, 1, 1)), atol=1e-15)
-    weights = [0.5, 2.0, 0.25][: 2 + cross]
-    np.testing.assert_array_equal(m.vector_weights, np.tile(weights, (50, 1)))
-
-
-@pytest.mark.usefixtures("x64")
-def test_the_measured_cross_vector_is_not_the_true_one() -> None:
-    # What makes the test above able to tell them apart.
-    truth, m = simulated(quietly(experiment(**SENSORS, normalise_vectors=False)))
-    true = np.cross(*(v.direction for v in SENSORS["vectors"]))
-    seen = from_body(truth, np.tile(true, (50, 1)))
-    assert np.abs(np.asarray(m.vectors)[:, 2] - seen).max() > 0.1
+def test_noise_free_vectors_are_the_turned_ones_with_bias() -> None:
+    truth, m = simulated(quietly(experiment(**SENSORS)))
+    for i, v in enumerate(SENSORS["vectors"]):
+        seen = from_body(truth, np.tile(v.direction, (50, 1))) + v.bias
+        np.testing.assert_allclose(np.asarray(m.vectors)[:, i], seen, atol=1e-14)
+        assert (np.asarray(m.vector_references)[:, i] == v.direction).all()
+    # The weights are the filter's; these say what is missing.
+    np.testing.assert_array_equal(m.vector_weights, np.ones((50, 2)))
 
 
 @pytest.mark.usefixtures("x64")
@@ -200,7 +178,8 @@ def test_landmarks_alone_make_a_scenario() -> None:
         landmarks=tuple(landmark(*p) for p in np.eye(3).tolist()),
     )
     s = quietly(e)
-    m = jax.eval_shape(measure, s, jax.eval_shape(integrate, s), jax.random.key(0))
+    truth = jax.eval_shape(integrate, s)
+    m = jax.eval_shape(measure, s, truth, jax.random.key(0)).measurements
     assert m.vectors.shape == (10, 0, 3)
     assert m.landmarks.shape == (10, 3, 3)
 
@@ -227,8 +206,6 @@ NOISY = {
         landmark(1.0, 2.0, 3.0, noise=NOISES["landmark 0"]),
         landmark(0.0, 0.0, 0.0, noise=NOISES["landmark 1"]),
     ),
-    "cross_vector": False,
-    "normalise_vectors": False,
 }
 
 
@@ -304,6 +281,92 @@ def test_same_key_gives_the_same_and_another_key_other_measurements() -> None:
     np.testing.assert_array_equal(a.vector_references, b.vector_references)
 
 
+# As life has it --------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_at_rest_the_body_stands_still_and_moves_on_afterwards() -> None:
+    given = {"duration": 0.5, **START}
+    moving = jitted_integrate(quietly(experiment(**given)))
+    rests = jitted_integrate(quietly(experiment(**given, rest=((0.0, 0.095), (0.295, 0.395)))))
+    still = np.r_[0:10, 30:40]
+    for name in ("angular_velocity", "velocity"):
+        want = np.array(getattr(moving, name))
+        want[still] = 0
+        np.testing.assert_array_equal(getattr(rests, name), want)
+    for name in ("rotation", "position"):
+        poses = np.asarray(getattr(rests, name))
+        np.testing.assert_allclose(poses[:11], np.broadcast_to(poses[:1], poses[:11].shape))
+        np.testing.assert_allclose(poses[31:41], np.broadcast_to(poses[30:31], poses[31:41].shape))
+        assert np.abs(poses[20] - poses[10]).max() > 1e-3
+
+
+WINDOWS = ((0.095, 0.195), (0.295, 0.305))
+"""Samples 10 to 19, and 30."""
+LIVELY = np.r_[10:20, 30]
+
+
+def lively(**changes: object) -> Scenario:
+    """A scenario of 50 samples with two vectors and two landmarks, with other numbers."""
+    s = quietly(experiment(**SENSORS))
+    return replace(s, **changes)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("sensor", ["vector", "landmark"])
+def test_in_an_outage_nothing_of_a_sensor_is_measured(sensor: str) -> None:
+    _, m = simulated(lively(**{f"{sensor}_outages": jnp.asarray(WINDOWS)}))
+    seen = np.ones((50, 2))
+    seen[LIVELY] = 0
+    other = {"vector": "landmark", "landmark": "vector"}[sensor]
+    np.testing.assert_array_equal(getattr(m, f"{sensor}_weights"), seen)
+    np.testing.assert_array_equal(getattr(m, f"{other}_weights"), np.ones((50, 2)))
+
+
+@pytest.mark.usefixtures("x64")
+def test_landmarks_are_measured_once_in_a_period() -> None:
+    _, m = simulated(quietly(experiment(**SENSORS, landmark_period=5)))
+    seen = np.zeros((50, 2))
+    seen[::5] = 1
+    np.testing.assert_array_equal(m.landmark_weights, seen)
+    np.testing.assert_array_equal(m.vector_weights, np.ones((50, 2)))
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_burst_is_added_to_one_vector_while_it_lasts() -> None:
+    offsets = np.array([[0.5, 0.0, -1.0], [0.0, 2.0, 0.0]])
+    windows = jnp.asarray([WINDOWS[0], (0.145, 0.245)])
+    bursts = Bursts(windows, jnp.asarray([1, 1], jnp.int32), jnp.asarray(offsets))
+    (_, quiet), (_, disturbed) = simulated(lively()), simulated(lively(bursts=bursts))
+    added = np.zeros((50, 2, 3))
+    added[10:20, 1] += offsets[0]
+    added[15:25, 1] += offsets[1]
+    change = np.asarray(disturbed.vectors) - np.asarray(quiet.vectors)
+    np.testing.assert_allclose(change, added, atol=1e-14)
+    same(disturbed._replace(vectors=quiet.vectors), quiet)
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_velocities_biases_drift_as_random_walks_and_change_no_other_noise() -> None:
+    given = {"duration": 50.0, "angular_velocity_noise": 0.2, "velocity_noise": 0.1}
+    steady = quietly(experiment(**given))
+    drifts = quietly(experiment(**given, angular_velocity_drift=0.3, velocity_drift=2.0))
+    truth, key = jitted_integrate(steady), jax.random.key(5)
+    a, b = jitted_sense(steady, truth, key), jitted_sense(drifts, truth, key)
+    np.testing.assert_array_equal(a.bias, np.tile(steady.bias, (5000, 1)))
+    np.testing.assert_array_equal(b.bias[0], steady.bias)
+    for name, part in (("angular_velocity", slice(3)), ("velocity", slice(3, 6))):
+        free = (np.asarray(getattr(s.measurements, name)) - s.bias[:, part] for s in (a, b))
+        np.testing.assert_allclose(*free, atol=1e-12)
+    same(a.measurements.vectors, b.measurements.vectors)
+    # Increments over 0.01 s of deviation s sqrt(0.01), within 5 deviations of the estimate.
+    moved = np.diff(b.bias, axis=0) / (0.1 * np.repeat([0.3, 2.0], 3))
+    np.testing.assert_allclose(moved.std(axis=0), 1, rtol=5 / np.sqrt(2 * 4999))
+    np.testing.assert_allclose(moved.mean(axis=0), 0, atol=5 / np.sqrt(4999))
+    together = np.corrcoef(moved.T) - np.eye(6)
+    assert np.abs(together).max() < 5 / np.sqrt(4999)
+
+
 # Structure ---------------------------------------------------------------------------------------
 
 
@@ -336,7 +399,7 @@ def test_measuring_under_jit_equals_measuring_eagerly() -> None:
     s, key = quietly(experiment(duration=0.5)), jax.random.key(0)
     truth = jitted_integrate(s)
     # To rounding: fused multiply-adds differ.
-    same(jitted_measure(s, truth, key), measure(s, truth, key), atol=1e-13)
+    same(jitted_sense(s, truth, key), measure(s, truth, key), atol=1e-13)
 
 
 @pytest.mark.usefixtures("x64")
@@ -344,7 +407,7 @@ def test_vmap_over_keys_equals_a_loop() -> None:
     s = quietly(experiment(duration=0.5))
     truth, keys = jitted_integrate(s), jax.random.split(jax.random.key(0), 3)
     together = jax.jit(jax.vmap(measure, in_axes=(None, None, 0)))(s, truth, keys)
-    loop = [jitted_measure(s, truth, key) for key in keys]
+    loop = [jitted_sense(s, truth, key) for key in keys]
     same(together, jax.tree.map(lambda *a: np.stack(a), *loop), atol=1e-13)
 
 
@@ -352,12 +415,17 @@ def test_numbers_change_without_compiling_again() -> None:
     compiled = 0
 
     @jax.jit
-    def run(s: Scenario, key: Array) -> Measurements:
+    def run(s: Scenario, key: Array) -> Sensed:
         nonlocal compiled
         compiled += 1
         return measure(s, integrate(s), key)
 
-    given = {"duration": 0.1, "velocity_noise": 0.1, "angular_velocity_bias": (0.1, 0.2, 0.3)}
+    given = {
+        "duration": 0.1,
+        "landmark_period": 3,
+        "velocity_noise": 0.1,
+        "angular_velocity_bias": (0.1, 0.2, 0.3),
+    }
     other = {"duration": 0.1, "velocity_noise": 0.5, "angular_velocity_bias": (0.0, 0.0, 0.0)}
     for seed, changes in enumerate((given, other, {**other, **START})):
         run(quietly(experiment("float32", **changes)), jax.random.key(seed))

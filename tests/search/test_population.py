@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from setups import lasting, paper, posed, repaired_terms, search_vectors, space, without_limit
+from setups import lasting, paper, posed, repaired_terms, search_vectors, searched, without_limit
 
 from posegsa.model.rollout import simulate_cost
-from posegsa.model.schedules import ConstantGain, FuzzyGain
-from posegsa.optimisers import GSA, box, minimise
+from posegsa.model.schedules import ConstantGain
+from posegsa.optimisers import GSA, minimise
+from posegsa.search.candidates import Candidate
 from posegsa.search.devices import AXIS, collect, mesh_of, on_each, spread
 from posegsa.search.population import (
     ScenarioBatch,
@@ -26,7 +27,7 @@ DTYPES = ["float32", "float64"]
 
 def costs_of(vectors: np.ndarray, problem: ScenarioBatch, *settings: str) -> np.ndarray:
     """Costs (A,) of parameter vectors (A, 22), at the problem's dtype."""
-    made = space(*settings, dtype=str(problem.dtype))
+    made = searched(*settings, dtype=str(problem.dtype))
     return np.asarray(evaluate_population(jnp.asarray(vectors, problem.dtype), problem, made))
 
 
@@ -42,11 +43,11 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one(
     vectors = search_vectors(4)
     with jax.enable_x64(dtype == "float64"):
         problem = posed(paper(*lasting(1.5), dtype=dtype), scenarios=3)
-        made = space(dtype=dtype)
+        made = searched(dtype=dtype)
         one = jax.jit(
             lambda k, tracks, initial: (
                 simulate_cost(
-                    FuzzyGain(made.controller(k)),
+                    made.candidate(k).schedule,
                     tracks,
                     initial,
                     problem.weights,
@@ -82,7 +83,7 @@ def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
 ) -> None:
     vectors = jnp.asarray(search_vectors(37), "float32")
     posed_problem = posed(paper(*lasting(1.5), dtype="float32"), scenarios=3)
-    made, mesh = space(dtype="float32"), mesh_of(jax.devices()[:count])
+    made, mesh = searched(dtype="float32"), mesh_of(jax.devices()[:count])
     in_pieces = evaluate_population(vectors, posed_problem, made)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     axis = None if mesh is None else AXIS
@@ -98,11 +99,11 @@ def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
 def test_costs_by_scenario_are_scenarios_by_agents() -> None:
     problem = posed(paper(*lasting(1.5), dtype="float32"), scenarios=3)
     gains = jnp.asarray([2.0, 20.0])
-    costs = np.asarray(costs_by_scenario(ConstantGain(gains), problem))
+    costs = np.asarray(costs_by_scenario(Candidate(ConstantGain(gains)), problem))
     assert costs.shape == (3, 2)
     first = jax.tree.map(lambda a: a[:1], (problem.samples, problem.initial))
     alone = costs_by_scenario(
-        ConstantGain(gains), problem._replace(samples=first[0], initial=first[1])
+        Candidate(ConstantGain(gains)), problem._replace(samples=first[0], initial=first[1])
     )
     np.testing.assert_allclose(alone[0], costs[0], rtol=1e-5)  # float32 sums in another batch
 
@@ -176,10 +177,10 @@ def test_a_diverged_agent_never_wins() -> None:
     assert not costs[0] < 1e3
     assert costs[1] < 1e3
 
-    made = space(dtype="float32")
+    made = searched(dtype="float32")
     search = minimise(
         lambda vectors: population_costs(vectors, problem, made),
-        box(made.lower, made.upper),
+        made.box,
         GSA(agents=20, iterations=4),
         jax.random.key(0),
     )
@@ -188,8 +189,8 @@ def test_a_diverged_agent_never_wins() -> None:
     assert np.isfinite(best).all()
     assert (np.diff(best) <= 0).all()
     assert search.best_cost == best[-1]
-    assert (search.best_position >= made.lower).all()
-    assert (search.best_position <= made.upper).all()
+    assert (search.best_position >= made.box.lower).all()
+    assert (search.best_position <= made.box.upper).all()
 
 
 # One compilation ----------------------------------------------------------------------------------
@@ -205,7 +206,7 @@ OTHER_NUMBERS = (
     "scenario.vectors.1.weight=0.5",
     "scenario.landmarks.0.weight=2.0",
     "scenario.landmarks.0.position=[1.0, 2.0, 0.0]",
-    "scenario.cross_vector_weight=0.7",
+    "filter.cross_vector_weight=0.7",
     "scenario.velocity_bias=[0.0, 0.1, 0.0]",
     "scenario.angular_velocity.0.0.frequency=2.0",
     "scenario.initial_position_estimate=[1.0, 2.0, 3.0]",

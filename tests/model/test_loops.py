@@ -1,0 +1,75 @@
+"""Loops over long times: the same as one `lax.scan`, however they are cut."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array, lax
+
+from posegsa.model.loops import LONGEST_LOOP, _loop_lengths, scan, scan_rows
+
+
+def inputs(count: int) -> dict[str, Array]:
+    a, b = np.random.default_rng(0).normal(size=(2, count)).astype(np.float32)
+    return {"a": jnp.asarray(a), "b": jnp.asarray(b)}
+
+
+START = {"sum": jnp.float32(0.5), "count": jnp.int32(3)}
+
+
+def storing(carry: Any, one: Any) -> tuple[Any, Any]:
+    """A step whose result depends on the order of the inputs and on how many there are."""
+    after = {"sum": 0.5 * carry["sum"] + one["a"], "count": carry["count"] + 1}
+    return after, (carry["sum"] * one["b"], carry["count"])
+
+
+def silent(carry: Any, one: Any) -> tuple[Any, None]:
+    return storing(carry, one)[0], None
+
+
+@pytest.mark.parametrize("step", [storing, silent])
+@pytest.mark.parametrize("count", [1, 5, 256, 257, 70_000])
+def test_loops_inside_each_other_are_one_loop(count: int, step: Any) -> None:
+    given = inputs(count)
+    want = jax.jit(lambda x: lax.scan(step, START, x))(given)
+    for cut in (scan, scan_rows):
+        got = jax.jit(lambda x, cut=cut: cut(step, START, x))(given)
+        assert jax.tree.structure(got) == jax.tree.structure(want)
+        for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+            assert a.shape == b.shape
+            assert a.dtype == b.dtype
+            # Whole numbers are the same; fused multiply-adds may differ.
+            np.testing.assert_allclose(a, b, rtol=0 if a.dtype == np.int32 else 1e-5, atol=1e-6)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("count", [5, 257])
+def test_derivatives_go_through(count: int) -> None:
+    given = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), inputs(count))
+
+    def total(x: dict[str, Array], loop: Any) -> Array:
+        def step(carry: Array, one: dict[str, Array]) -> tuple[Array, Array]:
+            # A step that the inputs which fill the last loop up would make infinite.
+            return 0.5 * carry + jnp.sqrt(one["a"] ** 2 + 1e-3), carry * one["b"]
+
+        last, stored = loop(step, jnp.asarray(0.5), x)
+        return last + jnp.sum(stored**2)
+
+    def both(x: dict[str, Array], loop: Any) -> Any:
+        forward = jax.jvp(lambda x: total(x, loop), (x,), (jax.tree.map(jnp.ones_like, x),))
+        return forward, jax.grad(total)(x, loop)
+
+    got, want = (jax.jit(both, static_argnums=1)(given, loop) for loop in (scan, lax.scan))
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 1500, 65_536, 65_537, 10_000_000])
+def test_loops_are_short_and_hardly_any_step_is_made_for_nothing(count: int) -> None:
+    lengths = _loop_lengths(count)
+    assert max(lengths) <= LONGEST_LOOP
+    assert count <= math.prod(lengths) <= 1.1 * count + 1
+    assert (len(lengths) == 1) == (count <= LONGEST_LOOP)
