@@ -40,29 +40,40 @@ def start(T: Array, b: Array, learnt: int, noise: Noise) -> State:
     return State(T, b, np.zeros((learnt, 3)), np.diag(deviations**2))
 
 
-def update(state: State, s: Sample, noise: Noise) -> State:
-    """After all measurements of a sample; those of weight 0 are not looked at."""
+def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Array, Array]:
+    """All that was measured: H, measured and expected values, covariance of the noise.
+
+    Measurements of weight 0 are left out.
+    """
     R, P, d = state.T[:3, :3], state.T[:3, 3], len(state.Sigma)
-    H, residuals, variances = [np.zeros((0, d))], [np.zeros(0)], [np.zeros(0)]
+    H, measured, expected, variances = [np.zeros((0, d))], [], [], []
     for i in np.flatnonzero(s.sR):
-        rows, expected = np.zeros((3, d)), R.T @ s.vI[i]
-        rows[:, :3] = skew(expected)
+        rows, known = np.zeros((3, d)), R.T @ s.vI[i]
+        rows[:, :3] = skew(known)
         if len(state.c):
-            expected = expected + state.c[i]
             rows[:, 12 + 3 * i : 15 + 3 * i] = np.eye(3)
         H.append(rows)
-        residuals.append(s.vB[i] - expected)
-        variances.append(np.full(3, noise.vector**2 / s.sR[i]))
+        measured.extend(s.vB[i])
+        expected.extend(known + state.c[i] if len(state.c) else known)
+        variances.extend([noise.vector**2 / s.sR[i]] * 3)
     for i in np.flatnonzero(s.sL):
-        rows, expected = np.zeros((3, d)), R.T @ (s.p[i] - P)
-        rows[:, :6] = np.hstack([skew(expected), -np.eye(3)])
+        rows, seen = np.zeros((3, d)), R.T @ (s.p[i] - P)
+        rows[:, :6] = np.hstack([skew(seen), -np.eye(3)])
         H.append(rows)
-        residuals.append(s.y[i] - expected)
-        variances.append(np.full(3, noise.landmark**2 / s.sL[i]))
-    H, N = np.concatenate(H), np.diag(np.concatenate(variances))
+        measured.extend(s.y[i])
+        expected.extend(seen)
+        variances.extend([noise.landmark**2 / s.sL[i]] * 3)
+    return np.concatenate(H), np.array(measured), np.array(expected), np.diag(variances)
+
+
+def update(state: State, s: Sample, noise: Noise) -> State:
+    """After all measurements of a sample."""
+    H, measured, expected, N = linearised(state, s, noise)
+    if not len(H):
+        return state
     K = state.Sigma @ H.T @ np.linalg.inv(H @ state.Sigma @ H.T + N)
-    x = K @ np.concatenate(residuals)
-    rest = np.eye(d) - K @ H
+    x = K @ (measured - expected)
+    rest = np.eye(len(state.Sigma)) - K @ H
     return State(
         T=state.T @ se3_exp(x[:6]),
         b=state.b + x[6:12],

@@ -55,7 +55,9 @@ with a larger steady error. The states of the vectors' biases make it worse: the
 attitude by biases.
 """
 
+import operator
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -298,7 +300,9 @@ def ekf_cost(
 ) -> CostParts:
     """Cost of one simulation, run up sample by sample; nothing else is stored (pure, jittable)."""
 
-    def look(total: CostParts, state: EkfState, now: Samples, weight: Any) -> tuple[CostParts, None]:
+    def look(
+        total: CostParts, state: EkfState, now: Samples, weight: Any
+    ) -> tuple[CostParts, None]:
         transient, steady = weight
         error = sample_error(*pose_errors(state.estimate, now.truth), weights)
         return CostParts(total.transient + transient * error, total.steady + steady * error), None
@@ -336,9 +340,7 @@ def ekf_errors(samples: Samples, initial: FilterState, noise: EkfNoise) -> Error
     )
 
 
-def ekf_nees(
-    samples: Samples, initial: FilterState, noise: EkfNoise
-) -> tuple[Array, EkfState]:
+def ekf_nees(samples: Samples, initial: FilterState, noise: EkfNoise) -> tuple[Array, EkfState]:
     """`nees` (N,) before each sample's update, and the last state (pure, jittable).
 
     Raises:
@@ -423,7 +425,7 @@ def _matrix(covariance: Covariance, count: int) -> Array:
 
 def _product(row: Row, column: Callable[[int], Array]) -> Array:
     """A sparse row times a column, which is given by its entries."""
-    return sum((factor * column(j) for j, factor in row.items()), start=jnp.zeros(()))
+    return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
 
 
 def _update_by_scalar(
@@ -467,8 +469,10 @@ def _congruent(covariance: Covariance, F: dict[int, Row]) -> Covariance:
     every = range(len(covariance))
 
     def of_left(i: int, j: int) -> Array:
-        return _product(F[i], lambda k: _entry(covariance, k, j)) if i in F else (
-            _entry(covariance, i, j)
+        return (
+            _product(F[i], lambda k: _entry(covariance, k, j))
+            if i in F
+            else (_entry(covariance, i, j))
         )
 
     left = [[of_left(i, j) for j in every] for i in every]
