@@ -1,0 +1,336 @@
+"""The Kalman filter against a plain reference, against gtsam, and against statistics."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference_ekf
+import scipy.stats
+from builders import as_arrays, experiment, quietly, random_measurements, random_poses
+from builders import reference_sample as sample_of
+from jax import Array
+from reference import se3_exp
+
+from posegsa.errors import ArgumentError
+from posegsa.model.cost import CostWeights, trajectory_cost
+from posegsa.model.ekf import (
+    EkfNoise,
+    EkfState,
+    ekf_cost,
+    ekf_errors,
+    ekf_nees,
+    ekf_samples,
+    ekf_start,
+    nees,
+    propagate,
+    run_ekf,
+    update,
+)
+from posegsa.model.filter import FilterState, initial_state
+from posegsa.model.rollout import Samples, samples_of
+from posegsa.model.sample import Sample
+from posegsa.model.scenario import integrate, measure
+from posegsa.model.se3 import exp, quaternion, transform, unstack
+from posegsa.model.signal import TruePose
+from posegsa.model.vectors import VectorSettings
+
+PLAIN = reference_ekf.Noise(
+    velocity=np.array([0.02, 0.02, 0.02, 0.01, 0.01, 0.01]),
+    bias_walk=np.array([0.003, 0.003, 0.003, 0.002, 0.002, 0.002]),
+    vector_walk=0.001,
+    vector=0.1,
+    landmark=0.2,
+    pose=np.array([0.5, 0.5, 0.5, 2.0, 2.0, 2.0]),
+    bias=np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3]),
+    vector_bias=0.15,
+)
+
+
+def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> EkfNoise:
+    """The same in the package's form."""
+    return as_arrays(
+        EkfNoise(
+            angular_velocity=plain.velocity[0],
+            velocity=plain.velocity[3],
+            angular_walk=plain.bias_walk[0],
+            linear_walk=plain.bias_walk[3],
+            vector_walk=plain.vector_walk,
+            vector=plain.vector,
+            landmark=plain.landmark,
+            initial_attitude=plain.pose[0],
+            initial_position=plain.pose[3],
+            initial_angular_bias=plain.bias[0],
+            initial_linear_bias=plain.bias[3],
+            initial_vector_bias=plain.vector_bias,
+        ),
+        dtype,
+    )
+
+
+jitted_samples = jax.jit(ekf_samples)
+jitted_nees = jax.jit(nees)
+
+
+def leaves_close(got: Any, want: Any, atol: float) -> None:
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=atol)
+
+
+def started(T: np.ndarray, b: np.ndarray, learnt: int) -> FilterState:
+    return initial_state(T[:3, :3], T[:3, 3], b, learnt_vectors=learnt)
+
+
+def step(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
+    """One sample, as a user's own loop would take it."""
+    return propagate(update(state, sample, noise), sample, noise)
+
+
+jitted_step = jax.jit(step)
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.parametrize("learnt", [0, 2], ids=["12 states", "18 states"])
+def test_agrees_with_the_matrix_form(learnt) -> None:
+    """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
+    rng = np.random.default_rng(0)
+    m = random_measurements(rng, 40, 2, 1, missing=0.3)
+    T, b = random_poses(rng, 1)[0], 0.3 * rng.normal(size=6)
+    samples, noise = jitted_samples(as_arrays(m, np.float64)).sample, noise_of(PLAIN)
+    state = ekf_start(started(T, b, learnt), noise)
+    begin = reference_ekf.start(T, b, learnt, PLAIN)
+    want = reference_ekf.run([sample_of(m, k) for k in range(40)], begin, PLAIN)
+    close = {"rtol": 0, "atol": 1e-9}
+    for k, expected in enumerate(want):
+        got = state.estimate
+        np.testing.assert_allclose(got.rotation, expected.T[:3, :3], **close)
+        np.testing.assert_allclose(got.position, expected.T[:3, 3], **close)
+        np.testing.assert_allclose(got.bias, expected.b, **close)
+        np.testing.assert_allclose(got.vector_bias, expected.c, **close)
+        np.testing.assert_allclose(state.covariance_matrix, expected.Sigma, **close)
+        if k < 40:
+            state = jitted_step(state, jax.tree.map(lambda a, k=k: a[k], samples), noise)
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.parametrize("size", [1e-9, 0.05, 0.2, 3.0])
+def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> None:
+    rng = np.random.default_rng(5)
+    T = random_poses(rng, 1)[0]
+    xi = np.concatenate([size * np.array([0.6, 0.0, -0.8]), rng.normal(size=3)])
+    state = ekf_start(started(T, np.zeros(6), 0), noise_of(PLAIN))
+    truth = T @ se3_exp(xi)
+    w, x, y, z = unstack(quaternion(jnp.asarray(truth[:3, :3])))
+    ox, oy, oz = unstack(jnp.asarray(truth[:3, :3].T @ truth[:3, 3]))
+    got = jitted_nees(state, TruePose((w, x, y, z), (ox, oy, oz)))
+    np.testing.assert_allclose(got, np.sum((xi / PLAIN.pose) ** 2), rtol=1e-9)
+
+
+def test_the_reference_agrees_with_gtsam() -> None:
+    """Without biases, and without gtsam's reset of the covariance, both are one filter."""
+    gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed")
+    rng = np.random.default_rng(0)
+    noise = replace(PLAIN, bias_walk=np.zeros(6), bias=np.zeros(6))
+    state = reference_ekf.start(random_poses(rng, 1)[0], np.zeros(6), 0, noise)
+    theirs = gtsam.InvariantEKFPose3(gtsam.Pose3(state.T), state.Sigma[:6, :6])
+    m = random_measurements(rng, 100, 2, 1)
+    for k in range(100):
+        s = sample_of(m, k)
+        H, z, expected, R = reference_ekf.linearised(state, s, noise)
+        theirs.updateWithVector(expected, H[:, :6], z, R, False)
+        displacement = se3_exp(np.concatenate([s.omega, s.v]) * s.dt)
+        theirs.predict(gtsam.Pose3(displacement), np.diag(noise.velocity**2 * s.dt))
+        state = reference_ekf.propagate(reference_ekf.update(state, s, noise), s, noise)
+        np.testing.assert_allclose(theirs.state().matrix(), state.T, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(theirs.covariance(), state.Sigma[:6, :6], rtol=0, atol=1e-10)
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
+def test_a_step_is_the_same_jitted_and_not() -> None:
+    rng = np.random.default_rng(1)
+    m = as_arrays(random_measurements(rng, 1, 2, 1), np.float64)
+    sample = jax.tree.map(lambda a: a[0], jitted_samples(m).sample)
+    noise = noise_of(PLAIN)
+    state = ekf_start(started(random_poses(rng, 1)[0], np.zeros(6), 0), noise)
+    leaves_close(jitted_step(state, sample, noise), step(state, sample, noise), atol=1e-12)
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
+def test_all_simulations_are_the_same_steps() -> None:
+    """Scenarios and noises side by side, cost, errors, estimates: as the steps one by one."""
+    rng = np.random.default_rng(2)
+    count = 12
+    weights = CostWeights(
+        transient=jnp.asarray(rng.uniform(size=count)),
+        steady=jnp.asarray(rng.uniform(size=count)),
+        window=jnp.ones(count, bool),
+        position=jnp.asarray(0.2),
+    )
+    runs = []
+    for _ in range(2):
+        m = as_arrays(random_measurements(rng, count, 1, 0, missing=0.2), np.float64)
+        truth, T = random_poses(rng, count), random_poses(rng, 1)[0]
+        samples = jitted_samples(m, truth[:, :3, :3], truth[:, :3, 3])
+        runs.append((samples, started(T, np.zeros(6), 0)))
+    noises = [noise_of(PLAIN), noise_of(replace(PLAIN, vector=0.4, pose=2 * PLAIN.pose))]
+    all_samples, all_initial = jax.tree.map(lambda *a: jnp.stack(a), *runs)
+    all_noises = jax.tree.map(lambda *a: jnp.stack(a), *noises)
+
+    def costs(samples: Samples, initial: FilterState) -> Array:
+        return jax.vmap(lambda noise: ekf_cost(samples, initial, weights, noise).total)(all_noises)
+
+    together = jax.jit(jax.vmap(costs))(all_samples, all_initial)
+    one_step, errors_of = jax.jit(step), jax.jit(ekf_errors)
+    for i, (samples, initial) in enumerate(runs):
+        for j, noise in enumerate(noises):
+            track = errors_of(samples, initial, noise)
+            alone = trajectory_cost(track.attitude, track.position, weights).total
+            np.testing.assert_allclose(together[i, j], alone, rtol=1e-10)
+            assert np.isnan(track.gain).all()
+        estimates, state = run_ekf(samples, initial, noises[0]), ekf_start(initial, noises[0])
+        for k in range(count):
+            np.testing.assert_allclose(estimates.rotation[k], state.estimate.rotation, atol=1e-10)
+            np.testing.assert_allclose(estimates.position[k], state.estimate.position, atol=1e-10)
+            np.testing.assert_allclose(estimates.bias[k], state.estimate.bias, atol=1e-10)
+            sample = jax.tree.map(lambda a, k=k: a[k], samples.sample)
+            state = one_step(state, sample, noises[0])
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
+def test_without_measurements_an_update_changes_nothing() -> None:
+    rng = np.random.default_rng(3)
+    m = random_measurements(rng, 1, 2, 1)
+    missing = m._replace(
+        vectors=np.full_like(m.vectors, np.nan),
+        vector_weights=np.zeros_like(m.vector_weights),
+        landmarks=np.full_like(m.landmarks, np.nan),
+        landmark_weights=np.zeros_like(m.landmark_weights),
+    )
+    noise = noise_of(PLAIN)
+    state = ekf_start(started(random_poses(rng, 1)[0], np.zeros(6), 0), noise)
+    sample = jax.tree.map(lambda a: a[0], jitted_samples(as_arrays(missing, np.float64)).sample)
+    leaves_close(update(state, sample, noise), state, atol=1e-15)
+
+
+def test_samples_of_an_observer_that_learns_the_biases_serve_too() -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(4), 3, 2, 1), np.float32)
+    settings = VectorSettings(
+        weights=(jnp.asarray(0.3), jnp.asarray(2.0)),
+        cross_weight=jnp.asarray(1.0),
+        normalise=True,
+        cross=True,
+        each_agent=True,
+    )
+    theirs, own = jax.jit(samples_of)(m, settings).sample, jitted_samples(m).sample
+    for a, b in zip(theirs.vectors.each, own.vectors.each, strict=True):
+        leaves_close((a.measured, a.known, a.factor), (b.measured, b.known, b.factor), atol=0)
+    sums = jax.jit(samples_of)(m, replace(settings, weights=None, each_agent=False)).sample
+    sums = jax.tree.map(lambda a: a[0], sums)
+    noise = noise_of(PLAIN, np.float32)
+    state = ekf_start(started(np.eye(4), np.zeros(6), 0), noise)
+    with pytest.raises(ArgumentError, match="ekf_samples"):
+        update(state, sums, noise)
+
+
+def test_the_nees_needs_the_truth() -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(4), 3, 2, 1), np.float32)
+    with pytest.raises(ArgumentError, match="true pose"):
+        ekf_nees(jitted_samples(m), started(np.eye(4), np.zeros(6), 0), noise_of(PLAIN, np.float32))
+
+
+# The paper's sensors; how far off a start and the biases are is drawn from the last four.
+SENSED = reference_ekf.Noise(
+    velocity=np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1]) * 0.01**0.5,
+    bias_walk=np.zeros(6),
+    vector_walk=0.0,
+    vector=0.1,
+    landmark=0.1,
+    pose=np.array([0.05, 0.05, 0.05, 0.2, 0.2, 0.2]),
+    bias=np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1]),
+    vector_bias=0.05,
+)
+SIDE, CHUNK = 10, 400
+"""Filters side by side, and samples at a time: one program for both tests below."""
+
+
+@jax.jit
+def scenarios(keys: Array) -> tuple[Samples, FilterState]:
+    """The paper's motion and noise for 4 s, with starts and biases drawn anew."""
+
+    def one(key: Array) -> tuple[Samples, FilterState]:
+        of_start, of_noise = jax.random.split(key)
+        deviations = np.concatenate([SENSED.pose, SENSED.bias, np.full(6, SENSED.vector_bias)])
+        error = jax.random.normal(of_start, (18,)) * deviations.astype(np.float32)
+        paper = quietly(experiment("float32", duration=0.01 * CHUNK))
+        scenario = replace(paper, bias=error[6:12], vector_bias=error[12:].reshape(2, 3))
+        truth = integrate(scenario)
+        T = transform(truth.rotation[0], truth.position[0]) @ exp(-error[:6])
+        m = measure(scenario, truth, of_noise).measurements
+        initial = initial_state(T[:3, :3], T[:3, 3], learnt_vectors=2)
+        return ekf_samples(m, truth.rotation, truth.position), initial
+
+    return jax.vmap(one)(keys)
+
+
+@jax.jit
+@jax.vmap
+def watched(state: EkfState, samples: Samples, noise: EkfNoise) -> tuple[EkfState, Any]:
+    """The state after a chunk of samples; NEES and covariance before each of them."""
+
+    def body(state: EkfState, now: Samples) -> tuple[EkfState, tuple[Array, Array]]:
+        assert now.truth is not None
+        seen = nees(state, now.truth), state.covariance_matrix
+        return step(state, now.sample, noise), seen
+
+    return jax.lax.scan(body, state, samples)
+
+
+starts = jax.jit(jax.vmap(ekf_start))
+
+
+@pytest.mark.usefixtures("compile_fast")
+def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
+    """100 starts, biases and noises as the filter believes them: the mean NEES is of chi^2(6)."""
+    noise = as_arrays(
+        jax.tree.map(lambda a: np.full(SIDE, a), noise_of(SENSED, np.float32)), np.float32
+    )
+    values = []
+    for keys in jax.random.split(jax.random.key(0), (10, SIDE)):
+        samples, initial = scenarios(keys)
+        values.extend(np.asarray(watched(starts(initial, noise), samples, noise)[1][0]))
+    assert len(values) == 100
+    low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 6 * len(values)) / len(values)
+    mean = np.mean(values, axis=0)
+    for k in (0, 10, 100, 200, CHUNK - 1):
+        assert low < mean[k] < high, (k, mean[k])
+
+
+@pytest.mark.usefixtures("compile_fast")
+def test_the_covariance_stays_positive_definite_in_float32() -> None:
+    """Over 6000 steps, from wide beliefs, with sensors believed as they are to far too good."""
+    wide = replace(
+        SENSED,
+        pose=np.array([3.0, 3.0, 3.0, 30.0, 30.0, 30.0]),
+        bias=np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0]),
+        vector_bias=0.3,
+    )
+    sharpness = np.geomspace(1, 20, SIDE)
+    noises = [
+        noise_of(
+            replace(wide, velocity=wide.velocity / s, vector=0.1 / s, landmark=0.1 / s), np.float32
+        )
+        for s in sharpness
+    ]
+    noise = as_arrays(jax.tree.map(lambda *a: np.stack(a), *noises), np.float32)
+    samples, initial = scenarios(jax.random.split(jax.random.key(1), SIDE))
+    state = starts(initial, noise)
+    for _ in range(6000 // CHUNK):
+        state, (_, sigma) = watched(state, samples, noise)
+        some = np.asarray(sigma, np.float64)[:, ::20].reshape(-1, 18, 18)
+        assert np.isfinite(some).all()
+        np.testing.assert_array_equal(some, some.transpose(0, 2, 1))
+        deviation = np.sqrt(np.diagonal(some, axis1=1, axis2=2))
+        correlation = some / (deviation[:, :, None] * deviation[:, None, :])
+        assert np.linalg.eigvalsh(correlation).min() > 0
