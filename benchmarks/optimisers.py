@@ -253,7 +253,7 @@ def summary(found: OptimiserComparison) -> dict:
             "costs": costs.tolist(),
             "held_out": unseen.tolist() if found.has_held_out else None,
             "seconds": [r.seconds for r in found.repeats[name]],
-            "gradient_seconds": found.gradient_seconds(name),
+            "gradient_seconds": found.gradient_seconds(name) if name in found.gradients else None,
             "evaluations": evaluations[kept].tolist(),
             "quartiles": [[float(f"{c:.6g}") for c in band[kept]] for band in bands],
         }

@@ -73,49 +73,42 @@ def smooth_gain(vector: Array) -> SmoothGain:
     return SmoothGain(vector[0], vector[1], jnp.exp(vector[2]))
 
 
-def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
-    """Where the smooth schedule is searched: the same gains, half-way errors from 0.003 to 1."""
-    low, high = (1 + end for end in gain_range)
-    lower, upper = (low, low, math.log(0.003)), (high, high, 0.0)
-    return Box(jnp.asarray(lower, dtype), jnp.asarray(upper, dtype))
+class _SmoothObjective(NamedTuple):
+    """What the search for a smooth schedule minimises, for programs that are compiled for it."""
 
-
-def search_schedule(
-    optimiser: Optimiser,
-    schedule: Callable[[Array], GainSchedule],
-    objective: ObjectiveConfig,
-    box: Box,
-    training: ScenarioBatch,
-    key: Array,
-) -> Array:
-    """The best vector (d,) of a family of schedules on the training scenarios.
-
-    Args:
-        optimiser: What searches, and with how many evaluations.
-        schedule: Maps a vector (d,) to a schedule.
-        objective: What of the costs on several scenarios is minimised.
-        box: Where to search.
-        training: The training scenarios.
-        key: Random key of the search.
-    """
-    run = runner(optimiser, _Objective(schedule, objective), box, training)
-    return run(start(optimiser, box, key), optimiser.total_iterations).best_position
-
-
-class _Objective(NamedTuple):
-    """What is minimised, for programs that are compiled for it."""
-
-    schedule: Callable[[Array], GainSchedule]
     objective: ObjectiveConfig
 
     def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
-        """As a function of vectors (A, d), on training scenarios."""
+        """As a function of vectors (A, 3), on training scenarios."""
 
         def costs(vectors: Array) -> Array:
-            schedules = jax.vmap(self.schedule)(vectors)
+            schedules = jax.vmap(smooth_gain)(vectors)
             return over_scenarios(agent_costs(schedules, training), self.objective)
 
         return costs
+
+
+def search_smooth(
+    optimiser: Optimiser,
+    objective: ObjectiveConfig,
+    gain_range: tuple[float, float],
+    training: ScenarioBatch,
+    key: Array,
+) -> SmoothGain:
+    """The best smooth schedule that a search finds, half-way at errors from 0.003 to 1.
+
+    Args:
+        optimiser: What searches, and with how many evaluations.
+        objective: What of the costs on several scenarios is minimised.
+        gain_range: Gains [1/s] less 1, as of a controller.
+        training: The training scenarios.
+        key: Random key of the search.
+    """
+    low, high = (1 + end for end in gain_range)
+    bounds = (low, low, math.log(0.003)), (high, high, 0.0)
+    box = Box(*(jnp.asarray(ends, training.dtype) for ends in bounds))
+    run = runner(optimiser, _SmoothObjective(objective), box, training)
+    return smooth_gain(run(start(optimiser, box, key), optimiser.total_iterations).best_position)
 
 
 @jax.jit
@@ -214,12 +207,8 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
         return FuzzyGain(controller), FuzzyDescription(kind="fuzzy", k=k)
 
     def smooth() -> tuple[GainSchedule, Description]:
-        box = smooth_box(gains, dtype)
         optimiser = override(experiment, ["search.optimiser=gsa"]).search
-        found = search_schedule(
-            optimiser, smooth_gain, objective, box, training, keys(seed).baselines
-        )
-        schedule = smooth_gain(found)
+        schedule = search_smooth(optimiser, objective, gains, training, keys(seed).baselines)
         values = {name: float(value) for name, value in vars(schedule).items()}
         return schedule, SmoothDescription(kind="smooth", **values)
 

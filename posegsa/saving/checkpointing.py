@@ -72,7 +72,7 @@ def search_with_checkpoints(
     Args:
         problem: What to search.
         folder: Where checkpoints go, locked.
-        run: The run to go on with; None to begin.
+        run: The run to go on with; None to begin, which discards another run's checkpoints.
         progress: As `tune`'s.
 
     Returns:
@@ -85,7 +85,9 @@ def search_with_checkpoints(
     """
     experiment = problem.experiment
     if run is None:
-        discard_checkpoints(folder)
+        with write_errors(folder):
+            for path in checkpoint_paths(folder):
+                path.unlink()
         search, before = first_search(problem), (0.0, 0.0)
     else:
         search = run.search(problem)
@@ -97,13 +99,12 @@ def search_with_checkpoints(
             PosegsaWarning,
             stacklevel=4,
         )
-        found = run_search(problem, progress, search=search)
-    else:
-        with (
-            deferred_signals() as request,
-            CheckpointWriter(folder, experiment, request, before) as writer,
-        ):
-            found = run_search(problem, progress, search=search, keep=writer)
+        return run_search(problem, progress, search=search)
+    with (
+        deferred_signals() as request,
+        CheckpointWriter(folder, experiment, request, before) as writer,
+    ):
+        found = run_search(problem, progress, search=search, keep=writer)
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -191,7 +192,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """Write a checkpoint if one is due, and stop if a signal has asked for that.
+        """See the class.
 
         Args:
             search: The search.
@@ -214,13 +215,8 @@ class CheckpointWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Save what there is; an error of JAX's says how to go on.
-
-        Raises:
-            SearchInterrupted: A signal has asked to stop since the search was last looked at.
-            SearchError: JAX could not go on.
-        """
-        if error is not None and self._last is not None:
+        """Save what there is; an error of JAX's becomes a SearchError that says how to go on."""
+        if error is not None:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
                 self._save()
         if isinstance(error, jax.errors.JaxRuntimeError):
@@ -244,8 +240,7 @@ class CheckpointWriter:
             raise SearchInterrupted(f"interrupted {self._where()}", self._request.signal_number)
 
     def _save(self) -> None:
-        assert self._last is not None
-        if self._saved == self._iteration:
+        if self._last is None or self._saved == self._iteration:
             return
         search, search_seconds, compile_seconds = self._last
         about = About(
@@ -291,13 +286,6 @@ class CheckpointWriter:
             f"after iteration {self._iteration} of {iterations}{saved}, "
             f"best cost {best:.4g}; go on with: posegsa tune --resume {self._folder}"
         )
-
-
-def discard_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of a run that is being replaced."""
-    with write_errors(folder):
-        for path in checkpoint_paths(folder):
-            path.unlink()
 
 
 def checkpoint_paths(folder: Path) -> list[Path]:
