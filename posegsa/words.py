@@ -17,9 +17,8 @@ def text_table(rows: Iterable[Sequence[str]]) -> str:
     """
     lines = [line for row in rows for line in zip_longest(*map(str.splitlines, row), fillvalue="")]
     first, *others = (max(map(len, column)) for column in zip(*lines, strict=True))
-    return "\n".join(
-        "  ".join([head.ljust(first), *map(str.rjust, cells, others)]) for head, *cells in lines
-    )
+    padded = ([head.ljust(first), *map(str.rjust, cells, others)] for head, *cells in lines)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
 
 
 def toml(value: object) -> str:

@@ -126,7 +126,7 @@ class OptimiserComparison:
         }
 
     def levels(self) -> list[float]:
-        """Costs worth reaching: largest, middle and smallest of the optimisers' medians."""
+        """Costs worth reaching: largest, middle and lowest of the optimisers' medians."""
         medians = sorted(float(np.median(self.costs(name))) for name in self.repeats)
         chosen = (medians[-1], medians[len(medians) // 2], medians[0])
         return sorted({m for m in chosen if math.isfinite(m)}, reverse=True)
@@ -154,11 +154,7 @@ class OptimiserComparison:
         return np.array(found[0].evaluations), quantiles(best)
 
     def rows(self, levels: Sequence[float] | None = None) -> list[list[str]]:
-        """The table, its header first, a row for each optimiser.
-
-        Args:
-            levels: Costs to reach; by default `levels()`.
-        """
+        """The table, its header first, with a row for each optimiser and costs to reach."""
         levels = self.levels() if levels is None else levels
         minus = f"{next(iter(self.repeats))} minus this (p)"
         rows = [["optimiser", "repeats", "cost, median [quartiles]", "best", minus]]

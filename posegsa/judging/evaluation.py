@@ -41,42 +41,38 @@ class Interval(NamedTuple):
         return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
 
 
+# Schedules as they are stored, by the values of those in `posegsa.model.schedules`.
+
+
 class FuzzyDescription(TypedDict):
-    """A fuzzy gain schedule."""
+    """A `FuzzyGain`: k1..k22, in order and repaired as configured."""
 
     kind: Literal["fuzzy"]
     k: Annotated[list[float], Numbers(len(PARAMETERS))]
-    """k1..k22, in order and repaired as configured."""
 
 
 class ConstantDescription(TypedDict):
-    """A constant gain."""
+    """A `ConstantGain` [1/s]."""
 
     kind: Literal["constant"]
     gain: float
-    """[1/s]"""
 
 
 class SmoothDescription(TypedDict):
-    """A gain that rises smoothly with the scaled error (`model.schedules.SmoothGain`)."""
+    """A `SmoothGain`: gains without and at large errors [1/s], and the scaled error half-way."""
 
     kind: Literal["smooth"]
     low: float
-    """At no error [1/s]."""
     high: float
-    """Towards large errors [1/s]."""
     half: float
-    """Scaled error at which it is half-way."""
 
 
 class OpenLoopDescription(TypedDict):
-    """A gain over time alone, and how it was found."""
+    """A `KnotGain`: times [s] and gains [1/s] of its knots, and how it was found."""
 
     kind: Literal["open loop"]
     time: Annotated[list[float], Numbers("knots")]
-    """Knots [s]."""
     gain: Annotated[list[float], Numbers("knots")]
-    """Gain at each knot [1/s]."""
     cost_fitted: Cost
     """Mean cost on the scenarios that it was fitted to."""
     steps: int
@@ -205,10 +201,9 @@ class Evaluation:
         )
 
     def tables(self, write: Callable[[float, str], str] = format) -> tuple[Rows, Rows]:
-        """The contenders' costs, and the errors behind them: tables whose first row is their head.
+        """The contenders' costs, and the errors behind them: tables whose first row is the head.
 
-        Args:
-            write: Writes a number in a format.
+        `write` writes a number in a format.
         """
         summaries = {name: self.summary(name) for name in self.contenders}
         metrics = {name: each.metrics for name, each in self.contenders.items()}

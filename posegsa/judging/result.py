@@ -43,7 +43,7 @@ class TuneResult:
     training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) its cost on each training scenario; infinite where it diverged."""
     constant_gain: float
-    """The constant gain with the least mean cost on the training scenarios [1/s]."""
+    """The constant gain with the lowest mean cost on the training scenarios [1/s]."""
     constant_training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) what that costs on each of them."""
     evaluation: Evaluation

@@ -51,13 +51,9 @@ class Trust:
 def check(
     problem: TuningProblem, parameters: np.ndarray, own: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
-    """Check a tuned result.
+    """Check the parameters (22,) that were found for a problem.
 
-    Args:
-        problem: What it was tuned on.
-        parameters: (22,) k1..k22.
-        own: What the tuned filter did on all scenarios of the problem.
-        trajectory: One simulation of it.
+    `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
     """
     experiment, everywhere = problem.experiment, problem.everywhere
     training = slice(experiment.run.training_scenarios)

@@ -103,30 +103,29 @@ def schedule(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
 def trust(result: TuneResult) -> Html:
     """Numerical sensitivity and coverage."""
     found, own = result.trust, result.experiment.run.dtype
-    costs = {"float32": found.cost_float32, "float64": found.cost_float64}
-    simulated = {f"{name} (the run's own)" if name == own else name: c for name, c in costs.items()}
+    simulated = {"float32": found.cost_float32, "float64": found.cost_float64}
+    reference = simulated[own]
     simulated[f"{own}, start changed by {PERTURBATION:g}"] = found.cost_perturbed
-    with np.errstate(all="ignore"):
-        away = np.array(list(simulated.values())) / np.float64(costs[own]) - 1
-    rows = [
-        (name, cost(value, ".4f"), _percent(difference, "+.2g"))
-        for (name, value), difference in zip(simulated.items(), away, strict=True)
-    ]
+    rows = []
+    for name, value in simulated.items():
+        with np.errstate(all="ignore"):
+            away = np.float64(value) / reference - 1
+        said = f"{name} (the run's own)" if name == own else name
+        rows.append((said, cost(value, ".4f"), _percent(away, "+.2g")))
     within = f"{100 * SENSITIVE:g} %"
-    said = (
-        f"Sensitive: these costs differ by more than {within}, or are not finite. The simulation "
-        "is chaotic with this schedule; do not trust its costs."
-        if found.sensitive
-        else f"Not sensitive: the costs agree within {within}."
-    )
+    if found.sensitive:
+        verdict = element(
+            "strong",
+            f"Sensitive: these costs differ by more than {within}, or are not finite. The "
+            "simulation is chaotic with this schedule; do not trust its costs.",
+        )
+    else:
+        verdict = f"Not sensitive: the costs agree within {within}."
+    heads = ("Simulated in", "Cost", "Difference")
     return section(
         "Trust checks",
-        paragraph(element("strong", said) if found.sensitive else said),
-        table(
-            "Mean training cost of the tuned schedule",
-            ("Simulated in", "Cost", "Difference"),
-            rows,
-        ),
+        paragraph(verdict),
+        table("Mean training cost of the tuned schedule", heads, rows),
         paragraph(_coverage(found)),
     )
 

@@ -5,7 +5,6 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 import jax
@@ -69,14 +68,8 @@ def search_with_checkpoints(
 ) -> Found:
     """Search to the end, or until a signal asks to stop where the search can be resumed.
 
-    Args:
-        problem: What to search.
-        folder: Where checkpoints go, locked.
-        run: The run to go on with; None to begin, which discards another run's checkpoints.
-        progress: As `tune`'s.
-
-    Returns:
-        What was found, with the time that all processes together have taken.
+    It goes on with a run, or begins one in place of any whose checkpoints the locked folder holds.
+    The times of what was found are those of all processes together.
 
     Raises:
         SearchInterrupted: Ctrl-C or SIGTERM.
@@ -157,11 +150,10 @@ def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
 class CheckpointWriter:
     """Writes a run's checkpoints, as a context around its search.
 
-    Called with the search before it begins and after each chunk, it writes a checkpoint if one is
-    due, and stops the search if a signal has asked for that, even after the last chunk: the process
-    that resumes the run will judge it. A search that ends early, for whatever reason, is saved. If
-    a checkpoint can't be written, a warning says so and the search goes on until the next one is
-    due; only the very first one must succeed.
+    It stops the search if a signal has asked for that, even after the last chunk: the process that
+    resumes the run will judge it. A search that ends early, for whatever reason, is saved. If a
+    checkpoint can't be written, a warning says so and the search goes on until the next one is due;
+    only the very first one must succeed.
     """
 
     def __init__(
@@ -192,12 +184,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """See the class.
-
-        Args:
-            search: The search.
-            search_seconds: Time that this process has searched [s].
-            compile_seconds: Time that it has compiled [s].
+        """Write a checkpoint if one is due; called as `search.run.Keep` says.
 
         Raises:
             SearchInterrupted: A signal has asked to stop; the search is saved.
@@ -209,12 +196,7 @@ class CheckpointWriter:
             self._save()
         self._stop_if_asked()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """Save what there is; an error of JAX's becomes a SearchError that says how to go on."""
         if error is not None:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
@@ -266,10 +248,7 @@ class CheckpointWriter:
                 )
             return
         self._saved, self._saved_at, self._warned = self._iteration, self._clock(), False
-        self._remove_others()
-
-    def _remove_others(self) -> None:
-        """Remove old checkpoints but the last few, and later ones, which were damaged."""
+        # The last few stay. Later ones, which were damaged, go.
         with contextlib.suppress(OSError):
             numbered = [p for p in checkpoint_paths(self._folder) if p.stem.isdecimal()]
             later = [p for p in numbered if int(p.stem) > self._iteration]
