@@ -66,8 +66,8 @@ def evaluate(
         for name, find in baselines(result, one).items():
             say(f"searching: {name}")
             schedules[name] = find()
-        keys = held_out_keys(experiment.run.seed, scenarios, seed)
-        held_out = scenario_batch(experiment, one, keys)
+        unseen = held_out_keys(experiment.run.seed, scenarios, seed)
+        held_out = scenario_batch(experiment, one, unseen)
         contenders = {}
         for name in CONTENDERS:
             say(f"judging: {name}")

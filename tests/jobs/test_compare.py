@@ -220,7 +220,7 @@ def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) ->
     with pytest.raises(KeyboardInterrupt):
         posegsa.compare(tiny(), optimisers=["gsa", "pso"], progress=interrupted, **same)
     assert {n: len(r) for n, r in load_comparison(tmp_path).repeats.items()} == {"gsa": 1}
-    assert "1 repeats" in load_comparison(tmp_path).table()
+    assert "1 repeat of" in load_comparison(tmp_path).table()
     more = posegsa.compare(tiny(), optimisers=["random_search"], **same)
     assert {n: len(r) for n, r in more.repeats.items()} == {"random_search": 2, "gsa": 1}
 
