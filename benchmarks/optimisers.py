@@ -30,7 +30,7 @@ from tqdm import tqdm
 import posegsa
 from posegsa import config
 from posegsa.comparing import compare, specify
-from posegsa.figures.comparison import plot_comparison, plot_comparisons
+from posegsa.figures.comparison import plot_comparison
 from posegsa.figures.style import png
 from posegsa.judging.comparison import OptimiserComparison
 from posegsa.model.schedules import FuzzyGain
@@ -254,7 +254,7 @@ def summary(found: OptimiserComparison) -> dict:
             "costs": costs.tolist(),
             "held_out": unseen.tolist() if found.has_held_out else None,
             "seconds": [r.seconds for r in found.repeats[name]],
-            "gradient_seconds": found.gradient_seconds(name),
+            "gradient_seconds": found.gradient_seconds(name) if name in found.gradients else None,
             "evaluations": evaluations[kept].tolist(),
             "quartiles": [[float(f"{c:.6g}") for c in band[kept]] for band in bands],
         }
@@ -301,7 +301,7 @@ def write(options: argparse.Namespace) -> None:
     data = {"recommended": summary(held), "functions": [summary(found) for found in functions]}
     JSON.write_text(json.dumps(data) + "\n", encoding="utf-8")
     FIGURE.write_bytes(png(plot_comparison(held)))
-    FUNCTION_FIGURE.write_bytes(png(plot_comparisons(functions)))
+    FUNCTION_FIGURE.write_bytes(png(plot_comparison(*functions)))
     print(f"Written: {PAGE}, {JSON}, {FIGURE}, {FUNCTION_FIGURE}")
 
 

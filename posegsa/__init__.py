@@ -6,90 +6,56 @@ Data flow: config -> scenarios (truth + measurements) -> filter step + fuzzy gai
 Importing it changes nothing in the process. `enable_fast_path()`, called first, makes CPUs fast.
 """
 
-from posegsa.comparing import compare
-from posegsa.config import Experiment
-from posegsa.config import load as load_config
-from posegsa.errors import PosegsaError, PosegsaWarning, SearchInterrupted
-from posegsa.evaluating import evaluate
-from posegsa.export import export_c, export_csv, export_json
-from posegsa.figures.result import draw
-from posegsa.figures.schedule import plot_input_terms, plot_output_terms, plot_surface
-from posegsa.judging.batch import TuneBatch
-from posegsa.judging.comparison import OptimiserComparison
-from posegsa.judging.result import VERSION as __version__
-from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, FilterState, initial_state, step
-from posegsa.model.fuzzy import FuzzyController
-from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, begin, run_filter, scheduled_step
-from posegsa.model.schedules import ConstantGain, FuzzyGain
-from posegsa.model.signal import SignalSettings
-from posegsa.optimisers import (
-    GSA,
-    Adam,
-    DifferentialEvolution,
-    Optimiser,
-    ParticleSwarm,
-    RandomSearch,
-    box,
-    minimise,
-)
-from posegsa.runtime import enable_fast_path
-from posegsa.saving.checkpoint import load_search, save_search
-from posegsa.saving.comparison import load_comparison
-from posegsa.saving.run import load, save
-from posegsa.search.build import filter_settings, parameter_space, signal_settings
-from posegsa.tuning import tune, tune_batch
+from posegsa import config
+from posegsa.comparing import compare as compare
+from posegsa.config import Experiment as Experiment
+from posegsa.errors import PosegsaError as PosegsaError
+from posegsa.errors import PosegsaWarning as PosegsaWarning
+from posegsa.errors import SearchInterrupted as SearchInterrupted
+from posegsa.evaluating import evaluate as evaluate
+from posegsa.export import export_c as export_c
+from posegsa.export import export_csv as export_csv
+from posegsa.export import export_json as export_json
+from posegsa.figures.result import draw as draw
+from posegsa.figures.schedule import plot_input_terms as plot_input_terms
+from posegsa.figures.schedule import plot_output_terms as plot_output_terms
+from posegsa.figures.schedule import plot_surface as plot_surface
+from posegsa.judging.batch import TuneBatch as TuneBatch
+from posegsa.judging.comparison import OptimiserComparison as OptimiserComparison
+from posegsa.judging.result import VERSION
+from posegsa.judging.result import TuneResult as TuneResult
+from posegsa.model.filter import FilterSettings as FilterSettings
+from posegsa.model.filter import FilterState as FilterState
+from posegsa.model.filter import initial_state as initial_state
+from posegsa.model.filter import step as step
+from posegsa.model.fuzzy import FuzzyController as FuzzyController
+from posegsa.model.measurements import Measurements as Measurements
+from posegsa.model.rollout import Estimates as Estimates
+from posegsa.model.rollout import begin as begin
+from posegsa.model.rollout import run_filter as run_filter
+from posegsa.model.rollout import scheduled_step as scheduled_step
+from posegsa.model.schedules import ConstantGain as ConstantGain
+from posegsa.model.schedules import FuzzyGain as FuzzyGain
+from posegsa.model.signal import SignalSettings as SignalSettings
+from posegsa.optimisers import GSA as GSA
+from posegsa.optimisers import Adam as Adam
+from posegsa.optimisers import DifferentialEvolution as DifferentialEvolution
+from posegsa.optimisers import Optimiser as Optimiser
+from posegsa.optimisers import ParticleSwarm as ParticleSwarm
+from posegsa.optimisers import RandomSearch as RandomSearch
+from posegsa.optimisers import box as box
+from posegsa.optimisers import minimise as minimise
+from posegsa.runtime import enable_fast_path as enable_fast_path
+from posegsa.saving.checkpoint import load_search as load_search
+from posegsa.saving.checkpoint import save_search as save_search
+from posegsa.saving.comparison import load_comparison as load_comparison
+from posegsa.saving.run import load as load
+from posegsa.saving.run import save as save
+from posegsa.search.build import filter_settings as filter_settings
+from posegsa.search.build import parameter_space as parameter_space
+from posegsa.search.build import signal_settings as signal_settings
+from posegsa.tuning import tune as tune
+from posegsa.tuning import tune_batch as tune_batch
 
-__all__ = [
-    "GSA",
-    "Adam",
-    "ConstantGain",
-    "DifferentialEvolution",
-    "Estimates",
-    "Experiment",
-    "FilterSettings",
-    "FilterState",
-    "FuzzyController",
-    "FuzzyGain",
-    "Measurements",
-    "Optimiser",
-    "OptimiserComparison",
-    "ParticleSwarm",
-    "PosegsaError",
-    "PosegsaWarning",
-    "RandomSearch",
-    "SearchInterrupted",
-    "SignalSettings",
-    "TuneBatch",
-    "TuneResult",
-    "__version__",
-    "begin",
-    "box",
-    "compare",
-    "draw",
-    "enable_fast_path",
-    "evaluate",
-    "export_c",
-    "export_csv",
-    "export_json",
-    "filter_settings",
-    "initial_state",
-    "load",
-    "load_comparison",
-    "load_config",
-    "load_search",
-    "minimise",
-    "parameter_space",
-    "plot_input_terms",
-    "plot_output_terms",
-    "plot_surface",
-    "run_filter",
-    "save",
-    "save_search",
-    "scheduled_step",
-    "signal_settings",
-    "step",
-    "tune",
-    "tune_batch",
-]
+__version__ = VERSION
+load_config = config.load

@@ -1,7 +1,7 @@
 """Checks of what users hand to public functions: what can't be used is refused by its name."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from numbers import Integral, Real
 from typing import Any, NoReturn
@@ -23,23 +23,27 @@ def refuse(problem: str, allowed: str) -> NoReturn:
 
 
 def check_type(name: str, value: object, *kinds: type, allowed: str = "") -> None:
-    """Raise an ArgumentError unless a value is of one of these types.
-
-    Args:
-        name: The argument's name.
-        value: What was given.
-        kinds: The types.
-        allowed: What is allowed, in words; by default the types' names.
-    """
+    """Raise an ArgumentError unless a value is of one of these types, `allowed` in words."""
     if not isinstance(value, kinds):
         words = allowed or " or ".join(f"a {kind.__name__}" for kind in kinds)
-        refuse(f"{name}: a {type(value).__name__}", words)
+        refuse(f"{name}: a {'class' if isinstance(value, type) else type(value).__name__}", words)
 
 
 def check_callable(name: str, value: object) -> None:
     """Raise an ArgumentError unless a value can be called, or is None."""
     if value is not None and not callable(value):
         refuse(f"{name}: a {type(value).__name__}", "a function, or None")
+
+
+def several(name: str, values: Any, kind: type, allowed: str) -> list[Any]:
+    """Values of one type from a user as a list; anything else is refused, a single text too."""
+    if isinstance(values, str):
+        refuse(f"{name} = {values!r}", f"{allowed}, as in [{values!r}]")
+    check_type(name, values, Iterable, allowed=allowed)
+    found = list(values)
+    for value in found:
+        check_type(name, value, kind, allowed=allowed)
+    return found
 
 
 def check_whole(name: str, value: Any, minimum: int, maximum: int = MAX_INTEGER) -> None:
@@ -64,12 +68,6 @@ def check_number(
         refuse(f"{name} = {value!r}", f"a finite number{bounds}")
 
 
-def check_choice(name: str, value: Any, choices: Sequence[str]) -> None:
-    """Raise an ArgumentError unless a value is one of these words."""
-    if not isinstance(value, str) or value not in choices:
-        refuse(f"{name} = {value!r}", " or ".join(map(repr, choices)))
-
-
 def check_dtype(name: str, dtype: Any) -> None:
     """Raise an ArgumentError unless this is a floating dtype."""
     try:
@@ -81,11 +79,7 @@ def check_dtype(name: str, dtype: Any) -> None:
 
 
 def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
-    """Numbers from a user as an array.
-
-    Raises:
-        ArgumentError: They are not real numbers, or rows of unequal length.
-    """
+    """Real numbers from a user as an array; anything else is refused."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -93,14 +87,6 @@ def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
     if array.dtype.kind not in "iuf" and array.dtype != jnp.bfloat16:
         refuse(f"{name}: holds {array.dtype}", "real numbers")
     return array
-
-
-def check_returned(name: str, found: Any) -> None:
-    """Raise an ArgumentError unless a function has returned an array of real numbers."""
-    if not hasattr(found, "dtype") or not jnp.issubdtype(found.dtype, jnp.number):
-        refuse(f"{name}: returns a {type(found).__name__}", "an array of numbers")
-    if jnp.issubdtype(found.dtype, jnp.complexfloating):
-        refuse(f"{name}: returns {found.dtype}", "real numbers")
 
 
 @contextmanager

@@ -2,16 +2,17 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
 
 from posegsa import config
-from posegsa.arguments import check_callable, check_number, check_type, check_whole
-from posegsa.errors import ArgumentError, ConfigError
+from posegsa.arguments import check_callable, check_number, check_type, check_whole, several
+from posegsa.errors import ConfigError
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
@@ -44,56 +45,41 @@ class Status(NamedTuple):
     """Its best cost so far."""
 
 
-class Subject(Protocol):
+class Subject(NamedTuple):
     """Something to minimise, again and again."""
 
     title: str
-
-    def search(
-        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> Found:
-        """The finished search, and how long it took."""
-        ...
-
-    def held_out(self, position: Array) -> float | None:
-        """Cost on unseen scenarios, where there are any."""
-        ...
+    search: Callable[[Optimiser, Array, Callable[[Progress], object]], Found]
+    """The finished search with a random key, and how long it took."""
+    held_out: Callable[[Array], float | None]
+    """Cost of a position on unseen scenarios, where there are any."""
 
 
-class _Filter:
+def _filter(experiment: config.Experiment) -> Subject:
     """An experiment's filter: every search meets its training scenarios."""
+    problem = tuning_problem(experiment)
 
-    def __init__(self, experiment: config.Experiment) -> None:
-        self.task = tuning_problem(experiment)
-        count = experiment.run.training_scenarios
-        self.unseen = self.task.everywhere.select(slice(count, None))
-        self.title = f"fuzzy gain on {count} training scenarios"
+    def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
+        one = problem._replace(experiment=experiment.model_copy(update={"search": optimiser}))
+        return run_search(one, tell, search=first_search(one, key))
 
-    def search(
-        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> Found:
-        task = self.task._replace(experiment=_searched_by(optimiser, self.task.experiment))
-        return run_search(task, progress, search=first_search(task, key))
+    def held_out(position: Array) -> float:
+        one = jax.tree.map(lambda a: a[None], problem.space.candidate(position))
+        return float(np.mean(costs_by_scenario(one, unseen)))
 
-    def held_out(self, position: Array) -> float:
-        one = jax.tree.map(lambda a: a[None], self.task.space.candidate(position))
-        return float(np.mean(costs_by_scenario(one, self.unseen)))
+    unseen, count = problem.held_out, experiment.run.training_scenarios
+    return Subject(f"fuzzy gain on {count} training scenarios", search, held_out)
 
 
-class _Function:
+def _function(function: ClassicalFunction) -> Subject:
     """A test function; a gradient is taken by reverse mode."""
+    box = function.box
 
-    def __init__(self, function: ClassicalFunction) -> None:
-        self.function, self.box, self.title = function, function.box, function.title
+    def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
+        run, begin = runner(optimiser, function, box), start(optimiser, box, key)
+        return run_timed(run, begin, optimiser.total_iterations, tell)
 
-    def search(
-        self, optimiser: Optimiser, key: Array, progress: Callable[[Progress], object]
-    ) -> Found:
-        run, begin = runner(optimiser, self.function, self.box), start(optimiser, self.box, key)
-        return run_timed(run, begin, optimiser.total_iterations, progress)
-
-    def held_out(self, position: Array) -> None:
-        del position
+    return Subject(function.title, search, lambda _: None)
 
 
 def compare(
@@ -144,12 +130,13 @@ def compare(
     """
     check_callable("progress", progress)
     one = config.as_experiment(experiment)
-    names = _names(optimisers)
+    names = several("optimisers", optimisers, str, "several names")
+    if not names:
+        raise ConfigError("optimisers: none were given; allowed: at least one")
     if function is not None:
         check_type("function", function, ClassicalFunction)
     if levels is not None:
-        check_type("levels", levels, Iterable, allowed="several numbers")
-        levels = list(levels)
+        levels = several("levels", levels, object, "several numbers")
         for level in levels:
             check_number("levels", level)
     check_whole("repeats", repeats, 1, 10**6)
@@ -158,11 +145,11 @@ def compare(
     for optimiser in made.values():
         optimiser.check_usable()
         if function is None:
-            memory.check([_searched_by(optimiser, one)])
+            memory.check([one.model_copy(update={"search": optimiser})])
     # A run in that folder has files of other names: nothing of it is overwritten.
     place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     with place as folder, jax.enable_x64(one.run.dtype == "float64"):
-        subject: Subject = _Filter(one) if function is None else _Function(function)
+        subject = _filter(one) if function is None else _function(function)
         comparison = OptimiserComparison(
             subject=subject.title,
             budget=evaluations,
@@ -176,7 +163,7 @@ def compare(
         for name, optimiser in made.items():
             for repeat in range(len(comparison.repeats[name]), repeats):
                 key = jax.random.fold_in(keys(one.run.seed).search, repeat)
-                tell = _teller(progress, name, repeat, repeats)
+                tell = partial(_tell, progress, name, repeat, repeats)
                 comparison.repeats[name].append(_search(subject, optimiser, key, tell))
                 if folder is not None:
                     write_searches(comparison, folder)
@@ -204,10 +191,6 @@ def _gradients(optimiser: Optimiser) -> Gradients | None:
     return None
 
 
-def _searched_by(optimiser: Optimiser, experiment: config.Experiment) -> config.Experiment:
-    return experiment.model_copy(update={"search": optimiser})
-
-
 def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optimiser:
     """The optimiser that a text means, with so many evaluations at most.
 
@@ -222,8 +205,7 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
     """
     name, *own = text.split(":")
     if name not in OPTIMISERS:
-        allowed = ", ".join(OPTIMISERS)
-        raise ConfigError(f"optimiser {name!r} of {text!r}; allowed: {allowed}")
+        raise ConfigError(f"optimiser {name!r} of {text!r}; allowed: {', '.join(OPTIMISERS)}")
     keys = [k for k in OPTIMISERS[name].model_fields if k not in ("optimiser", "iterations")]
     for setting in own:
         key = setting.partition("=")[0].strip()
@@ -235,36 +217,12 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
     return config.override(experiment, settings).search.within(evaluations)
 
 
-def _names(optimisers: Iterable[str]) -> list[str]:
-    """Names of optimisers, each once.
-
-    Raises:
-        ArgumentError: They are something else.
-        ConfigError: There are none.
-    """
-    allowed = "several names"
-    if isinstance(optimisers, str):
-        raise ArgumentError(
-            f"optimisers = {optimisers!r}; allowed: {allowed}, as in [{optimisers!r}]"
-        )
-    check_type("optimisers", optimisers, Iterable, allowed=allowed)
-    names = list(optimisers)
-    for name in names:
-        check_type("optimisers", name, str, allowed=allowed)
-    if not names:
-        raise ConfigError("optimisers: none were given; allowed: at least one")
-    return list(dict.fromkeys(names))
-
-
-def _teller(
-    progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int
-) -> Callable[[Progress], object]:
-    """What turns a search's progress into the comparison's."""
-    if progress is None:
-        return lambda _: None
-    return lambda p: progress(
-        Status(name, repeat, repeats, p.iteration / p.iterations, p.best_cost)
-    )
+def _tell(
+    progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int, now: Progress
+) -> None:
+    """Pass a search's progress on as the comparison's."""
+    if progress is not None:
+        progress(Status(name, repeat, repeats, now.iteration / now.iterations, now.best_cost))
 
 
 def _search(
@@ -280,25 +238,20 @@ def _search(
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = optimiser.evaluations_spent()
-    kept = _kept(len(spent))
+    # POINTS evenly spaced iterations are kept, and more of the first.
+    even, early = np.linspace(1, len(spent), POINTS), np.geomspace(1, len(spent), POINTS // 4)
+    kept = np.unique(np.concatenate([even, early]).round().astype(int)) - 1
     done, since = np.array(stamps).T
     times = np.interp(kept + 1, done, since)
     best = np.asarray(search.history.best, np.float64)[kept]
     return Repeat(
-        float(search.best_cost),
-        subject.held_out(search.best_position),
-        np.asarray(search.best_position, np.float64).tolist(),
-        seconds,
-        compile_seconds,
-        int(search.non_finite),
-        spent[kept].tolist(),
-        [float(f"{c:.{DIGITS}g}") for c in best],
-        [round(t, 4) for t in times.tolist()],
+        cost=float(search.best_cost),
+        held_out=subject.held_out(search.best_position),
+        position=np.asarray(search.best_position, np.float64).tolist(),
+        seconds=seconds,
+        compile_seconds=compile_seconds,
+        non_finite=int(search.non_finite),
+        evaluations=spent[kept].tolist(),
+        best=[float(f"{c:.{DIGITS}g}") for c in best],
+        times=[round(t, 4) for t in times.tolist()],
     )
-
-
-def _kept(iterations: int) -> np.ndarray:
-    """Which iterations are kept: POINTS evenly spaced ones, and more of the first."""
-    even = np.linspace(1, iterations, POINTS)
-    early = np.geomspace(1, iterations, POINTS // 4)
-    return np.unique(np.concatenate([even, early]).round().astype(int)) - 1

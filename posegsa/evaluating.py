@@ -20,6 +20,7 @@ from posegsa.judging.result import TuneResult
 from posegsa.model.schedules import GainSchedule
 from posegsa.search import memory
 from posegsa.search.build import scenario, scenario_batch
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import held_out_keys
 from posegsa.settings.fields import MAX_COUNT
 
@@ -66,11 +67,13 @@ def evaluate(
         for name, find in baselines(result, one).items():
             say(f"searching: {name}")
             schedules[name] = find()
-        keys = held_out_keys(experiment.run.seed, scenarios, seed)
-        held_out = scenario_batch(experiment, one, keys)
+        unseen = held_out_keys(experiment.run.seed, scenarios, seed)
+        held_out = scenario_batch(experiment, one, unseen)
         contenders = {}
         for name in CONTENDERS:
             say(f"judging: {name}")
             schedule, description = schedules[name]
-            contenders[name] = contender(error_tracks(schedule, held_out), held_out, description)
+            contenders[name] = contender(
+                error_tracks(Candidate(schedule), held_out), held_out, description
+            )
         return replace(result, evaluation=evaluation(contenders, held_out, seed))

@@ -55,34 +55,25 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     words = flags.split()
-    if devices is None:
-        devices = usable_cores()
-    else:
+    if devices is not None:
         check_whole("devices", devices, 1, _MAX_DEVICES)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     own = [word for word in words if word.startswith(_EXTRA)]
     options = [option for word in own for option in word.removeprefix(_EXTRA).split(",") if option]
     named = {option.split("=")[0] for option in options}
     options += [f"{name}={value}" for name, value in _OPTIONS.items() if name not in named]
     others = [word for word in words if word not in own]
-    for name, value in {_WIDTH: 512, _DEVICES: devices, **_PATIENCE}.items():
+    for name, value in {_WIDTH: 512, _DEVICES: devices or cores or 1, **_PATIENCE}.items():
         if not any(word.split("=")[0] == name for word in others):
             others.append(f"{name}={value}")
     return " ".join([*others, _EXTRA + ",".join(options)])
-
-
-def usable_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def enable_fast_path(devices: int | None = None) -> bool:
     """Set what the fast path on CPUs needs; call it before anything else uses JAX.
 
     Args:
-        devices: CPU devices that JAX is to have, over which searches are divided; by default one
-            for each core that the process may use.
+        devices: As of `fast_path_flags`; searches are divided over them.
 
     Returns:
         Whether it came in time. Too late, it changes nothing and warns: results are the same,
@@ -92,7 +83,9 @@ def enable_fast_path(devices: int | None = None) -> bool:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     flags = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
-    if _jax_has_started():
+    # Private, but there is no public way to ask; should it go, only the warning goes with it.
+    bridge = importlib.import_module("jax._src.xla_bridge")
+    if getattr(bridge, "backends_are_initialized", lambda: False)():
         warnings.warn(
             "enable_fast_path() came after JAX had started, so it has no effect: call it before "
             f"the first array is made, or set XLA_FLAGS='{fast_path_flags()}' before Python starts",
@@ -115,12 +108,6 @@ def enable_compilation_cache() -> None:
         jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "posegsa"))
     # Most programs here compile in under a second; together they are most of a short run.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-
-
-def _jax_has_started() -> bool:
-    # Private, but there is no public way to ask; should it go, only the warning goes with it.
-    bridge = importlib.import_module("jax._src.xla_bridge")
-    return bool(getattr(bridge, "backends_are_initialized", lambda: False)())
 
 
 def environment() -> dict[str, str]:

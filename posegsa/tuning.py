@@ -26,12 +26,14 @@ from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import Progress, run_search, search_batch
 
+Given = config.Experiment | str | Path | None
+"""An experiment, a TOML file, or the recommended experiment."""
 Tell = Callable[[Progress], object] | None
 """What is called with the progress of a search, if anything."""
 
 
 def tune(
-    experiment: config.Experiment | str | Path | None = None,
+    experiment: Given = None,
     *,
     seed: int | None = None,
     iterations: int | None = None,
@@ -76,14 +78,16 @@ def tune(
         folder = folder_to_resume(resume, out, overwrite)
         return _resume(folder, experiment, seed, iterations, progress)
     chosen = _chosen(experiment, seed, iterations)
-    if out is None or jax.process_index() > 0:  # of processes that have joined, one writes
-        return _tune(chosen, progress)
-    with locked_folder(out, overwrite=overwrite) as folder:
-        return _tune_in_folder(chosen, folder, None, progress)
+    if out is not None and jax.process_index() == 0:  # of processes that have joined, one writes
+        with locked_folder(out, overwrite=overwrite) as folder:
+            return _tune_in_folder(chosen, folder, None, progress)
+    with jax.enable_x64(chosen.run.dtype == "float64"):
+        problem = tuning_problem(chosen)
+        return judge(problem, run_search(problem, progress))
 
 
 def tune_batch(
-    experiments: config.Experiment | str | Path | Iterable[config.Experiment] | None = None,
+    experiments: Given | Iterable[config.Experiment] = None,
     *,
     seeds: Iterable[int] | None = None,
     progress: Tell = None,
@@ -114,24 +118,10 @@ def tune_batch(
         return TuneBatch(tuple(map(judge, problems, found)))
 
 
-def _tune(experiment: config.Experiment, progress: Tell) -> TuneResult:
-    """Tune without a folder."""
-    with jax.enable_x64(experiment.run.dtype == "float64"):
-        problem = tuning_problem(experiment)
-        return judge(problem, run_search(problem, progress))
-
-
 def _tune_in_folder(
     experiment: config.Experiment, folder: Path, run: CheckpointedRun | None, progress: Tell
 ) -> TuneResult:
-    """Tune with checkpoints, from the start or going on with a run, and write the result.
-
-    Args:
-        experiment: What to tune.
-        folder: Where to write, locked.
-        run: The run to go on with; None to begin.
-        progress: As `tune`'s.
-    """
+    """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = tuning_problem(experiment)
         result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
@@ -143,11 +133,7 @@ def _tune_in_folder(
 
 
 def _resume(
-    folder: Path,
-    experiment: config.Experiment | str | Path | None,
-    seed: int | None,
-    iterations: int | None,
-    progress: Tell,
+    folder: Path, experiment: Given, seed: int | None, iterations: int | None, progress: Tell
 ) -> TuneResult:
     """Go on with the run in a folder, or read its result if it is finished."""
     if jax.process_count() > 1:
@@ -165,8 +151,7 @@ def _resume(
 
 
 def _all_chosen(
-    experiments: config.Experiment | str | Path | Iterable[config.Experiment] | None,
-    seeds: Iterable[int] | None,
+    experiments: Given | Iterable[config.Experiment], seeds: Iterable[int] | None
 ) -> list[config.Experiment]:
     """The experiments that a user means, each with each seed; at least one, all of one dtype."""
     if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
@@ -185,9 +170,7 @@ def _all_chosen(
 
 
 def _chosen(
-    experiment: config.Experiment | str | Path | None,
-    seed: int | None = None,
-    iterations: int | None = None,
+    experiment: Given, seed: int | None = None, iterations: int | None = None
 ) -> config.Experiment:
     """The experiment that a user means, with a seed and a number of iterations if given."""
     given = {"run.seed": seed, "search.iterations": iterations}

@@ -1,12 +1,24 @@
 """Words for a person."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 
 
-def counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str, plural: str = "") -> str:
     """A count with its noun: "1 agent", "2 agents"."""
-    return f"{number} {noun}" + "s" * (number != 1)
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def text_table(rows: Iterable[Sequence[str]]) -> str:
+    """Rows of cells as text: the first column to the left, the others to the right.
+
+    A cell may have several lines.
+    """
+    lines = [line for row in rows for line in zip_longest(*map(str.splitlines, row), fillvalue="")]
+    first, *others = (max(map(len, column)) for column in zip(*lines, strict=True))
+    padded = ([head.ljust(first), *map(str.rjust, cells, others)] for head, *cells in lines)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
 
 
 def toml(value: object) -> str:

@@ -11,17 +11,13 @@ def add_search_arguments(
 
     Args:
         parser: The command's.
-        config: What is meant without a CONFIG.
+        config: What is meant without a CONFIG, in words.
         setting: An example for --set.
         out: What is said of the folder to write to.
-        replaced: What --overwrite replaces.
+        replaced: What --overwrite replaces, in words.
     """
-    parser.add_argument(
-        "config",
-        nargs="?",
-        metavar="CONFIG",
-        help=f"TOML file of the experiment; without it, {config}",
-    )
+    words = f"TOML file of the experiment; without it, {config}"
+    parser.add_argument("config", nargs="?", metavar="CONFIG", help=words)
     parser.add_argument(
         "--set",
         action="append",
@@ -32,6 +28,12 @@ def add_search_arguments(
     parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
+
+
+def add_count(parser: argparse.ArgumentParser, name: str, default: int, words: str) -> None:
+    """A whole number from 1, with what it counts in words."""
+    words = f"{words} (default: %(default)s)"
+    parser.add_argument(name, type=whole_number(1), default=default, metavar="N", help=words)
 
 
 def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:

@@ -3,7 +3,7 @@
 import argparse
 
 from posegsa import comparing, config
-from posegsa.cli.arguments import add_search_arguments, whole_number
+from posegsa.cli.arguments import add_count, add_search_arguments
 from posegsa.cli.progress import CompareBar
 from posegsa.optimisers.functions import FUNCTIONS, ClassicalFunction
 
@@ -32,49 +32,18 @@ def add(commands) -> None:
         help="names with commas between, each with settings of its own after colons if wanted, "
         "such as gsa:g0=1.0; the others are compared with the first (default: %(default)s)",
     )
-    parser.add_argument(
-        "--repeats",
-        type=whole_number(1),
-        default=20,
-        metavar="N",
-        help="searches of each (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--evaluations",
-        type=whole_number(1),
-        default=25000,
-        metavar="N",
-        help="evaluations of a search; a gradient counts as gradient_price of them "
-        "(default: %(default)s)",
-    )
-    parser.add_argument(
-        "--levels",
-        type=_numbers,
-        metavar="LIST",
-        help="costs to reach, with commas between (default: medians of the optimisers)",
-    )
-    parser.add_argument(
-        "--function",
-        metavar="NAME",
-        help=f"a test function instead of the filter: {', '.join(FUNCTIONS)}",
-    )
-    parser.add_argument(
-        "--dimensions",
-        type=whole_number(1),
-        default=30,
-        metavar="N",
-        help="of the function (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="move the function's minimum by this in every coordinate, in half widths of the box",
-    )
-    parser.add_argument(
-        "--rotation", type=int, metavar="SEED", help="turn the function about its minimum"
-    )
+    add_count(parser, "--repeats", 20, "searches of each")
+    counted = "evaluations of a search; a gradient counts as gradient_price of them"
+    add_count(parser, "--evaluations", 25000, counted)
+    levels = "costs to reach, with commas between (default: medians of the optimisers)"
+    parser.add_argument("--levels", type=_numbers, metavar="LIST", help=levels)
+    functions = f"a test function instead of the filter: {', '.join(FUNCTIONS)}"
+    parser.add_argument("--function", metavar="NAME", help=functions)
+    add_count(parser, "--dimensions", 30, "of the function")
+    shift = "move the function's minimum by this in every coordinate, in half widths of the box"
+    parser.add_argument("--shift", type=float, default=0.0, metavar="S", help=shift)
+    rotation = "turn the function about its minimum"
+    parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
     parser.set_defaults(command=_compare)
 
 
@@ -85,8 +54,8 @@ def _compare(options: argparse.Namespace) -> int:
         function = ClassicalFunction(
             options.function, options.dimensions, options.shift, options.rotation
         )
-    names = [name.strip() for name in options.optimisers.split(",") if name.strip()]
-    names = list(dict.fromkeys(names))
+    given = (name.strip() for name in options.optimisers.split(","))
+    names = list(dict.fromkeys(filter(None, given)))
     with CompareBar(names, options.repeats, quiet=options.quiet) as show:
         comparison = comparing.compare(
             experiment,

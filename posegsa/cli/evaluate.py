@@ -19,19 +19,11 @@ def add(commands) -> None:
         "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder.",
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
-    parser.add_argument(
-        "--scenarios",
-        type=whole_number(2),
-        default=1000,
-        metavar="S",
-        help="number of held-out scenarios (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole_number(0, 2**31 - 1),
-        metavar="N",
-        help="another held-out set than the run's own; any whole number from 0",
-    )
+    scenarios = "number of held-out scenarios (default: %(default)s)"
+    count = whole_number(2)
+    parser.add_argument("--scenarios", type=count, default=1000, metavar="S", help=scenarios)
+    seed = "another held-out set than the run's own; any whole number from 0"
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), metavar="N", help=seed)
     parser.set_defaults(command=_evaluate)
 
 

@@ -1,7 +1,6 @@
 """The command line's progress bars, contexts around what they show."""
 
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Self
 
 from posegsa.comparing import Status
@@ -12,13 +11,7 @@ class Bar:
     """A bar on standard error, whose line ends with what became of the work."""
 
     def __init__(self, total: int, counts: str, *, quiet: bool) -> None:
-        """Show an empty bar.
-
-        Args:
-            total: Units of work.
-            counts: What stands behind the bar, in tqdm's words.
-            quiet: Show nothing.
-        """
+        """Show an empty bar for `total` units of work, with `counts` behind it in tqdm's words."""
         from tqdm import tqdm  # not at the top: --help need not wait for it
 
         self.bar = tqdm(
@@ -40,12 +33,7 @@ class Bar:
         self.bar.set_postfix_str(f"best cost {best_cost:.4g}", refresh=False)
         self.bar.update(done - self.bar.n)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """End the bar's line; of work that was refused before it began nothing stays."""
         self.bar.leave = self.searching or error is None
         self.bar.set_description_str("done" if error is None else "stopped")

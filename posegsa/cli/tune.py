@@ -32,12 +32,11 @@ def add(commands) -> None:
         out=f"folder to write to, checkpoints too (default: {OUT})",
         replaced="the run that the folder holds",
     )
-    parser.add_argument(
-        "--resume",
-        metavar="DIR",
-        help="go on with the run in this folder; a CONFIG or settings must be those of the run, "
-        "but for more iterations",
+    resume = (
+        "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
+        "more iterations"
     )
+    parser.add_argument("--resume", metavar="DIR", help=resume)
     parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
     parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
     together = parser.add_argument_group(
@@ -46,9 +45,8 @@ def add(commands) -> None:
         "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
     )
     together.add_argument("--distributed", action="store_true", help="search together")
-    together.add_argument(
-        "--coordinator", metavar="HOST:PORT", help="where the first waits for the others"
-    )
+    waits = "where the first waits for the others"
+    together.add_argument("--coordinator", metavar="HOST:PORT", help=waits)
     together.add_argument("--processes", type=int, metavar="N", help="how many they are")
     together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
     parser.set_defaults(command=_tune)
@@ -59,13 +57,8 @@ def _tune(options: argparse.Namespace) -> int:
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
     with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
-        result = tuning.tune(
-            experiment,
-            out=out,
-            overwrite=options.overwrite,
-            resume=options.resume,
-            progress=show,
-        )
+        where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
+        result = tuning.tune(experiment, **where, progress=show)
     if first:
         print(result.summary())
         written = "report.html, result.json, history.csv, trajectory.csv, figures/"

@@ -4,51 +4,28 @@ Every constant of the paper, and every one that it leaves out, is a default here
 `Experiment()` is the recommended experiment.
 """
 
-from posegsa.config.experiment import (
-    CheckpointConfig,
-    CostConfig,
-    Experiment,
-    FilterConfig,
-    ObjectiveConfig,
-    RunConfig,
-)
-from posegsa.config.family import FamilyConfig, Occasions
-from posegsa.config.files import as_experiment, from_dict, load, override, to_toml
-from posegsa.config.scenario import Landmark, Profile, ScenarioConfig, Sine, Vector
-from posegsa.config.schedule import (
-    INPUT_RANGE,
-    PARAMETERS,
-    TERMS,
-    FuzzyConfig,
-    GainConfig,
-    ParametersConfig,
-    triangles,
-)
-
-__all__ = [
-    "INPUT_RANGE",
-    "PARAMETERS",
-    "TERMS",
-    "CheckpointConfig",
-    "CostConfig",
-    "Experiment",
-    "FamilyConfig",
-    "FilterConfig",
-    "FuzzyConfig",
-    "GainConfig",
-    "Landmark",
-    "ObjectiveConfig",
-    "Occasions",
-    "ParametersConfig",
-    "Profile",
-    "RunConfig",
-    "ScenarioConfig",
-    "Sine",
-    "Vector",
-    "as_experiment",
-    "from_dict",
-    "load",
-    "override",
-    "to_toml",
-    "triangles",
-]
+from posegsa.config.experiment import CheckpointConfig as CheckpointConfig
+from posegsa.config.experiment import CostConfig as CostConfig
+from posegsa.config.experiment import Experiment as Experiment
+from posegsa.config.experiment import FilterConfig as FilterConfig
+from posegsa.config.experiment import ObjectiveConfig as ObjectiveConfig
+from posegsa.config.experiment import RunConfig as RunConfig
+from posegsa.config.family import FamilyConfig as FamilyConfig
+from posegsa.config.family import Occasions as Occasions
+from posegsa.config.files import as_experiment as as_experiment
+from posegsa.config.files import from_dict as from_dict
+from posegsa.config.files import load as load
+from posegsa.config.files import override as override
+from posegsa.config.files import to_toml as to_toml
+from posegsa.config.scenario import Landmark as Landmark
+from posegsa.config.scenario import Profile as Profile
+from posegsa.config.scenario import ScenarioConfig as ScenarioConfig
+from posegsa.config.scenario import Sine as Sine
+from posegsa.config.scenario import Vector as Vector
+from posegsa.config.schedule import INPUT_RANGE as INPUT_RANGE
+from posegsa.config.schedule import PARAMETERS as PARAMETERS
+from posegsa.config.schedule import TERMS as TERMS
+from posegsa.config.schedule import FuzzyConfig as FuzzyConfig
+from posegsa.config.schedule import GainConfig as GainConfig
+from posegsa.config.schedule import ParametersConfig as ParametersConfig
+from posegsa.config.schedule import triangles as triangles

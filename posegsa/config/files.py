@@ -10,10 +10,10 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from posegsa.arguments import check_type
-from posegsa.config.experiment import ONE_OPTIMISER, Experiment
-from posegsa.errors import ArgumentError, ConfigError
-from posegsa.optimisers import Optimiser
+from posegsa.arguments import check_type, several
+from posegsa.config.experiment import Experiment
+from posegsa.errors import ConfigError
+from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation, config_error, report
 
 MAX_BYTES = 2**20
@@ -49,8 +49,7 @@ def as_experiment(value: Experiment | str | Path | None) -> Experiment:
     if isinstance(value, str | os.PathLike):
         return load(value)
     allowed = (
-        "an Experiment (posegsa.config.from_dict makes one of plain data) or the path of a TOML "
-        "file"
+        "an Experiment (posegsa.config.from_dict makes one of plain data) or a TOML file's path"
     )
     check_type("experiment", value, Experiment, allowed=allowed)
     return value
@@ -87,11 +86,7 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
     """
     check_type("experiment", experiment, Experiment)
-    if isinstance(settings, str) or not isinstance(settings, Iterable):
-        raise ArgumentError(f"settings = {settings!r}; allowed: several texts, section.key=value")
-    settings = list(settings)
-    for text in settings:
-        check_type("settings", text, str, allowed="texts such as filter.substeps=4")
+    settings = several("settings", settings, str, "texts such as filter.substeps=4")
     data = experiment.model_dump(mode="json") | {"search": {}}
     violations = [violation for text in settings if (violation := _set(data, text))]
     if violations:
@@ -109,7 +104,7 @@ def _validated(data: object, title: str) -> Experiment:
 
 def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
     """The table [search] after some of its values were named."""
-    kind = ONE_OPTIMISER.kind({"optimiser": before.optimiser} | named)
+    kind = OPTIMISERS.get(str(named.get("optimiser")), type(before))
     if kind is type(before):
         return before.model_dump(mode="json") | named
     if not (before.wants_gradients or kind.wants_gradients):
@@ -127,13 +122,9 @@ def _read(path: str | Path) -> str:
     try:
         with Path(path).open("rb") as file:
             content = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; needed is a TOML file") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: a folder; needed is a TOML file") from None
     except (OSError, ValueError) as error:  # a ValueError is a path that no file can have
         reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+        raise ConfigError(f"{path}: cannot be read as a TOML file: {reason}") from None
     if len(content) > MAX_BYTES:
         raise ConfigError(f"{path}: too large; allowed: at most 1 MiB")
     try:
@@ -177,20 +168,19 @@ def _set(data: dict[str, Any], text: str) -> Violation | None:
     except (ValueError, RecursionError):
         return Violation(path, "allowed: a value as TOML writes it", written)
     node: Any = data
-    for depth, key in enumerate(keys, start=1):
-        entries = {str(i): i for i in range(len(node))} if isinstance(node, list) else {}
-        if not isinstance(node, dict) and key not in entries:
+    for depth, name in enumerate(keys):
+        key: Any = name
+        if isinstance(node, list) and name in map(str, range(len(node))):
+            key = int(name)
+        elif not isinstance(node, dict):
             kind = f"an array of {len(node)}" if isinstance(node, list) else "a single value"
-            return Violation(
-                path, f"{'.'.join(keys[: depth - 1])} is {kind}; it has no {key}", value
-            )
-        place: Any = entries.get(key, key)
-        if depth == len(keys):
-            node[place] = value
+            return Violation(path, f"{'.'.join(keys[:depth])} is {kind}; it has no {key}", value)
+        if depth == len(keys) - 1:
+            node[key] = value
         elif isinstance(node, dict):
-            node = node.setdefault(place, {})  # a new key is unknown, and is reported as such
+            node = node.setdefault(key, {})  # a new key is unknown, and is reported as such
         else:
-            node = node[place]
+            node = node[key]
     return None
 
 

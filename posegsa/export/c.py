@@ -7,6 +7,7 @@ where few rules fire, and weakly: there a gain depends on differences of small h
 
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
+from functools import partial
 from importlib.resources import files
 from string import Template
 
@@ -17,10 +18,10 @@ from posegsa.config import PARAMETERS, TERMS, Experiment
 from posegsa.export.tables import INFERENCE, costs
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.settings.fields import Section
-from posegsa.words import toml
+from posegsa.words import counted, text_table, toml
 
-_COLUMNS = 96
-"""Width of the comment's text."""
+_wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyphens=False)
+"""Lines of the comment's text."""
 _NO_RULE = {"hold": "last_gain", "midrange": "posegsa_initial_gain()"}
 _END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
 
@@ -77,10 +78,7 @@ def export_c(result: TuneResult) -> str:
         outputs=len(controller.output_terms),
         input_terms=_terms(controller.input_terms),
         output_terms=_terms(controller.output_terms),
-        rules=_rows(
-            (", ".join(map(str, row)) for row in controller.rules),
-            [f"rate {name}" for name in TERMS],
-        ),
+        rules=_rows([map(str, row) for row in controller.rules], [f"rate {t}" for t in TERMS]),
         # As JAX has it: formed in double, then rounded.
         initial_gain=repr(1 + 0.5 * (low + high)),
         no_rule=_NO_RULE[controller.no_rule],
@@ -90,11 +88,12 @@ def export_c(result: TuneResult) -> str:
 def _terms(terms: object) -> str:
     """Terms as rows of a C table; a float32 is written so that reading it as float is exact."""
     values = np.asarray(terms).tolist()
-    return _rows((", ".join(f"POSEGSA_C({x!r})" for x in term) for term in values), TERMS)
+    return _rows([[f"POSEGSA_C({x!r})" for x in term] for term in values], TERMS)
 
 
-def _rows(rows: Iterable[str], names: Sequence[str]) -> str:
-    return "\n".join(f"    {{{row}}}, /* {n} */" for row, n in zip(rows, names, strict=True))
+def _rows(rows: Iterable[Iterable[str]], names: Sequence[str]) -> str:
+    named = zip(map(", ".join, rows), names, strict=True)
+    return "\n".join(f"    {{{row}}}, /* {name} */" for row, name in named)
 
 
 def _comment(lines: Iterable[str]) -> str:
@@ -106,22 +105,20 @@ def _comment(lines: Iterable[str]) -> str:
 def _costs(result: TuneResult) -> list[str]:
     """What the schedule is worth, and whether to believe it."""
     names = {
-        "tuned": "this schedule",
-        "constant": f"best constant gain {result.constant_gain:.4g}/s",
+        "tuned": "  this schedule",
+        "constant": f"  best constant gain {result.constant_gain:.4g}/s",
     }
-    found = costs(result)
-    lines = [f"{'Cost':<30}{'training':>10}{'held out':>10}{'95 % interval':>22}{'worst':>10}"]
+    found, rows = costs(result), [["Cost", "training", "held out", "95 % interval", "worst"]]
     for key, name in names.items():
-        cost = found[key]
-        interval = "[{:.5g}, {:.5g}]".format(*cost["held_out_interval"])
-        lines.append(
-            f"  {name:<28}{cost['training_mean']:>10.5g}{cost['held_out_mean']:>10.5g}"
-            f"{interval:>22}{cost['held_out_worst']:>10.5g}"
-        )
+        numbers = (found[key][of] for of in ("training_mean", "held_out_mean", "held_out_worst"))
+        training, held_out, worst = (f"{number:.5g}" for number in numbers)
+        interval = "[{:.5g}, {:.5g}]".format(*found[key]["held_out_interval"])
+        rows.append([name, training, held_out, interval, worst])
+    lines = text_table(rows).splitlines()
     lines += _wrapped(
-        f"Means over {found['tuned']['training_scenarios']} training scenarios and over "
-        f"{found['tuned']['held_out_scenarios']} held-out ones, which the search has not seen; "
-        "worst of the held-out ones."
+        f"Means over {counted(len(result.training_costs), 'training scenario')} and over "
+        f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
+        "held-out ones."
     )
     if result.trust.sensitive:
         lines += _wrapped(
@@ -175,16 +172,9 @@ def _settings(section: Section, without: Collection[str] = ()) -> list[str]:
         line
         for name, value, description in section.described()
         if name not in without
-        for line in _wrapped(f"{name} = {toml(value)}. {description}", "  ", "      ")
+        for line in _wrapped(
+            f"{name} = {toml(value)}. {description}",
+            initial_indent="  ",
+            subsequent_indent="      ",
+        )
     ]
-
-
-def _wrapped(text: str, first: str = "", further: str = "") -> list[str]:
-    return textwrap.wrap(
-        text,
-        _COLUMNS,
-        initial_indent=first,
-        subsequent_indent=further,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )

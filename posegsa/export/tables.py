@@ -51,8 +51,8 @@ def export_json(result: TuneResult) -> str:
         "tuned_with": result.version,
         "dtype": experiment.run.dtype,
         "controller": {
-            "input_terms": _terms(controller.input_terms),
-            "output_terms_1_s": _terms(controller.output_terms),
+            "input_terms": dict(zip(TERMS, np.asarray(controller.input_terms), strict=True)),
+            "output_terms_1_s": dict(zip(TERMS, np.asarray(controller.output_terms), strict=True)),
             "rules": [[TERMS[output] for output in row] for row in controller.rules],
             "rule_indices": controller.rules,
             "output_range_1_s": controller.output_range,
@@ -75,11 +75,8 @@ def export_json(result: TuneResult) -> str:
 def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
     """The control surface as a table: error, rate (no unit, 0 to 1) and gain, a row a point.
 
-    Where no rule fires and the last gain is to be held, it shows the initial gain.
-
-    Args:
-        result: The tuned schedule.
-        resolution: Points along each input.
+    Each input has `resolution` points. Where no rule fires and the last gain is to be held, it
+    shows the initial gain.
 
     Raises:
         ArgumentError: Not a result, or the resolution is not a whole number from 2 to 10000.
@@ -98,10 +95,6 @@ def _surface(result: TuneResult, resolution: int) -> tuple[np.ndarray, np.ndarra
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         error, rate, gains = result.controller.surface(resolution)
         return np.asarray(error), np.asarray(rate), np.asarray(gains)
-
-
-def _terms(terms: jax.Array) -> dict[str, np.ndarray]:
-    return dict(zip(TERMS, np.asarray(terms), strict=True))
 
 
 def costs(result: TuneResult) -> dict[str, dict[str, Any]]:

@@ -1,12 +1,16 @@
 """A figure of a result, with the words that go with it."""
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
+from posegsa.figures.style import styled
 from posegsa.judging.result import TuneResult
+
+Plot = TypeVar("Plot", bound=Callable[..., Figure | None])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,16 +22,27 @@ class ResultFigure:
     title: str
     caption: str
     """How to read it."""
-    shows: str
-    """The attribute of `TuneResult` that it shows."""
     plot: Callable[[Any], Figure | None]
-    """Draws that attribute; None where there is nothing to see."""
+    """Draws the attribute of a `TuneResult` that its argument is named after, if there is anything
+    to see."""
 
     def draw(self, result: TuneResult) -> Figure | None:
         """The figure of a result."""
-        return self.plot(getattr(result, self.shows))
+        (shown,) = inspect.signature(self.plot).parameters
+        return self.plot(getattr(result, shown))
 
     @property
     def alternative(self) -> str:
-        """What is drawn, for who cannot see it."""
+        """What is drawn, for readers who cannot see it."""
         return (self.plot.__doc__ or self.title).partition("\n")[0]
+
+
+def captioned(figures: list[ResultFigure], **words: str) -> Callable[[Plot], Plot]:
+    """Decorator: gives a plot the common style, and adds it to figures with its name and words."""
+
+    def add(plot: Plot) -> Plot:
+        drawn = styled(plot)
+        figures.append(ResultFigure(**words, plot=drawn))
+        return drawn
+
+    return add

@@ -1,7 +1,6 @@
 """The figure of a comparison of optimisers: how fast each gets how far."""
 
 import textwrap
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,32 +17,25 @@ TITLE = 40
 
 
 @style.styled
-def plot_comparison(comparison: OptimiserComparison) -> Figure:
+def plot_comparison(*comparisons: OptimiserComparison) -> Figure:
     """Best cost so far against evaluations: median and quartiles over repeats of each optimiser.
 
-    A cost with its gradient counts as its price. Costs that differ by more than LOG_RATIO are drawn
-    over a logarithmic axis; otherwise the first steps may leave the figure at the top.
+    Several comparisons of the same optimisers have a panel each. A cost with its gradient counts as
+    its price. Costs that differ by more than LOG_RATIO are drawn over a logarithmic axis; otherwise
+    the first steps may leave the figure at the top.
     """
-    figure, (ax,) = style.panels(1, 4.2)
-    _draw(ax, comparison, "medium")
-    style.legend_above(figure, ax)
-    return figure
-
-
-@style.styled
-def plot_comparisons(comparisons: Sequence[OptimiserComparison], across: int = 2) -> Figure:
-    """The same for several comparisons of the same optimisers, a panel each."""
+    across = min(2, len(comparisons))
     down = -(-len(comparisons) // across)
-    figure, axes = style.grid(down, across, 0.8 + 2.4 * down)
-    for ax, comparison in zip(axes.flat, comparisons, strict=False):
-        _draw(ax, comparison, "small")
+    figure, axes = style.grid(down, across, 0.8 + (3.4 if across == 1 else 2.4) * down)
     for ax in axes.flat[len(comparisons) :]:
         ax.set_visible(False)
+    for ax, comparison in zip(axes.flat, comparisons, strict=False):
+        _draw(ax, comparison)
     style.legend_above(figure, axes[0, 0])
     return figure
 
 
-def _draw(ax: Axes, comparison: OptimiserComparison, size: str) -> None:
+def _draw(ax: Axes, comparison: OptimiserComparison) -> None:
     """Bands and medians of all optimisers."""
     bands = {name: comparison.bands(name) for name in comparison.repeats}
     lower = finite(np.concatenate([quartiles[0] for _, quartiles in bands.values()]))
@@ -64,4 +56,4 @@ def _draw(ax: Axes, comparison: OptimiserComparison, size: str) -> None:
         margin = 0.05 * (high - low)
         ax.set_ylim(low - margin, high + margin)
     ax.set(xlabel="Evaluations [-]", ylabel="Best cost so far [-]")
-    ax.set_title(textwrap.fill(comparison.subject, TITLE), size=size)
+    ax.set_title(textwrap.fill(comparison.subject, TITLE), size="small")

@@ -8,10 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
-from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Evaluation
-from posegsa.judging.metrics import Metrics
+from posegsa.judging.metrics import Bands, Metrics
+
+FIGURES: list[ResultFigure] = []
 
 ANGLE_SPREAD = 1.0
 """Minimum range of initial angles over which cost is worth drawing [deg]."""
@@ -19,7 +21,7 @@ ANGLE_SPREAD = 1.0
 _STYLES: dict[str, Style] = dict(
     zip((TUNED, SMOOTH, CONSTANT, ORACLE, RANDOM), style.CURVES, strict=False)
 )
-_OTHER: Style = {"color": "0.4", "linestyle": "-"}
+"""Colour and line look of each contender, the same in all figures."""
 _MARKERS = {TUNED: "o", CONSTANT: "s", ORACLE: "D"}
 """Of the contenders that are drawn as curves: more would hide each other."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
@@ -31,14 +33,20 @@ def angles_differ(evaluation: Evaluation) -> bool:
     return bool(np.ptp(angles) >= ANGLE_SPREAD)
 
 
-@style.styled
+@captioned(
+    FIGURES,
+    name="costs",
+    title="Held-out cost",
+    caption="Each point is one scenario; thin bars span 5 to 95\u00a0% of them, thick bars 25 "
+    "to 75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% "
+    "interval. The overlap of the clouds says little, because all contenders met the same "
+    "scenarios: look at the paired differences below. An interval that excludes 0 tells two "
+    "contenders apart.",
+)
 def plot_costs(evaluation: Evaluation) -> Figure:
     """Cost of every contender on every held-out scenario, and mean paired differences.
 
-    A point is a scenario; bars span 5 to 95 % and 25 to 75 % of them, with the median between; the
-    diamond is the mean with its 95 % interval. Infinite costs are counted beside the name and left
-    out of all but the mean. The second panel has the mean of tuned minus each other contender on
-    the same scenarios, with its 95 % interval.
+    Infinite costs are counted beside the name and left out of all but the mean.
     """
     names = list(evaluation.contenders)
     others = [name for name in names if name != TUNED]
@@ -47,15 +55,16 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     figure, (ax, *below) = style.panels(
         len(ratios), 1.2 + 0.5 * sum(rows), sharex=False, height_ratios=ratios
     )
-    drawn = []
+    drawn, notes = [], {}
     for row, name in enumerate(names):
         costs = _metrics(evaluation, name).cost
         drawn.append(costs[np.isfinite(costs)])
-        _plot_distribution(ax, row, drawn[-1], _style(name)["color"])
-        mean, low, high = evaluation.cost(name)
-        if np.isfinite(mean):
-            _plot_interval(ax, row, mean, low, high)
-    _name_rows(ax, [_counted(name, evaluation) for name in names])
+        if bad := len(costs) - len(drawn[-1]):
+            notes[name] = f"\n({bad} of {len(costs)} infinite)"
+        _plot_distribution(ax, row, drawn[-1], _STYLES[name]["color"])
+        if np.isfinite((cost := evaluation.cost(name)).mean):
+            _plot_interval(ax, row, *cost)
+    _name_rows(ax, names, notes)
     style.scale_costs(ax, "x", np.concatenate(drawn))
     ax.set_xlabel("Cost on held-out scenarios [-]")
     for panel in below:
@@ -68,14 +77,21 @@ def plot_costs(evaluation: Evaluation) -> Figure:
                 text = f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
             end = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             panel.annotate(text, (1, row), (6, 0), va="center", size=style.TICK_SIZE, **end)
-        _name_rows(panel, [_wrapped(name) for name in others])
+        _name_rows(panel, others, {})
         if not panel.collections and len(panel.lines) == 1:  # no difference is finite
             panel.set_xticks([0])
         panel.set_xlabel("Tuned minus this, cost [-]; below 0 tuned is better")
     return figure
 
 
-@style.styled
+@captioned(
+    FIGURES,
+    name="bands",
+    title="Errors and gain over time",
+    caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
+    "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
+    "the one used, after the gain limit. Runs without a finite cost are left out.",
+)
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.
 
@@ -84,21 +100,17 @@ def plot_bands(evaluation: Evaluation) -> Figure:
     """
     time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
     parts = style.time_parts(time)
-    labels = {
-        "attitude": style.ATTITUDE_ERROR,
-        "position": style.POSITION_ERROR,
-        "gain": "Gain used $K$ [1/s]",
-    }
+    labels = (style.ATTITUDE_ERROR, style.POSITION_ERROR, "Gain used $K$ [1/s]")
     widths = (2, 3) if len(parts) > 1 else (1,)
     figure, axes = style.grid(
         len(labels), len(parts), 6.4, sharex="col", sharey="row", width_ratios=widths
     )
-    for row, (field, label) in zip(axes, labels.items(), strict=True):
+    for row, field, label in zip(axes, Bands._fields, labels, strict=True):
         row[0].set_ylabel(label)
         values = {name: np.asarray(getattr(band, field)) for name, band in bands.items()}
         for ax, part in zip(row, parts, strict=True):
             for name, band in values.items():
-                style.plot_band(ax, time[part], band[:, part], name, _style(name))
+                style.plot_band(ax, time[part], band[:, part], name, _STYLES[name])
             ax.grid(axis="y", color="0.9", linewidth=0.6)
         if field == "gain":
             row[0].set_ylim(bottom=0)
@@ -110,7 +122,14 @@ def plot_bands(evaluation: Evaluation) -> Figure:
     return figure
 
 
-@style.styled
+@captioned(
+    FIGURES,
+    name="angles",
+    title="Cost against initial angle",
+    caption="Points are scenarios, lines running medians. A curve that rises towards 180 deg "
+    "shows starts from which the filter takes long to recover; triangles at the upper edge are "
+    "runs without a finite cost.",
+)
 def plot_angles(evaluation: Evaluation) -> Figure | None:
     """Cost against the attitude error at the start [deg]: scenarios, and their running median.
 
@@ -123,7 +142,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
     shown = []
     for name in _drawn(evaluation):
         angle, cost = _metrics(evaluation, name).initial_angle, _metrics(evaluation, name).cost
-        look, bad = _style(name), ~np.isfinite(cost)
+        look, bad = _STYLES[name], ~np.isfinite(cost)
         shown.append(cost[~bad])
         points: Style = {"color": look["color"], "linestyle": "", "markeredgewidth": 0}
         ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=0.35, markersize=3, **points)
@@ -144,30 +163,15 @@ def _metrics(evaluation: Evaluation, name: str) -> Metrics:
     return evaluation.contenders[name].metrics
 
 
-def _style(name: str) -> Style:
-    """Colour and line look of a contender, the same in all figures."""
-    return _STYLES.get(name, _OTHER)
-
-
 def _drawn(evaluation: Evaluation) -> list[str]:
     """The contenders that are drawn as curves."""
     return [name for name in _MARKERS if name in evaluation.contenders]
 
 
-def _wrapped(name: str) -> str:
-    return textwrap.fill(name, 18)
-
-
-def _counted(name: str, evaluation: Evaluation) -> str:
-    """A contender's name, with the number of its costs that are not finite."""
-    costs = _metrics(evaluation, name).cost
-    bad = np.count_nonzero(~np.isfinite(costs))
-    return _wrapped(name) + (f"\n({bad} of {len(costs)} infinite)" if bad else "")
-
-
-def _name_rows(ax: Axes, names: list[str]) -> None:
-    """Names for rows 0, 1, ... from the top."""
-    ax.set_yticks(range(len(names)), names)
+def _name_rows(ax: Axes, names: list[str], notes: dict[str, str]) -> None:
+    """Names for rows 0, 1, ... from the top, with what is noted below some of them."""
+    labels = [textwrap.fill(name, 18) + notes.get(name, "") for name in names]
+    ax.set_yticks(range(len(names)), labels)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
@@ -203,36 +207,3 @@ def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np
     middle = windows(angle[order], width)[:, width // 2]
     costs = np.where(np.isnan(cost), np.inf, cost)[order]
     return middle, finite(np.median(windows(costs, width), axis=1))
-
-
-FIGURES = (
-    ResultFigure(
-        name="costs",
-        title="Held-out cost",
-        caption="Each point is one scenario; thin bars span 5 to 95\u00a0% of them, thick bars 25 "
-        "to 75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% "
-        "interval. The overlap of the clouds says little, because all contenders met the same "
-        "scenarios: look at the paired differences below. An interval that excludes 0 tells two "
-        "contenders apart.",
-        shows="evaluation",
-        plot=plot_costs,
-    ),
-    ResultFigure(
-        name="bands",
-        title="Errors and gain over time",
-        caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
-        "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
-        "the one used, after the gain limit. Runs without a finite cost are left out.",
-        shows="evaluation",
-        plot=plot_bands,
-    ),
-    ResultFigure(
-        name="angles",
-        title="Cost against initial angle",
-        caption="Points are scenarios, lines running medians. A curve that rises towards 180 deg "
-        "shows starts from which the filter takes long to recover; triangles at the upper edge are "
-        "runs without a finite cost.",
-        shows="evaluation",
-        plot=plot_angles,
-    ),
-)

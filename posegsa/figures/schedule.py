@@ -14,63 +14,52 @@ from matplotlib.ticker import MaxNLocator
 from posegsa.arguments import check_type
 from posegsa.config import INPUT_RANGE, TERMS
 from posegsa.figures import style
-from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style
 from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
 
+FIGURES: list[ResultFigure] = []
+
 _RESOLUTION = 401  # points along each side of the control surface
+_SQUARE_ROOT = (
+    lambda x: np.copysign(np.sqrt(np.abs(x)), x),
+    lambda x: np.copysign(np.square(x), x),
+)
+"""A scale of an axis, and its inverse."""
 
 
-@style.styled
-def plot_input_terms(controller: FuzzyController) -> Figure:
-    """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
-    check_type("controller", controller, FuzzyController)
-    figure, (ax,) = style.panels(1, 3.2)
-    _plot_terms(ax, np.asarray(controller.input_terms), INPUT_RANGE)
-    ax.set_xlabel("Scaled error, scaled rate [-]")
-    _hatch(figure, ax, _gaps(controller), [ax.axvspan], "no rule fires")
-    return figure
-
-
-@style.styled
-def plot_output_terms(controller: FuzzyController) -> Figure:
-    """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
-    check_type("controller", controller, FuzzyController)
-    figure, (ax,) = style.panels(1, 3.2)
-    _plot_terms(ax, np.asarray(controller.output_terms), controller.output_range)
-    ax.set_xlabel(r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid")
-    return figure
-
-
-@style.styled
+@captioned(
+    FIGURES,
+    name="control_surface",
+    title="Control surface",
+    caption="The gain that the schedule asks for. Both axes go by the square root, because a "
+    "filter spends its time in the lower left corner. Hatched regions have no rule that fires.",
+)
 def plot_surface(controller: FuzzyController) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
 
-    The axes go by the square root, because a filter spends its time at small errors. Where no rule
-    fires the surface is blank and hatched; the legend says what the gain is there.
+    Where no rule fires the surface is blank; the legend says what the gain is there.
     """
     check_type("controller", controller, FuzzyController)
     figure, (ax,) = style.panels(1, 4.3)
     axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
     gain = np.asarray(_gains(controller, axis), np.float64)
-    gaps = _gaps(controller)
     idle = np.zeros(axis.shape, bool)
-    for start, end in gaps:
+    for start, end in _gaps(controller):
         idle |= (start <= axis) & (axis <= end)
     gain = np.ma.masked_array(gain, idle | idle[:, None])
-
-    ax.set_xscale("function", functions=(_root, _square))
-    ax.set_yscale("function", functions=(_root, _square))
+    for scale in (ax.set_xscale, ax.set_yscale):
+        scale("function", functions=_SQUARE_ROOT)
     ax.set(xlim=(0, 1), ylim=(0, 1))
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
     style.colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
     if gain.count():
         _plot_contours(ax, axis, gain)
     low, high = controller.output_range
-    held, middle = "the last gain is held", f"$K$ = {1 + 0.5 * (low + high):g} 1/s"
-    meaning = held if controller.no_rule == "hold" else middle
-    _hatch(figure, ax, gaps, [ax.axvspan, ax.axhspan], f"no rule fires: {meaning}", zorder=3)
+    middle = f"$K$ = {1 + 0.5 * (low + high):g} 1/s"
+    meaning = "the last gain is held" if controller.no_rule == "hold" else middle
+    _hatch(figure, ax, [ax.axvspan, ax.axhspan], controller, f"no rule fires: {meaning}")
     for side in (ax.xaxis, ax.yaxis):
         side.set_ticks((0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1))
         side.set_major_formatter("{x:g}")
@@ -78,7 +67,13 @@ def plot_surface(controller: FuzzyController) -> Figure:
     return figure
 
 
-@style.styled
+@captioned(
+    FIGURES,
+    name="rules",
+    title="Use of the rules",
+    caption="Rules that never fire had little or no part in the cost: what the schedule does "
+    "where they apply is largely chance.",
+)
 def plot_rules(trust: Trust) -> Figure:
     """Mean firing strength [-] of each rule over a held-out trajectory, by the terms of its inputs.
 
@@ -106,9 +101,38 @@ def plot_rules(trust: Trust) -> Figure:
     return figure
 
 
-def _plot_terms(ax: Axes, terms: np.ndarray, universe: tuple[float, float]) -> None:
+@captioned(
+    FIGURES,
+    name="input_terms",
+    title="Input terms",
+    caption="How the scaled error and its rate are read as very small (VS) to very large (VL).",
+)
+def plot_input_terms(controller: FuzzyController) -> Figure:
+    """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
+    check_type("controller", controller, FuzzyController)
+    figure, ax = _plot_terms(controller.input_terms, INPUT_RANGE, "Scaled error, scaled rate [-]")
+    _hatch(figure, ax, [ax.axvspan], controller, "no rule fires")
+    return figure
+
+
+@captioned(
+    FIGURES,
+    name="output_terms",
+    title="Output terms",
+    caption="What the rules ask for; the gain is 1 plus the centroid of these terms as they fire.",
+)
+def plot_output_terms(controller: FuzzyController) -> Figure:
+    """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
+    check_type("controller", controller, FuzzyController)
+    label = r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid"
+    figure, _ = _plot_terms(controller.output_terms, controller.output_range, label)
+    return figure
+
+
+def _plot_terms(triangles: Array, universe: tuple[float, float], label: str) -> tuple[Figure, Axes]:
     """Triangles (n, 3) over their universe, each named above its peak."""
-    low, high = universe
+    figure, (ax,) = style.panels(1, 3.2)
+    terms, (low, high) = np.asarray(triangles), universe
     names = _term_names(len(terms))
     order = np.argsort(terms[:, 1], kind="stable")
     places = np.empty(len(terms))
@@ -126,7 +150,8 @@ def _plot_terms(ax: Axes, terms: np.ndarray, universe: tuple[float, float]) -> N
             arrowprops={"arrowstyle": "-", "linewidth": 0.7, "color": "0.5", "shrinkB": 0},
         )
     margin = 0.015 * (high - low)
-    ax.set(xlim=(low - margin, high + margin), ylim=(0, 1), ylabel="Membership [-]")
+    ax.set(xlim=(low - margin, high + margin), ylim=(0, 1), xlabel=label, ylabel="Membership [-]")
+    return figure, ax
 
 
 def _term_names(count: int) -> list[str]:
@@ -165,29 +190,19 @@ def _gaps(controller: FuzzyController) -> list[tuple[float, float]]:
     return gaps
 
 
-def _root(x: np.ndarray) -> np.ndarray:
-    """Square root with the sign of x."""
-    return np.copysign(np.sqrt(np.abs(x)), x)
-
-
-def _square(x: np.ndarray) -> np.ndarray:
-    """Inverse of `_root`."""
-    return np.copysign(np.square(x), x)
-
-
 def _hatch(
     figure: Figure,
     ax: Axes,
-    gaps: Sequence[tuple[float, float]],
     spans: Sequence[Callable[..., object]],
+    controller: FuzzyController,
     label: str,
-    zorder: int = 1,
 ) -> None:
     """Hatch intervals where no rule fires across the axes, and say so in a legend."""
     look: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "////", "linewidth": 0.6}
+    gaps = _gaps(controller)
     for start, end in gaps:
         for span in spans:
-            span(start, end, label=label, zorder=zorder, **look)
+            span(start, end, label=label, zorder=3, **look)
     if gaps:
         style.legend_above(figure, ax)
 
@@ -203,38 +218,3 @@ def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
         for label in labels:
             label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.8})
             label.set_rotation(0)
-
-
-FIGURES = (
-    ResultFigure(
-        name="control_surface",
-        title="Control surface",
-        caption="The gain that the schedule asks for. Both axes go by the square root, because a "
-        "filter spends its time in the lower left corner. Hatched regions have no rule that fires.",
-        shows="controller",
-        plot=plot_surface,
-    ),
-    ResultFigure(
-        name="rules",
-        title="Use of the rules",
-        caption="Rules that never fire had little or no part in the cost: what the schedule does "
-        "where they apply is largely chance.",
-        shows="trust",
-        plot=plot_rules,
-    ),
-    ResultFigure(
-        name="input_terms",
-        title="Input terms",
-        caption="How the scaled error and its rate are read as very small (VS) to very large (VL).",
-        shows="controller",
-        plot=plot_input_terms,
-    ),
-    ResultFigure(
-        name="output_terms",
-        title="Output terms",
-        caption="What the rules ask for; the gain is 1 plus the centroid of these terms as they "
-        "fire.",
-        shows="controller",
-        plot=plot_output_terms,
-    ),
-)

@@ -6,12 +6,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
-from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.optimisers import History
 
+FIGURES: list[ResultFigure] = []
 
-@style.styled
+
+@captioned(
+    FIGURES,
+    name="convergence",
+    title="Convergence",
+    caption="A best cost that still falls at the end asks for more iterations. These are "
+    "training costs: what they are worth is the held-out cost.",
+)
 def plot_convergence(history: History) -> Figure:
     """Best cost so far, mean and worst training cost [-] of each iteration of the search.
 
@@ -25,11 +33,7 @@ def plot_convergence(history: History) -> Figure:
     curves: tuple[tuple[str, Array, Style], ...] = (
         ("best so far", history.best, {"color": style.BLUE, "linewidth": 2.2}),
         ("mean", history.mean, {"color": style.GREEN, "linestyle": "--"}),
-        (
-            "worst",
-            history.worst,
-            {"color": style.PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.2},
-        ),
+        ("worst", history.worst, {"color": style.PURPLE, "linestyle": (0, (1, 1))}),
     )
     for name, values, look in curves:
         ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **look)
@@ -46,15 +50,3 @@ def plot_convergence(history: History) -> Figure:
     ax.set_xlim(0.5, len(iteration) + 0.5)
     style.legend_above(figure, ax)
     return figure
-
-
-FIGURES = (
-    ResultFigure(
-        name="convergence",
-        title="Convergence",
-        caption="A best cost that still falls at the end asks for more iterations. These are "
-        "training costs: what they are worth is the held-out cost.",
-        shows="history",
-        plot=plot_convergence,
-    ),
-)

@@ -7,59 +7,48 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
-from posegsa.figures.captioned import ResultFigure
+from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.judging.trajectory import Trajectory
+
+FIGURES: list[ResultFigure] = []
+_BIASES = (
+    "What is left between the curves after the first second comes from the sensors' noise and "
+    "biases."
+)
 
 _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
 
 
-@style.styled
-def plot_euler(trajectory: Trajectory) -> Figure:
-    """True and estimated roll, pitch and yaw [deg] over time [s], broken where they wrap."""
-    time = trajectory.time
-    return _true_and_estimated(
-        time,
-        trajectory.euler,
-        trajectory.euler_est,
-        [rf"{name} [deg]" for name in (r"Roll $\phi$", r"Pitch $\theta$", r"Yaw $\psi$")],
-        ticks=[1, 1.5, 3, 4.5, 9, 10],
-        curve=lambda angle: _broken_at_wraps(time, angle),
-    )
-
-
-@style.styled
-def plot_position(trajectory: Trajectory) -> Figure:
-    """True and estimated position [m] in the inertial frame over time [s]."""
-    time = trajectory.time
-    return _true_and_estimated(
-        time,
-        trajectory.position,
-        trajectory.position_est,
-        [f"${axis}$ [m]" for axis in "xyz"],
-        ticks=[1, 2, 5, 10],
-        curve=lambda position: (time, finite(position)),
-    )
-
-
-@style.styled
+@captioned(
+    FIGURES,
+    name="errors",
+    title="Errors",
+    caption="The fall at the start is the transient part of the cost, the level after it the "
+    "steady part.",
+)
 def plot_errors(trajectory: Trajectory) -> Figure:
     """Attitude error [deg] and position error [m] over time [s], on logarithmic axes."""
     figure, axes = style.panels(2, 4.4)
-    errors = (trajectory.attitude_error, trajectory.position_error)
-    for ax, values, label in zip(
-        axes, errors, (style.ATTITUDE_ERROR, style.POSITION_ERROR), strict=True
-    ):
-        ax.plot(trajectory.time, finite(values), color=style.BLUE, linewidth=1.0)
+    errors = (finite(trajectory.attitude_error), finite(trajectory.position_error))
+    labels = (style.ATTITUDE_ERROR, style.POSITION_ERROR)
+    for ax, values, label in zip(axes, errors, labels, strict=True):
+        ax.plot(trajectory.time, values, color=style.BLUE, linewidth=1.0)
         ax.grid(axis="y", color="0.88", linewidth=0.6)
-        style.scale_errors(ax, finite(values))
+        style.scale_errors(ax, values)
         ax.set_ylabel(label)
     style.finish_time(axes, trajectory.time)
     return figure
 
 
-@style.styled
+@captioned(
+    FIGURES,
+    name="gain",
+    title="Gain",
+    caption="Where the two curves part, the gain limit keeps the filter's step stable. Jumps "
+    "between few levels are a schedule that has become a switch.",
+)
 def plot_gain(trajectory: Trajectory) -> Figure:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
 
@@ -69,15 +58,12 @@ def plot_gain(trajectory: Trajectory) -> Figure:
     parts = style.time_parts(time)[::-1]
     figure, axes = style.panels(len(parts), 4.6 if len(parts) > 1 else 3.4, sharex=False)
     for ax, part, width in zip(axes, parts, (0.5, 1.4), strict=False):
-        for name, gain, look in (
-            ("asked for", trajectory.gain, {"color": style.SKY, "linewidth": 2 * width}),
-            (
-                "used, after the limit",
-                trajectory.gain_used,
-                {"color": style.BLACK, "linewidth": width},
-            ),
+        for name, gain, colour, thickness in (
+            ("asked for", trajectory.gain, style.SKY, 2 * width),
+            ("used, after the limit", trajectory.gain_used, style.BLACK, width),
         ):
-            ax.plot(time[part], finite(gain)[part], label=name, **look)
+            curve = finite(gain)[part]
+            ax.plot(time[part], curve, label=name, color=colour, linewidth=thickness)
         ax.set_ylabel("Gain $K$ [1/s]")
         ax.set_ylim(bottom=0)
         style.finish_time([ax], time[part])
@@ -85,20 +71,35 @@ def plot_gain(trajectory: Trajectory) -> Figure:
     return figure
 
 
+@captioned(FIGURES, name="euler_angles", title="Attitude", caption=_BIASES)
+def plot_euler(trajectory: Trajectory) -> Figure:
+    """True and estimated roll, pitch and yaw [deg] over time [s], broken where they wrap."""
+    labels = [rf"{name} [deg]" for name in (r"Roll $\phi$", r"Pitch $\theta$", r"Yaw $\psi$")]
+    pair = trajectory.euler, trajectory.euler_est
+    ticks = [1, 1.5, 3, 4.5, 9, 10]
+    return _true_and_estimated(trajectory.time, pair, labels, ticks, _broken_at_wraps)
+
+
+@captioned(FIGURES, name="position", title="Position", caption=_BIASES)
+def plot_position(trajectory: Trajectory) -> Figure:
+    """True and estimated position [m] in the inertial frame over time [s]."""
+    labels = [f"${axis}$ [m]" for axis in "xyz"]
+    pair = trajectory.position, trajectory.position_est
+    return _true_and_estimated(trajectory.time, pair, labels, [1, 2, 5, 10])
+
+
 def _true_and_estimated(
     time: np.ndarray,
-    true: np.ndarray,
-    estimated: np.ndarray,
+    pair: tuple[np.ndarray, np.ndarray],
     labels: Sequence[str],
-    *,
     ticks: Sequence[float],
-    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    curve: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] = lambda t, y: (t, y),
 ) -> Figure:
-    """Components of a pose, true and estimated (N, 3), in a panel each, as `curve` (x, y) draws."""
+    """Components of a pose, true and estimated (N, 3), in a panel each, as `curve` has (x, y)."""
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
-        ax.plot(*curve(true[:, i]), **_TRUE)
-        ax.plot(*curve(estimated[:, i]), **_ESTIMATED)
+        for values, look in zip(pair, (_TRUE, _ESTIMATED), strict=True):
+            ax.plot(*curve(time, finite(values[:, i])), **look)
         ax.set_ylabel(label)
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=ticks))
     style.finish_time(axes, time)
@@ -112,7 +113,6 @@ def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, n
     Where neighbours differ by more than 180 the way round is the shorter one. Three points are put
     between them, all at the time of the crossing: the end of the range, NaN, and its other end.
     """
-    angle = finite(angle)
     before = np.flatnonzero(np.abs(np.diff(angle)) > 180)
     after = before + 1
     end = np.copysign(180.0, angle[before])
@@ -123,41 +123,3 @@ def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, n
     points = np.stack([end, np.full_like(end, np.nan), -end], axis=1)
     where = np.repeat(after, 3)
     return np.insert(time, where, np.repeat(crossing, 3)), np.insert(angle, where, points.ravel())
-
-
-_BIASES = (
-    "What is left between the curves after the first second comes from the sensors' noise and "
-    "biases."
-)
-FIGURES = (
-    ResultFigure(
-        name="errors",
-        title="Errors",
-        caption="The fall at the start is the transient part of the cost, the level after it the "
-        "steady part.",
-        shows="trajectory",
-        plot=plot_errors,
-    ),
-    ResultFigure(
-        name="gain",
-        title="Gain",
-        caption="Where the two curves part, the gain limit keeps the filter's step stable. Jumps "
-        "between few levels are a schedule that has become a switch.",
-        shows="trajectory",
-        plot=plot_gain,
-    ),
-    ResultFigure(
-        name="euler_angles",
-        title="Attitude",
-        caption=_BIASES,
-        shows="trajectory",
-        plot=plot_euler,
-    ),
-    ResultFigure(
-        name="position",
-        title="Position",
-        caption=_BIASES,
-        shows="trajectory",
-        plot=plot_position,
-    ),
-)

@@ -26,7 +26,7 @@ from posegsa.judging.result import TuneResult
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
 from posegsa.optimisers import Box, Optimiser, runner, start
-from posegsa.search.build import parameter_space, scenario_batch, tuning_problem
+from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import keys, open_loop_keys, training_keys
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
@@ -59,9 +59,9 @@ Baseline = Callable[[], tuple[GainSchedule, Description]]
 def best_constant(
     training: ScenarioBatch, gain_range: tuple[float, float], objective: ObjectiveConfig
 ) -> ConstantGain:
-    """The constant gain of least cost, of CONSTANT_GAINS that a controller can ask for.
+    """The constant gain of lowest cost, of CONSTANT_GAINS that a controller can ask for.
 
-    With one number to find, and a cost that is flat about its least, more of them change nothing.
+    With one number to find, and a cost that is flat about its minimum, more of them change nothing.
     """
     low, high = gain_range
     gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
@@ -76,49 +76,38 @@ def smooth_gain(vector: Array) -> SmoothGain:
     return SmoothGain(vector[0], vector[1], jnp.exp(vector[2]))
 
 
-def smooth_box(gain_range: tuple[float, float], dtype: jnp.dtype) -> Box:
-    """Where the smooth schedule is searched: the same gains, half-way errors from 0.003 to 1."""
-    low, high = (1 + end for end in gain_range)
-    lower, upper = (low, low, math.log(0.003)), (high, high, 0.0)
-    return Box(jnp.asarray(lower, dtype), jnp.asarray(upper, dtype))
+class _SmoothObjective(NamedTuple):
+    """What the search for a smooth schedule minimises, for programs that are compiled for it."""
 
-
-def search_schedule(
-    optimiser: Optimiser,
-    schedule: Callable[[Array], GainSchedule],
-    objective: ObjectiveConfig,
-    box: Box,
-    training: ScenarioBatch,
-    key: Array,
-) -> Array:
-    """The best vector (d,) of a family of schedules on the training scenarios.
-
-    Args:
-        optimiser: What searches, and with how many evaluations.
-        schedule: Maps a vector (d,) to a schedule.
-        objective: What of the costs on several scenarios is minimised.
-        box: Where to search.
-        training: The training scenarios.
-        key: Random key of the search.
-    """
-    run = runner(optimiser, _Objective(schedule, objective), box, training)
-    return run(start(optimiser, box, key), optimiser.total_iterations).best_position
-
-
-class _Objective(NamedTuple):
-    """What is minimised, for programs that are compiled for it."""
-
-    schedule: Callable[[Array], GainSchedule]
     objective: ObjectiveConfig
 
     def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
-        """As a function of vectors (A, d), on training scenarios."""
+        """As a function of vectors (A, 3), on training scenarios."""
 
         def costs(vectors: Array) -> Array:
-            schedules = jax.vmap(self.schedule)(vectors)
+            schedules = jax.vmap(smooth_gain)(vectors)
             return over_scenarios(agent_costs(Candidate(schedules), training), self.objective)
 
         return costs
+
+
+def search_smooth(
+    optimiser: Optimiser,
+    objective: ObjectiveConfig,
+    gain_range: tuple[float, float],
+    training: ScenarioBatch,
+    key: Array,
+) -> SmoothGain:
+    """The best smooth schedule that a search finds on training scenarios.
+
+    Its gains are those of a controller of this range (output k_op [1/s], the gain less 1); it is
+    half-way at a scaled error from 0.003 to 1.
+    """
+    low, high = (1 + end for end in gain_range)
+    bounds = (low, low, math.log(0.003)), (high, high, 0.0)
+    box = Box(*(jnp.asarray(ends, training.dtype) for ends in bounds))
+    run = runner(optimiser, _SmoothObjective(objective), box, training)
+    return smooth_gain(run(start(optimiser, box, key), optimiser.total_iterations).best_position)
 
 
 @jax.jit
@@ -157,14 +146,7 @@ def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
     Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains from several
     starts, at ever finer rates, each until no start improves any more. It is a strong reference for
     what a schedule can do on the family as a whole, no proven bound: a schedule that looks at the
-    error may beat it.
-
-    Args:
-        batch: Scenarios to fit; not the held-out ones.
-
-    Returns:
-        The sequence, and its mean cost on the batch, the steps taken and whether every descent
-        ended because it no longer improved.
+    error may beat it. How it was found is as `OpenLoopDescription` has it.
     """
     dtype = batch.dtype
     time = jnp.asarray(oracle_knots(float(batch.samples.time[0, -1])), dtype)
@@ -196,43 +178,33 @@ def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
 
 def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
     """How to find each baseline of a run, by name."""
-    experiment, seed = result.experiment, result.experiment.run.seed
-    space = parameter_space(experiment)
-    training = scenario_batch(
-        experiment, one, training_keys(seed, experiment.run.training_scenarios)
-    )
-    gains, dtype, objective = experiment.parameters.gain_range, training.dtype, experiment.objective
+    experiment, run = result.experiment, result.experiment.run
+    training = scenario_batch(experiment, one, training_keys(run.seed, run.training_scenarios))
 
     def constant() -> tuple[GainSchedule, Description]:
         # The grid's best: with one number to find, a full search ends at the same cost.
-        gain = jnp.asarray(result.constant_gain, dtype)
+        gain = jnp.asarray(result.constant_gain, training.dtype)
         return ConstantGain(gain), ConstantDescription(kind="constant", gain=result.constant_gain)
 
     def random() -> tuple[GainSchedule, Description]:
         # By name, because the library of the run's own optimiser may not be installed here.
         task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
-        best = run_search(task).search.best_position
-        controller = space.controller(best)
-        k = np.asarray(space.vector(controller)).tolist()
+        controller = task.space.schedules.controller(run_search(task).search.best_position)
+        k = np.asarray(task.space.schedules.vector(controller)).tolist()
         return FuzzyGain(controller), FuzzyDescription(kind="fuzzy", k=k)
 
     def smooth() -> tuple[GainSchedule, Description]:
-        box = smooth_box(gains, dtype)
         optimiser = override(experiment, ["search.optimiser=gsa"]).search
-        found = search_schedule(
-            optimiser, smooth_gain, objective, box, training, keys(seed).baselines
-        )
-        schedule = smooth_gain(found)
+        gains, key = experiment.parameters.gain_range, keys(run.seed).baselines
+        schedule = search_smooth(optimiser, experiment.objective, gains, training, key)
         values = {name: float(value) for name, value in vars(schedule).items()}
         return schedule, SmoothDescription(kind="smooth", **values)
 
     def best_sequence() -> tuple[GainSchedule, Description]:
-        of = open_loop_keys(seed, ORACLE_SCENARIOS)
-        knots, how = oracle(scenario_batch(experiment, one, of))
-        gain = np.exp(np.asarray(knots.log_gain, np.float64))
-        time = np.asarray(knots.time, np.float64)
-        return knots, OpenLoopDescription(
-            kind="open loop", time=time.tolist(), gain=gain.tolist(), **how
-        )
+        scenario_keys = open_loop_keys(run.seed, ORACLE_SCENARIOS)
+        knots, how = oracle(scenario_batch(experiment, one, scenario_keys))
+        time = np.asarray(knots.time, np.float64).tolist()
+        gain = np.exp(np.asarray(knots.log_gain, np.float64)).tolist()
+        return knots, OpenLoopDescription(kind="open loop", time=time, gain=gain, **how)
 
     return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

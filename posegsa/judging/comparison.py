@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from pydantic import Field, JsonValue
 from posegsa.judging.statistics import holm, signed_rank
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
+from posegsa.words import counted, text_table
 
 DIGITS = 7
 """Significant digits of the costs over a search that are kept."""
@@ -49,17 +51,6 @@ class Gradients(NamedTuple):
     """Evaluations before the first gradient."""
 
 
-class Quartiles(NamedTuple):
-    """Of values over repeats."""
-
-    low: float
-    median: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.median:.5g} [{self.low:.5g}, {self.high:.5g}]"
-
-
 class Versus(NamedTuple):
     """A paired comparison with the first optimiser over repeats."""
 
@@ -67,6 +58,9 @@ class Versus(NamedTuple):
     """Median of first minus this; below 0 the first is better."""
     p: float
     """Of the signed rank test, corrected for the number of optimisers (Holm)."""
+
+    def __str__(self) -> str:
+        return f"{self.difference:+.3g} ({'<0.001' if self.p < 0.001 else f'{self.p:.3f}'})"
 
 
 @dataclass(frozen=True)
@@ -132,7 +126,7 @@ class OptimiserComparison:
         }
 
     def levels(self) -> list[float]:
-        """Costs worth reaching: the largest, middle and least of the optimisers' medians."""
+        """Costs worth reaching: largest, middle and lowest of the optimisers' medians."""
         medians = sorted(float(np.median(self.costs(name))) for name in self.repeats)
         chosen = (medians[-1], medians[len(medians) // 2], medians[0])
         return sorted({m for m in chosen if math.isfinite(m)}, reverse=True)
@@ -148,13 +142,10 @@ class OptimiserComparison:
             there = np.flatnonzero(np.asarray(repeat.best) <= level + rounding)
             evaluations.append(repeat.evaluations[there[0]] if there.size else math.inf)
             seconds.append(repeat.times[there[0]] if there.size else math.inf)
-        share = float(np.mean(np.isfinite(evaluations)))
         # The lower of two middle ones: a mean of a number and infinity says nothing.
-        return (
-            float(np.quantile(evaluations, 0.5, method="lower")),
-            float(np.quantile(seconds, 0.5, method="lower")),
-            share,
-        )
+        median = partial(np.quantile, q=0.5, method="lower")
+        share = float(np.mean(np.isfinite(evaluations)))
+        return float(median(evaluations)), float(median(seconds)), share
 
     def bands(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Evaluations (n,) and quartiles (3, n) over repeats of the best cost so far."""
@@ -163,68 +154,43 @@ class OptimiserComparison:
         return np.array(found[0].evaluations), quantiles(best)
 
     def rows(self, levels: Sequence[float] | None = None) -> list[list[str]]:
-        """The table, its header first, a row for each optimiser.
-
-        Args:
-            levels: Costs to reach; by default `levels()`.
-        """
+        """The table, its header first, with a row for each optimiser and costs to reach."""
         levels = self.levels() if levels is None else levels
-        first, judged = next(iter(self.repeats)), self.has_held_out
-        header = [
-            "optimiser",
-            "repeats",
-            "cost, median [quartiles]",
-            "best",
-            f"{first} minus this (p)",
-        ]
-        if judged:
-            header += ["held out", f"{first} minus this (p)"]
-        header += [f"to {level:.5g}" for level in levels] + ["s"]
-        rows = [header]
+        minus = f"{next(iter(self.repeats))} minus this (p)"
+        rows = [["optimiser", "repeats", "cost, median [quartiles]", "best", minus]]
+        if self.has_held_out:
+            rows[0] += ["held out", minus]
+        rows[0] += [*(f"to {level:.5g}" for level in levels), "s"]
         training = self.versus_first()
-        unseen = self.versus_first(held_out=True) if judged else {}
-        for name in self.repeats:
+        unseen = self.versus_first(held_out=True) if self.has_held_out else {}
+        for name, repeats in self.repeats.items():
             costs = self.costs(name)
-            row = [
-                name,
-                str(len(costs)),
-                str(_quartiles(costs)),
-                f"{costs.min():.5g}",
-                _versus(training, name),
-            ]
-            if judged:
-                row += [str(_quartiles(self.costs(name, held_out=True))), _versus(unseen, name)]
+            row = [name, str(len(repeats)), _quartiles(costs), f"{costs.min():.5g}"]
+            row.append(str(training.get(name, "-")))
+            if self.has_held_out:
+                row += [_quartiles(self.costs(name, held_out=True)), str(unseen.get(name, "-"))]
             row += [_reached(*self.reached(name, level)) for level in levels]
-            seconds = [r.seconds for r in self.repeats[name]]
-            rows.append([*row, f"{np.median(seconds):.3g}"])
+            rows.append([*row, f"{np.median([r.seconds for r in repeats]):.3g}"])
         return rows
 
     def table(self, levels: Sequence[float] | None = None) -> str:
         """The comparison as text for a person."""
-        rows = self.rows(levels)
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = [
-            "  ".join(
-                cell.ljust(w) if i == 0 else cell.rjust(w)
-                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in rows
-        ]
-        return "\n".join([self.heading(), "", *lines, "", *self.notes()])
+        return "\n\n".join([self.heading(), text_table(self.rows(levels)), self.notes()])
 
     def markdown(self, levels: Sequence[float] | None = None) -> str:
         """The same as a Markdown table."""
-        header, *rows = (f"| {' | '.join(row)} |" for row in self.rows(levels))
-        rule = "|" + " --- |" * len(self.rows(levels)[0])
-        return "\n".join([self.heading(), "", header, rule, *rows, "", *self.notes()])
+        head, *rows = self.rows(levels)
+        lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
+        return "\n\n".join([self.heading(), "\n".join(lines), self.notes()])
 
     def heading(self) -> str:
         """What was compared."""
-        made = sorted({len(repeats) for repeats in self.repeats.values()})
-        count = str(made[0]) if len(made) == 1 else f"{made[0]} to {made[-1]}"
-        return f"{self.subject}: {count} repeats of {self.budget} evaluations each."
+        made = [len(repeats) for repeats in self.repeats.values()]
+        few, many = min(made), max(made)
+        count = counted(few, "repeat") if few == many else f"{few} to {many} repeats"
+        return f"{self.subject}: {count} of {counted(self.budget, 'evaluation')} each."
 
-    def notes(self) -> list[str]:
+    def notes(self) -> str:
         """How to read the table."""
         first = next(iter(self.repeats))
         lines = [
@@ -234,20 +200,17 @@ class OptimiserComparison:
             "where fewer than half of the repeats got there.",
         ]
         evaluation = self._evaluation_seconds()
-        for name in self.repeats:
-            if (measured := self.gradient_seconds(name)) is not None:
-                counted = self.gradients[name].price
-                lines.append(
-                    f"{name}: a cost with its gradient counts as {counted} evaluations; it took "
-                    f"{1000 * measured:.3g} ms"
-                    + (f", as long as {measured / evaluation:.3g}." if evaluation else ".")
-                )
-        return lines
+        for name in filter(self.gradients.get, self.repeats):
+            price, measured = self.gradients[name].price, self.gradient_seconds(name)
+            lines.append(
+                f"{name}: a cost with its gradient counts as {counted(price, 'evaluation')}; it "
+                f"took {1000 * measured:.3g} ms"
+                + (f", as long as {measured / evaluation:.3g}." if evaluation else ".")
+            )
+        return "\n".join(lines)
 
-    def gradient_seconds(self, name: str) -> float | None:
-        """Time of one cost with its gradient; None for an optimiser without gradients."""
-        if name not in self.gradients:
-            return None
+    def gradient_seconds(self, name: str) -> float:
+        """Time of one cost with its gradient, of an optimiser that uses gradients."""
         price, begin = self.gradients[name]
         per = []
         for r in self.repeats[name]:
@@ -274,15 +237,9 @@ def quantiles(values: np.ndarray) -> np.ndarray:
     return np.where(exact, below, np.where(np.isnan(between), beyond, between))
 
 
-def _quartiles(values: np.ndarray) -> Quartiles:
-    return Quartiles(*map(float, quantiles(values)))
-
-
-def _versus(found: dict[str, Versus], name: str) -> str:
-    if name not in found:
-        return "-"
-    difference, p = found[name]
-    return f"{difference:+.3g} ({'<0.001' if p < 0.001 else f'{p:.3f}'})"
+def _quartiles(values: np.ndarray) -> str:
+    low, median, high = quantiles(values)
+    return f"{median:.5g} [{low:.5g}, {high:.5g}]"
 
 
 def _reached(evaluations: float, seconds: float, share: float) -> str:

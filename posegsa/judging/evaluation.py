@@ -1,10 +1,12 @@
 """What schedules are worth on scenarios that they were not tuned on, side by side."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple, TypedDict
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
 from posegsa.config import PARAMETERS
@@ -12,6 +14,7 @@ from posegsa.judging.metrics import Bands, Metrics, metrics_of
 from posegsa.model.rollout import ErrorTrack
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Cost, Numbers
+from posegsa.words import counted, text_table
 
 CONTENDERS = TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE = (
     "tuned fuzzy gain",
@@ -32,43 +35,44 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """Both ends; NaN alone where there is no interval."""
+        return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
+
+
+# Schedules as they are stored, by the values of those in `posegsa.model.schedules`.
+
 
 class FuzzyDescription(TypedDict):
-    """A fuzzy gain schedule."""
+    """A `FuzzyGain`: k1..k22, in order and repaired as configured."""
 
     kind: Literal["fuzzy"]
     k: Annotated[list[float], Numbers(len(PARAMETERS))]
-    """k1..k22, in order and repaired as configured."""
 
 
 class ConstantDescription(TypedDict):
-    """A constant gain."""
+    """A `ConstantGain` [1/s]."""
 
     kind: Literal["constant"]
     gain: float
-    """[1/s]"""
 
 
 class SmoothDescription(TypedDict):
-    """A gain that rises smoothly with the scaled error (`model.schedules.SmoothGain`)."""
+    """A `SmoothGain`: gains without and at large errors [1/s], and the scaled error half-way."""
 
     kind: Literal["smooth"]
     low: float
-    """At no error [1/s]."""
     high: float
-    """Towards large errors [1/s]."""
     half: float
-    """Scaled error at which it is half-way."""
 
 
 class OpenLoopDescription(TypedDict):
-    """A gain over time alone, and how it was found."""
+    """A `KnotGain`: times [s] and gains [1/s] of its knots, and how it was found."""
 
     kind: Literal["open loop"]
     time: Annotated[list[float], Numbers("knots")]
-    """Knots [s]."""
     gain: Annotated[list[float], Numbers("knots")]
-    """Gain at each knot [1/s]."""
     cost_fitted: Cost
     """Mean cost on the scenarios that it was fitted to."""
     steps: int
@@ -102,14 +106,52 @@ class Summary(NamedTuple):
     worst: float
     diverged: float
     """Share of the scenarios."""
-    tuned_minus_this: Interval
-    """Mean of the paired differences; below 0 tuned is better."""
+    tuned_minus_this: Interval | None
+    """Mean of the paired differences; below 0 tuned is better. None of the tuned one itself."""
 
 
 def _contender_name(name: str) -> str:
     if name not in CONTENDERS:
         raise ValueError(f"allowed: {', '.join(CONTENDERS)}")
     return name
+
+
+Rows = list[list[str]]
+_Columns = tuple[tuple[str, str, Callable[[Any], ArrayLike]], ...]
+"""Of a table: head, format, and the numbers of a cell."""
+
+COSTS: _Columns = (
+    ("Mean", ".2f", lambda s: s.cost.mean),
+    ("95 % interval", ".2f", lambda s: s.cost.ends),
+    ("Median", ".2f", lambda s: s.median),
+    ("95th\npercentile", ".2f", lambda s: s.p95),
+    ("Worst", ".2f", lambda s: s.worst),
+    ("Tuned\nminus this", "+.2f", lambda s: s.tuned_minus_this.mean if s.tuned_minus_this else ()),
+    ("95 % interval", "+.2f", lambda s: s.tuned_minus_this.ends if s.tuned_minus_this else ()),
+    ("Diverged\n[%]", ".1f", lambda s: 100 * s.diverged),
+)
+"""Columns of the table of costs, from a `Summary`."""
+BEHAVIOUR: _Columns = (
+    ("Transient\npart", ".2f", lambda m: np.mean(m.transient)),
+    ("Steady\npart", ".2f", lambda m: np.mean(m.steady)),
+    ("Attitude\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_attitude)),
+    ("Position\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_position)),
+    ("Steady\nattitude\nRMS [deg]", ".2f", lambda m: np.mean(m.rms_attitude)),
+    ("Steady\nposition\nRMS [cm]", ".1f", lambda m: 100 * np.mean(m.rms_position)),
+    ("Bias error,\nangular\n[rad/s]", ".3f", lambda m: np.mean(m.bias_angular)),
+    ("Bias error,\nlinear\n[m/s]", ".3f", lambda m: np.mean(m.bias_linear)),
+)
+"""Columns of the table of what is behind the cost, from `Metrics`."""
+
+
+@np.errstate(over="ignore")  # a filter may diverge to any number
+def _rows(columns: _Columns, of: Mapping[str, object], write: Callable[[float, str], str]) -> Rows:
+    """A row for each contender, after the heads."""
+    rows = [["Contender", *(head for head, _, _ in columns)]]
+    for name, each in of.items():
+        cells = [(np.ravel(numbers(each)).tolist(), form) for _, form, numbers in columns]
+        rows.append([name, *(" to ".join(write(n, form) for n in found) for found, form in cells)])
+    return rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,46 +197,27 @@ class Evaluation:
             p95=float(np.quantile(metrics.cost, 0.95, method="higher")),
             worst=float(np.max(metrics.cost)),
             diverged=float(np.mean(metrics.diverged)),
-            tuned_minus_this=self.difference(name),
+            tuned_minus_this=None if name == TUNED else self.difference(name),
         )
 
-    @np.errstate(over="ignore")
+    def tables(self, write: Callable[[float, str], str] = format) -> tuple[Rows, Rows]:
+        """The contenders' costs, and the errors behind them: tables whose first row is the head.
+
+        `write` writes a number in a format.
+        """
+        summaries = {name: self.summary(name) for name in self.contenders}
+        metrics = {name: each.metrics for name, each in self.contenders.items()}
+        return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
+
     def table(self) -> str:
         """The contenders side by side, as text for a person."""
-        lines = [
-            f"{'held-out cost, ' + str(self.scenarios) + ' scenarios':<36}{'mean':>8} +- 95 %"
-            f"{'median':>9}{'95 %':>8}{'worst':>8}{'tuned minus this':>24}{'diverged':>10}"
-        ]
-        for name in self.contenders:
-            cost, median, p95, worst, diverged, difference = self.summary(name)
-            mean, low, high = difference
-            versus = "" if name == TUNED else f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
-            lines.append(
-                f"{name:<36}{cost.mean:>8.2f} {0.5 * (cost.high - cost.low):>7.2f}"
-                f"{median:>9.2f}{p95:>8.2f}{worst:>8.2f}{versus:>24}{100 * diverged:>9.1f}%"
-            )
-        lines += [
-            "",
-            f"{'':<36}{'transient':>10}{'steady':>9}{'settled after':>18}"
-            f"{'steady RMS error':>20}{'bias error':>22}",
-        ]
-        for name, contender in self.contenders.items():
-            m = contender.metrics
-            settled = (
-                f"{np.median(m.settling_attitude):.2f} / {np.median(m.settling_position):.2f} s"
-            )
-            rms = f"{np.mean(m.rms_attitude):.2f} deg {100 * np.mean(m.rms_position):.1f} cm"
-            bias = f"{np.mean(m.bias_angular):.3f} rad/s {np.mean(m.bias_linear):.3f} m/s"
-            lines.append(
-                f"{name:<36}{np.mean(m.transient):>10.2f}{np.mean(m.steady):>9.2f}{settled:>18}"
-                f"{rms:>20}{bias:>22}"
-            )
+        title = f"Cost on {counted(self.scenarios, 'held-out scenario')}:"
+        parts = [title, *map(text_table, self.tables())]
         if (closed := self.gap_closed()) is not None:
-            lines += [
-                "",
-                f"The tuned schedule closes {100 * closed:.0f} % of the gap to the oracle.",
-            ]
-        return "\n".join(lines)
+            parts.append(
+                f"The tuned schedule closes {100 * closed:.0f} % of the gap to the oracle."
+            )
+        return "\n\n".join(parts)
 
 
 @np.errstate(over="ignore")

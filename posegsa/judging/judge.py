@@ -19,6 +19,7 @@ from posegsa.judging.trajectory import simulate_scenario
 from posegsa.model.schedules import FuzzyGain
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import held_out_keys
 from posegsa.search.run import Found
 
@@ -32,27 +33,25 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     constant = best_constant(
         problem.training, experiment.parameters.gain_range, experiment.objective
     )
+    constant_gain = float(constant.gain)
+    schedules = {TUNED: tuned, CONSTANT: constant}
+    descriptions = {
+        TUNED: FuzzyDescription(kind="fuzzy", k=parameters.tolist()),
+        CONSTANT: ConstantDescription(kind="constant", gain=constant_gain),
+    }
 
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
-    tuned_tracks = error_tracks(tuned, problem.everywhere)
-    constant_tracks = error_tracks(constant, problem.everywhere)
-    training = slice(experiment.run.training_scenarios)
-    held_out = slice(experiment.run.training_scenarios, None)
-    tuned_training, _ = metrics_of(tuned_tracks.select(training), problem.training)
-    constant_training, _ = metrics_of(constant_tracks.select(training), problem.training)
-
-    constant_gain = float(constant.gain)
+    count = experiment.run.training_scenarios
+    tracks = {
+        name: error_tracks(Candidate(each), problem.everywhere) for name, each in schedules.items()
+    }
+    training = {
+        name: metrics_of(each.select(slice(count)), problem.training)[0].cost
+        for name, each in tracks.items()
+    }
     contenders = {
-        TUNED: contender(
-            tuned_tracks.select(held_out),
-            problem.held_out,
-            FuzzyDescription(kind="fuzzy", k=parameters.tolist()),
-        ),
-        CONSTANT: contender(
-            constant_tracks.select(held_out),
-            problem.held_out,
-            ConstantDescription(kind="constant", gain=constant_gain),
-        ),
+        name: contender(each.select(slice(count, None)), problem.held_out, descriptions[name])
+        for name, each in tracks.items()
     }
     first_held_out = held_out_keys(experiment.run.seed, 1)[0]
     trajectory = simulate_scenario(tuned, problem.scenario, experiment, first_held_out)
@@ -60,18 +59,11 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         experiment=experiment,
         best_cost=float(search.best_cost),
         parameters=parameters,
-        training_costs=tuned_training.cost,
+        training_costs=training[TUNED],
         constant_gain=constant_gain,
-        constant_training_costs=constant_training.cost,
+        constant_training_costs=training[CONSTANT],
         evaluation=evaluation(contenders, problem.held_out),
-        trust=trust.check(
-            experiment,
-            parameters,
-            problem.everywhere,
-            tuned_tracks,
-            trajectory.error,
-            trajectory.rate,
-        ),
+        trust=trust.check(problem, parameters, tracks[TUNED], trajectory),
         evaluations=experiment.search.evaluations,
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,

@@ -11,18 +11,13 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Numbers
 
-SETTLED_ATTITUDE = 20.0
-"""Attitude error under which the filter has settled if it stays there [deg]; the paper's noise
-alone makes errors of 8 deg RMS."""
-SETTLED_POSITION = 0.5
-"""Position error under which the filter has settled if it stays there [m]."""
-DIVERGED_ATTITUDE = 90.0
-"""Mean attitude error over the last second above which a run counts as diverged [deg]."""
-DIVERGED_POSITION = 5.0
-"""Mean position error over the last second above which a run counts as diverged [m]."""
+SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
+"""Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
+makes errors of 8 deg RMS."""
+DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
+"""Mean errors [deg], [m] over the last second above which a run counts as diverged."""
 BATCH = 250
 """Scenarios simulated at once, to bound the memory of their error tracks."""
-
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of error bands."""

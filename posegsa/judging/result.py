@@ -26,7 +26,7 @@ from posegsa.optimisers import History
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
 from posegsa.settings.arrays import Cost, Numbers
 from posegsa.settings.fields import NonNegative
-from posegsa.words import counted
+from posegsa.words import counted, text_table
 
 VERSION = version("posegsa")
 
@@ -43,7 +43,7 @@ class TuneResult:
     training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) its cost on each training scenario; infinite where it diverged."""
     constant_gain: float
-    """The constant gain with the least mean cost on the training scenarios [1/s]."""
+    """The constant gain with the lowest mean cost on the training scenarios [1/s]."""
     constant_training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) what that costs on each of them."""
     evaluation: Evaluation
@@ -125,43 +125,34 @@ class TuneResult:
 
     def summary(self) -> str:
         """A short text for a person."""
-        run, search = self.experiment.run, self.experiment.search
-        last = self.trajectory
-        settled = last.time >= 0.5 * last.time[-1]
-
-        def row(name: str, label: str, training: np.ndarray) -> str:
+        run, search, last = self.experiment.run, self.experiment.search, self.trajectory
+        unseen = f"({counted(self.evaluation.scenarios, 'unseen scenario')})"
+        rows = [["mean cost", "training", "held out", "worst", unseen]]
+        for name, label, training in (
+            (TUNED, TUNED, self.training_costs),
+            (CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs),
+        ):
             metrics = self.evaluation.contenders[name].metrics
-            bad = int(np.sum(metrics.diverged))
-            return (
-                f"  {label:<28}{np.mean(training):>10.4g}{np.mean(metrics.cost):>12.4g}"
-                f"{np.max(metrics.cost):>12.4g}" + (f"   diverged on {bad}" if bad else "")
-            )
-
-        return "\n".join(
-            [
-                f"{search.optimiser}: {search.size_in_words()} on "
-                f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
-                f"{self.evaluations} evaluations in {self.search_seconds:.2f} s "
-                f"(+ {self.compile_seconds:.2f} s to compile)",
-                "",
-                f"  {'mean cost':<28}{'training':>10}{'held out':>12}{'worst':>12}"
-                f"   ({counted(self.evaluation.scenarios, 'unseen scenario')})",
-                row(TUNED, TUNED, self.training_costs),
-                row(
-                    CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs
-                ),
-                "",
-                "  On one unseen scenario, second half: attitude error "
-                f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
-                f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
-            ]
-            + [f"  warning: {warning}" for warning in self.warnings()]
-        )
+            costs = (np.mean(training), np.mean(metrics.cost), np.max(metrics.cost))
+            bad = np.count_nonzero(metrics.diverged)
+            rows.append([label, *(f"{c:.4g}" for c in costs), f"diverged on {bad}" if bad else ""])
+        settled = last.time >= 0.5 * last.time[-1]
+        parts = [
+            f"{search.optimiser}: {search.size_in_words()} on "
+            f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
+            f"{counted(self.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
+            f"(+ {self.compile_seconds:.2f} s to compile)",
+            text_table(rows),
+            "On one unseen scenario, second half: attitude error "
+            f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
+            f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
+        ]
+        warned = [f"  warning: {warning}" for warning in self.warnings()]
+        return "\n".join(["\n\n".join(parts), *warned])
 
     def warnings(self) -> list[str]:
         """What a reader of the result must know before trusting it."""
-        found = []
-        t = self.trust
+        found, t = [], self.trust
         if t.sensitive:
             found.append(
                 f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
@@ -171,7 +162,7 @@ class TuneResult:
         if self.experiment.gain.signal == "pose":
             found.append("signal pose: the gain looks at the true errors, which no vehicle knows")
         if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
-            found.append(f"the tuned filter diverged on {bad} held-out scenarios")
+            found.append(f"the tuned filter diverged on {counted(bad, 'held-out scenario')}")
         if t.uncovered > 0:
             found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
         if not np.isfinite(self.best_cost):
@@ -179,7 +170,7 @@ class TuneResult:
                 "no agent had a finite cost: the parameters are the middle of the boxes, no result"
             )
         if self.non_finite:
-            found.append(f"{self.non_finite} agents of the search had no finite cost")
+            found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
         return found
 
 

@@ -17,10 +17,7 @@ def signed_rank(differences: ArrayLike) -> float:
 
     Exact for up to 50 differences of unequal size, and for up to 13 where some are equal; by the
     normal approximation, corrected for ties, for more. Differences of 0 are left out, as in the
-    source; without any other, p is 1.
-
-    Args:
-        differences: (n,); infinite ones rank above all finite ones, NaN is refused.
+    source; without any other, p is 1. Infinite ones rank above all finite ones.
 
     Raises:
         ValueError: If a difference is NaN.

@@ -97,14 +97,7 @@ def _values(truth: Truth, estimates: Estimates) -> dict[str, Array]:
 def simulate_scenario(
     schedule: GainSchedule, one: Scenario, experiment: Experiment, key: Array
 ) -> Trajectory:
-    """Truth, estimates, errors and gain over time of one simulation.
-
-    Args:
-        schedule: The gain schedule.
-        one: The scenario.
-        experiment: Where the family and the filter's and signal's settings come from.
-        key: Scenario key.
-    """
+    """One simulation of a scenario's key with the family and the settings of an experiment."""
     dtype = experiment.run.dtype
     settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, dtype)

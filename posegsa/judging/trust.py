@@ -12,13 +12,14 @@ from pydantic import Field
 from posegsa import config
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.judging.trajectory import Trajectory
 from posegsa.model.filter import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import parameter_space, scenario, scenario_batch
+from posegsa.search.build import TuningProblem, parameter_space, scenario, scenario_batch
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import training_keys
-from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Cost, Numbers
 
 PERTURBATION = 1e-6
@@ -49,71 +50,52 @@ class Trust:
 
 
 def check(
-    experiment: config.Experiment,
-    parameters: np.ndarray,
-    everywhere: ScenarioBatch,
-    own: ErrorTrack,
-    error: np.ndarray,
-    rate: np.ndarray,
+    problem: TuningProblem, parameters: np.ndarray, own: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
-    """Check a tuned result.
+    """Check the parameters (22,) that were found for a problem.
 
-    Args:
-        experiment: What it was tuned on.
-        parameters: (22,) k1..k22.
-        everywhere: Scenarios at the experiment's precision, the training ones first.
-        own: What the tuned filter did on them.
-        error: (N,) scaled error over a trajectory.
-        rate: (N,) scaled rate over it.
+    `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
     """
-    dtype = experiment.run.dtype
+    experiment, everywhere = problem.experiment, problem.everywhere
     training = slice(experiment.run.training_scenarios)
-    other = "float64" if dtype == "float32" else "float32"
-    schedule = _schedule(experiment, parameters, dtype)
-    changed = error_tracks(schedule, everywhere._replace(initial=_perturbed(everywhere.initial)))
-    costs = {
-        dtype: _cost(own, everywhere, training),
-        other: _cost_at(experiment, parameters, other),
-    }
-    perturbed = _cost(changed, everywhere, training)
-    differences = [abs(cost - costs[dtype]) for cost in (costs[other], perturbed)]
+
+    def mean_cost(tracks: ErrorTrack) -> float:
+        metrics, _ = metrics_of(tracks.select(training), problem.training)
+        return float(np.mean(metrics.cost))
+
+    schedule, cost = _schedule(experiment, parameters), mean_cost(own)
+    pushed = everywhere._replace(initial=_perturbed(everywhere.initial))
+    perturbed = mean_cost(error_tracks(Candidate(schedule), pushed))
+    double = experiment.run.dtype == "float64"
+    other = _cost_at("float32" if double else "float64", experiment, parameters)
     # Not finite is sensitive too: no comparison with NaN or infinity holds.
-    steady = all(d <= SENSITIVE * abs(costs[dtype]) for d in differences)
+    steady = all(abs(c - cost) <= SENSITIVE * abs(cost) for c in (other, perturbed))
     return Trust(
-        cost_float32=costs["float32"],
-        cost_float64=costs["float64"],
+        cost_float32=other if double else cost,
+        cost_float64=cost if double else other,
         cost_perturbed=perturbed,
         sensitive=not steady,
         uncovered=uncovered(schedule.controller),
-        rule_weights=rule_weights(schedule.controller, error, rate),
+        rule_weights=rule_weights(schedule.controller, trajectory.error, trajectory.rate),
     )
 
 
-def _schedule(experiment: config.Experiment, parameters: np.ndarray, dtype: str) -> FuzzyGain:
-    space = parameter_space(_at(experiment, dtype))
-    return FuzzyGain(space.controller(jnp.asarray(parameters, dtype)))
+def _schedule(experiment: config.Experiment, parameters: np.ndarray) -> FuzzyGain:
+    space = parameter_space(experiment)
+    return FuzzyGain(space.controller(jnp.asarray(parameters, experiment.run.dtype)))
 
 
-def _at(experiment: config.Experiment, dtype: str) -> config.Experiment:
-    """The experiment at another precision."""
-    return config.override(experiment, [f"run.dtype={dtype}"])
-
-
-def _cost(tracks: ErrorTrack, batch: ScenarioBatch, scenarios: slice) -> float:
-    """Mean cost on some of a batch's scenarios."""
-    metrics, _ = metrics_of(tracks.select(scenarios), batch.select(scenarios))
-    return float(np.mean(metrics.cost))
-
-
-def _cost_at(experiment: config.Experiment, parameters: np.ndarray, dtype: str) -> float:
-    """Mean training cost at a precision."""
+def _cost_at(dtype: str, experiment: config.Experiment, parameters: np.ndarray) -> float:
+    """Mean training cost at another precision."""
     with jax.enable_x64(dtype == "float64"), warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)
-        there = _at(experiment, dtype)
+        there = config.override(experiment, [f"run.dtype={dtype}"])
         keys = training_keys(there.run.seed, there.run.training_scenarios)
         training = scenario_batch(there, scenario(there), keys)
-        tracks = error_tracks(_schedule(experiment, parameters, dtype), training)
-        return _cost(tracks, training, slice(None))
+        metrics, _ = metrics_of(
+            error_tracks(Candidate(_schedule(there, parameters)), training), training
+        )
+        return float(np.mean(metrics.cost))
 
 
 def _perturbed(initial: FilterState) -> FilterState:
@@ -137,10 +119,8 @@ def uncovered(controller: FuzzyController) -> float:
 def rule_weights(controller: FuzzyController, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Mean firing strength (5, 5) of each rule over inputs (N,), [rate, error]."""
     dtype = controller.output_terms.dtype
-    of_error, of_rate = (
-        np.asarray(_memberships(controller, jnp.asarray(a, dtype)), np.float64)
-        for a in (error, rate)
-    )
+    inputs = (jnp.asarray(each, dtype) for each in (error, rate))
+    of_error, of_rate = (np.asarray(_memberships(controller, a), np.float64) for a in inputs)
     return np.mean(np.minimum(of_rate[:, None], of_error[None]), axis=-1)
 
 

@@ -72,8 +72,9 @@ from posegsa.errors import ArgumentError
 from posegsa.model.cost import CostParts, CostWeights, sample_error
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.filter import FilterState
+from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import ErrorTrack, Estimates, Samples, _scan, samples_of
+from posegsa.model.rollout import ErrorTrack, Estimates, Samples, samples_of
 from posegsa.model.sample import Sample
 from posegsa.model.se3 import (
     Quaternion,
@@ -410,7 +411,7 @@ def _simulate(
         total, stored = look(total, state, now, entry)
         return (propagate(update(state, now.sample, noise), now.sample, noise), total), stored
 
-    (last, total), stored = _scan(body, (ekf_start(initial, noise), total), (samples, extra))
+    (last, total), stored = scan_rows(body, (ekf_start(initial, noise), total), (samples, extra))
     return last, total, stored
 
 

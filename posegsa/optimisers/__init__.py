@@ -5,50 +5,32 @@ work in the unit box. `minimise` runs one on an objective; `start` and `advance`
 for use inside a compiled function of one's own; `ask` and `tell` are one step taken apart.
 """
 
-from posegsa.optimisers.adam import Adam
-from posegsa.optimisers.base import Optimiser
-from posegsa.optimisers.differential_evolution import DifferentialEvolution
-from posegsa.optimisers.driver import in_chunks, runner
-from posegsa.optimisers.evosax import CMAES, Evosax
-from posegsa.optimisers.gradient import Differentiable, forward_mode, reverse_mode
-from posegsa.optimisers.gsa import GSA
-from posegsa.optimisers.loop import History, Search, Until, advance, ask, lengthened, start, tell
-from posegsa.optimisers.minimisation import minimise
-from posegsa.optimisers.particle_swarm import ParticleSwarm
-from posegsa.optimisers.polish import Polish, PolishedGSA
-from posegsa.optimisers.pycma import PyCMA
-from posegsa.optimisers.random_search import RandomSearch
-from posegsa.optimisers.registry import OPTIMISERS
-from posegsa.optimisers.search_box import Box, box, from_unit
-
-__all__ = [
-    "CMAES",
-    "GSA",
-    "OPTIMISERS",
-    "Adam",
-    "Box",
-    "Differentiable",
-    "DifferentialEvolution",
-    "Evosax",
-    "History",
-    "Optimiser",
-    "ParticleSwarm",
-    "Polish",
-    "PolishedGSA",
-    "PyCMA",
-    "RandomSearch",
-    "Search",
-    "Until",
-    "advance",
-    "ask",
-    "box",
-    "forward_mode",
-    "from_unit",
-    "in_chunks",
-    "lengthened",
-    "minimise",
-    "reverse_mode",
-    "runner",
-    "start",
-    "tell",
-]
+from posegsa.optimisers.adam import Adam as Adam
+from posegsa.optimisers.base import Optimiser as Optimiser
+from posegsa.optimisers.differential_evolution import DifferentialEvolution as DifferentialEvolution
+from posegsa.optimisers.driver import in_chunks as in_chunks
+from posegsa.optimisers.driver import runner as runner
+from posegsa.optimisers.evosax import CMAES as CMAES
+from posegsa.optimisers.evosax import Evosax as Evosax
+from posegsa.optimisers.gradient import Differentiable as Differentiable
+from posegsa.optimisers.gradient import forward_mode as forward_mode
+from posegsa.optimisers.gradient import reverse_mode as reverse_mode
+from posegsa.optimisers.gsa import GSA as GSA
+from posegsa.optimisers.loop import History as History
+from posegsa.optimisers.loop import Search as Search
+from posegsa.optimisers.loop import Until as Until
+from posegsa.optimisers.loop import advance as advance
+from posegsa.optimisers.loop import ask as ask
+from posegsa.optimisers.loop import lengthened as lengthened
+from posegsa.optimisers.loop import start as start
+from posegsa.optimisers.loop import tell as tell
+from posegsa.optimisers.minimisation import minimise as minimise
+from posegsa.optimisers.particle_swarm import ParticleSwarm as ParticleSwarm
+from posegsa.optimisers.polish import Polish as Polish
+from posegsa.optimisers.polish import PolishedGSA as PolishedGSA
+from posegsa.optimisers.pycma import PyCMA as PyCMA
+from posegsa.optimisers.random_search import RandomSearch as RandomSearch
+from posegsa.optimisers.registry import OPTIMISERS as OPTIMISERS
+from posegsa.optimisers.search_box import Box as Box
+from posegsa.optimisers.search_box import box as box
+from posegsa.optimisers.search_box import from_unit as from_unit

@@ -6,7 +6,7 @@ along a half cosine (I. Loshchilov, F. Hutter, "SGDR", ICLR 2017, Eq. 5, without
 a constant step keeps circling a minimum with kinks.
 """
 
-from typing import Annotated, ClassVar, Literal, NamedTuple, cast
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ class AdamState(NamedTuple):
     """State of all descents between two iterations."""
 
     position: Array  # (agents, dimensions) in the unit box
-    moments: optax.ScaleByAdamState  # m and v of the source, (agents, dimensions) each
+    moments: optax.OptState  # m and v of the source, (agents, dimensions) each
     iteration: Array  # () int32, iterations done
     key: Array  # random key of what is still to be drawn
 
@@ -84,17 +84,10 @@ class Adam(DescentSettings, Optimiser):
         return self._at(jnp.clip(position[None, :] + moves, 0, 1), key)
 
     def _at(self, position: Array, key: Array) -> AdamState:
-        return AdamState(position, self._moments(position), jnp.asarray(0, jnp.int32), key)
-
-    def _moments(self, position: Array) -> optax.ScaleByAdamState:
-        return cast(optax.ScaleByAdamState, self._adam().init(position))
+        return AdamState(position, self._adam().init(position), jnp.asarray(0, jnp.int32), key)
 
     def _adam(self) -> optax.GradientTransformation:
         return optax.scale_by_adam(self.beta1, self.beta2, self.epsilon)
-
-    def ask(self, state: AdamState) -> Array:
-        """Return the descents' positions (agents, dimensions) in the unit box."""
-        return state.position
 
     def tell(self, state: AdamState, costs: Array, gradients: Array) -> AdamState:
         """Take one step down each gradient (agents, dimensions), and back onto the box."""
@@ -104,5 +97,4 @@ class Adam(DescentSettings, Optimiser):
         share = jnp.minimum(state.iteration, self.iterations).astype(gradients.dtype)
         rate = 0.5 * self.learning_rate * (1 + jnp.cos(jnp.pi * share / self.iterations))
         position = jnp.clip(state.position - rate * jnp.asarray(direction), 0, 1)
-        moments = cast(optax.ScaleByAdamState, moments)
         return AdamState(position, moments, state.iteration + 1, state.key)

@@ -32,11 +32,11 @@ good one, now or later:
 class Optimiser(Section):
     """Settings of an optimiser, and its three pure methods over an immutable state.
 
-    A subclass adds its settings as fields, and `init`, `ask` and `tell`. They see positions in the
-    unit box, and finite costs: the loop (`posegsa.optimisers.loop`) sees to both. Settings are
-    checked, frozen and hashable, so that they can be static in a compiled function. What is
-    registered (`posegsa.optimisers.registry`) can be named in a configuration, whose [search] it
-    then is.
+    A subclass adds its settings as fields, `init` and `tell`, and `ask` if its state has no
+    `position` to ask for. They see positions in the unit box, and finite costs: the loop
+    (`posegsa.optimisers.loop`) sees to both. Settings are checked, frozen and hashable, so that
+    they can be static in a compiled function. What is registered (`posegsa.optimisers.registry`)
+    can be named in a configuration, whose [search] it then is.
     """
 
     optimiser: str = "own"
@@ -67,9 +67,9 @@ class Optimiser(Section):
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> Any:
         """Return the state before the first `ask`; it carries the key."""
 
-    @abstractmethod
     def ask(self, state: Any) -> Array:
         """Return the positions (agents, dimensions) in [0, 1] whose costs are wanted next."""
+        return state.position
 
     @abstractmethod
     def tell(self, state: Any, costs: Array, *gradients: Array) -> Any:
@@ -130,10 +130,8 @@ class Optimiser(Section):
         """
         each = self.agents * self.evaluations_per_agent
         if evaluations < each:
-            raise ConfigError(
-                f"evaluations = {evaluations}; allowed: at least {each}, one iteration of "
-                f"{self.optimiser}"
-            )
+            allowed = f"at least {each}, one iteration of {self.optimiser}"
+            raise ConfigError(f"evaluations = {evaluations}; allowed: {allowed}")
         return self.changed(iterations=evaluations // each)
 
     def resumed(self, asked: "Optimiser") -> Self:

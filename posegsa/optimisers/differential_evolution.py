@@ -36,8 +36,6 @@ class DifferentialEvolution(Optimiser):
     """Name of the optimiser."""
     agents: Annotated[Count, Field(ge=4)] = 100
     """Number of agents, the article's NP."""
-    iterations: Count = 250
-    """Generations of a whole search; the first one is drawn at random."""
     strategy: Strategy = "rand/1/bin"
     """Where a mutant starts from: "rand/1/bin" a random agent, "best/1/bin" the best one."""
     factor: Annotated[float, Field(strict=True, ge=0, le=2)] = 0.5
@@ -53,7 +51,7 @@ class DifferentialEvolution(Optimiser):
         key, key_position = random.split(key)
         first = uniform(key_position, (self.agents, dimensions), dtype)
         unknown = jnp.full(self.agents, jnp.inf, dtype)
-        return DifferentialEvolutionState(first, unknown, first, key)
+        return DifferentialEvolutionState(position=first, cost=unknown, trial=first, key=key)
 
     def ask(self, state: DifferentialEvolutionState) -> Array:
         """Return the trials (agents, dimensions) in the unit box."""
@@ -71,7 +69,7 @@ class DifferentialEvolution(Optimiser):
         mutant = base + self.factor * (x[others[1]] - x[others[2]])  # Eq. 2
         mutant = jnp.where((mutant < 0) | (mutant > 1), uniform(keys[1], x.shape, x.dtype), mutant)
         trial = jnp.where(self._crossed(keys[2], keys[3], x.shape), mutant, x)  # Eq. 4
-        return DifferentialEvolutionState(x, cost, trial, key)
+        return DifferentialEvolutionState(position=x, cost=cost, trial=trial, key=key)
 
     def _crossed(self, key: Array, key_sure: Array, shape: tuple[int, ...]) -> Array:
         """Return which coordinates come from the mutant: at least one of each agent's."""

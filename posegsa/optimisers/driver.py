@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 
@@ -19,10 +20,6 @@ OnDevices = Callable[[Callable[..., Any]], Callable[..., Any]]
 """Makes a function run on several devices, with the same arguments and the same result on each."""
 
 
-def _on_one(function: Callable[..., Any]) -> Callable[..., Any]:
-    return function
-
-
 def runner(
     optimiser: Optimiser,
     objective: AnyObjective | Callable[..., AnyObjective],
@@ -30,7 +27,7 @@ def runner(
     *data: Any,
     until: Until | None = None,
     on_host: bool = False,
-    on_devices: OnDevices = _on_one,
+    on_devices: OnDevices | None = None,
 ) -> Runner:
     """What takes one search on, or R of them: compiled, or on the host what can't be.
 
@@ -39,29 +36,33 @@ def runner(
 
     Args:
         optimiser: What searches.
-        objective: What is minimised, as in `advance`; with data, a function that makes it of them.
+        objective: As in `advance`; with data, a function that makes the objective of them.
         box: Where to search. Of R searches it has leaves (R, ...), and so have the data.
         data: Arrays that the objective depends on; only for what can be compiled.
-        until: When a search has nothing more to do.
-        on_host: The objective is an ordinary Python function.
-        on_devices: The devices that run the search.
+        until: As in `advance`.
+        on_host: As in `advance`.
+        on_devices: The devices that run the search; by default one.
     """
-    if on_host or optimiser.on_host:
-        costs = objective.costs if isinstance(objective, Differentiable) else objective
-        costs = costs if on_host else jax.jit(costs)
-        return lambda search, stop: advance(
-            optimiser, costs, box, search, stop, until, on_host=on_host
+    if not (on_host or optimiser.on_host):
+        return lambda search, stop: _advance(
+            optimiser, objective, on_devices, data, box, search, stop, until
         )
-    return lambda search, stop: _advance(
-        optimiser, objective, on_devices, data, box, search, stop, until
-    )
+    costs: Any = objective.costs if isinstance(objective, Differentiable) else objective
+    costs = costs if on_host else jax.jit(costs)
+
+    def run(search: Search, stop: int) -> Search:
+        if stop == 0:  # only to compile
+            jax.block_until_ready(costs(jnp.tile(box.lower[None], (optimiser.agents, 1))))
+        return advance(optimiser, costs, box, search, stop, until, on_host=on_host)
+
+    return run
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     optimiser: Optimiser,
     objective: Callable[..., Any],
-    on_devices: OnDevices,
+    on_devices: OnDevices | None,
     data: tuple[Any, ...],
     box: Box,
     search: Search,
@@ -83,7 +84,7 @@ def _advance(
         return jax.vmap(one, in_axes=(0, None, None))(problems, stop, until)
 
     run = one if search.iteration.ndim == 0 else several
-    return on_devices(run)((data, box, search), stop, until)
+    return (on_devices(run) if on_devices else run)((data, box, search), stop, until)
 
 
 def in_chunks(
@@ -91,12 +92,7 @@ def in_chunks(
 ) -> Iterator[tuple[int, Search]]:
     """Run a search on in chunks of iterations; after each, where it should stand, and the search.
 
-    Args:
-        run: What takes it on.
-        search: One search, or several.
-        begin: Iterations that it has done.
-        end: Where to end.
-        size: Iterations of the next chunk, after so many.
+    `size` maps the iterations done, at first `begin`, to those of the next chunk.
     """
     done = begin
     while done < end:

@@ -48,24 +48,25 @@ class Evosax(Optimiser):
     compared_by_default: ClassVar[bool] = False
 
     def check_usable(self) -> None:
-        """See that evosax is installed and has the strategy.
+        """See that evosax is installed and has the strategy."""
+        try:
+            from evosax.algorithms import algorithms
+        except ImportError:
+            raise ConfigError("evosax is not installed; pip install 'posegsa[compare]'") from None
+        if self.strategy not in algorithms:
+            allowed = f"{self.optimiser}; allowed: {', '.join(sorted(algorithms))}"
+            raise ConfigError(f"strategy = {self.strategy!r} of {allowed}")
 
-        Raises:
-            ConfigError: One or the other is not so.
-        """
-        known = sorted(_strategies())
-        if self.strategy not in known:
-            raise ConfigError(
-                f"strategy = {self.strategy!r} of {self.optimiser}; allowed: {', '.join(known)}"
-            )
+    def _made(self, dimensions: int) -> tuple[Any, Any, bool]:
+        return _make(self.strategy, self.agents, dimensions, self.sigma)
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> EvosaxState:
         """Begin in the middle of the box, or with a population drawn uniformly over it."""
         key, key_first = random.split(key)
-        strategy, params = self._made(dimensions)
+        strategy, params, from_costs = self._made(dimensions)
         asked = uniform(key_first, (self.agents, dimensions), dtype)
         with _loose():
-            if _has_population(strategy):
+            if from_costs:
                 made = strategy.init(key_first, asked, jnp.zeros(self.agents, dtype), params)
                 made = jax.tree.map(jnp.asarray, made)
             else:
@@ -82,27 +83,21 @@ class Evosax(Optimiser):
     def tell(self, state: EvosaxState, costs: Array) -> EvosaxState:
         """Tell the strategy what its positions cost, and let it choose the next."""
         dimensions, dtype = state.asked.shape[1], state.asked.dtype
-        strategy, params = self._made(dimensions)
+        strategy, params, from_costs = self._made(dimensions)
         key, key_tell, key_ask = random.split(state.key, 3)
 
         def told(old: Any) -> Any:
-            made, _ = strategy.tell(key_tell, state.asked, costs, old, params)
-            return _like(made, old)
+            return _like(strategy.tell(key_tell, state.asked, costs, old, params)[0], old)
 
         def begun(old: Any) -> Any:
             return _like(strategy.init(key_tell, state.asked, costs, params), old)
 
         with _loose():
             old = state.strategy
-            if _has_population(strategy):  # its first costs are those of its first population
-                made = lax.cond(state.begun, told, begun, old)
-            else:
-                made = told(old)
+            # The first costs of a population are those of the one that it was begun with.
+            made = lax.cond(state.begun, told, begun, old) if from_costs else told(old)
             asked, made = strategy.ask(key_ask, made, params)
         return EvosaxState(_like(made, old), asked.astype(dtype), jnp.asarray(True), key)
-
-    def _made(self, dimensions: int) -> tuple[Any, Any]:
-        return _make(self.strategy, self.agents, dimensions, self.sigma)
 
 
 class CMAES(Evosax):
@@ -117,31 +112,18 @@ class CMAES(Evosax):
     compared_by_default: ClassVar[bool] = True
 
 
-def _strategies() -> dict[str, Any]:
-    """The strategies of evosax by name."""
-    try:
-        from evosax.algorithms import algorithms
-    except ImportError:
-        raise ConfigError("evosax is not installed; pip install 'posegsa[compare]'") from None
-    return algorithms
-
-
 @cache
-def _make(name: str, agents: int, dimensions: int, sigma: float) -> tuple[Any, Any]:
-    """A strategy and its parameters; one for each setting, whatever is being compiled."""
+def _make(name: str, agents: int, dimensions: int, sigma: float) -> tuple[Any, Any, bool]:
+    """A strategy, its parameters, and whether it begins with the costs of a population."""
+    from evosax.algorithms import algorithms
+    from evosax.algorithms.population_based.base import PopulationBasedAlgorithm
+
     with jax.ensure_compile_time_eval(), jax.enable_x64(False), _loose():
-        strategy = _strategies()[name](population_size=agents, solution=jnp.zeros(dimensions))
+        strategy = algorithms[name](population_size=agents, solution=jnp.zeros(dimensions))
         params = strategy.default_params
         if hasattr(params, "std_init"):
             params = params.replace(std_init=jnp.asarray(sigma))
-    return strategy, params
-
-
-def _has_population(strategy: Any) -> bool:
-    """Whether a strategy begins with the costs of a population, and not with a mean."""
-    from evosax.algorithms.population_based.base import PopulationBasedAlgorithm
-
-    return isinstance(strategy, PopulationBasedAlgorithm)
+    return strategy, params, isinstance(strategy, PopulationBasedAlgorithm)
 
 
 def _like(tree: Any, model: Any) -> Any:

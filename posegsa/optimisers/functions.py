@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.arguments import check_choice, check_number, check_whole, refuse
+from posegsa.arguments import check_number, check_whole, refuse
 from posegsa.optimisers.search_box import Box, box
 
 _SCHWEFEL = 420.96874633  # the z in [-500, 500] at which z sin(sqrt(|z|)) is largest
@@ -115,7 +115,8 @@ class ClassicalFunction:
 
     def __post_init__(self) -> None:
         """Check the attributes."""
-        check_choice("function: name", self.name, FUNCTIONS)
+        if self.name not in FUNCTIONS:
+            refuse(f"function: name = {self.name!r}", " or ".join(map(repr, FUNCTIONS)))
         check_whole("function: dimensions", self.dimensions, 2, MAX_DIMENSIONS)
         check_number("function: shift", self.shift, -1, 1)
         if self.rotation is not None:

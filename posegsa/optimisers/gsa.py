@@ -83,28 +83,16 @@ class GSA(Optimiser):
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> GSAState:
         """Spread the agents uniformly over the unit box, at rest."""
         key, key_position = random.split(key)
-        shape = (self.agents, dimensions)
+        position = uniform(key_position, (self.agents, dimensions), dtype)
         return GSAState(
-            position=uniform(key_position, shape, dtype),
-            velocity=jnp.zeros(shape, dtype),
+            position=position,
+            velocity=jnp.zeros_like(position),
             iteration=jnp.asarray(0, jnp.int32),
             key=key,
         )
 
-    def ask(self, state: GSAState) -> Array:
-        """Return the agents' positions (agents, dimensions) in the unit box."""
-        return state.position
-
     def tell(self, state: GSAState, costs: Array) -> GSAState:
-        """Move the agents under each other's gravity.
-
-        Args:
-            state: State whose positions were evaluated.
-            costs: Their costs (agents,), finite.
-
-        Returns:
-            The state with the next positions to evaluate.
-        """
+        """Move the agents under each other's gravity."""
         x, v = state.position, state.velocity
         key, key_force, key_velocity, key_bounds = random.split(state.key, 4)
         gravity, k_best = self.schedule()
@@ -123,7 +111,7 @@ class GSA(Optimiser):
         v = uniform(key_velocity, (self.agents, columns), x.dtype) * v + a  # Eq. 11
         x = x + v  # Eq. 12
         x, v = confine(x, v, self.bounds, key_bounds)
-        return GSAState(x, v, state.iteration + 1, key)
+        return GSAState(position=x, velocity=v, iteration=state.iteration + 1, key=key)
 
     def schedule(self) -> tuple[np.ndarray, np.ndarray]:
         """Return G and K_best of each iteration, (iterations,) each.
@@ -148,13 +136,9 @@ class GSA(Optimiser):
 
 
 def masses(costs: Array) -> Array:
-    """Return the masses M: the better the heavier, and none for the worst (Eqs. 15, 16).
+    """Return masses M (agents,) that add up to 1, of finite costs (agents,) (Eqs. 15, 16).
 
-    Args:
-        costs: Finite costs (agents,).
-
-    Returns:
-        Masses (agents,) that add up to 1; all equal where all costs are.
+    The better the heavier, and none for the worst; all equal where all costs are.
     """
     costs = costs / 16  # so that no difference overflows and no reciprocal of one underflows
     worst = costs.max()
@@ -182,13 +166,13 @@ def acceleration(
 
     Args:
         x: Positions (agents, dimensions).
-        mass: Masses M (agents,).
+        mass: M (agents,).
         gravity: G.
         k_best: Number of attractors.
         rand: Maps an attractor's index j to the random weights rand_ij of its pull on all agents,
             (dimensions, agents) or (1, agents).
-        force_power: p, the power of the distance.
-        epsilon: Added to R_ij^p.
+        force_power: p.
+        epsilon: As in `GSA`.
 
     Returns:
         Accelerations (agents, dimensions).
@@ -207,16 +191,9 @@ def acceleration(
 
 
 def confine(x: Array, v: Array, bounds: Bounds, key: Array) -> tuple[Array, Array]:
-    """Bring the coordinates that have left the unit box back into it; no other changes.
+    """Bring the coordinates of x (agents, dimensions) that have left the unit box back into it.
 
-    Args:
-        x: Positions (agents, dimensions).
-        v: Velocities (agents, dimensions).
-        bounds: How; see `GSA`.
-        key: Random key, for "redraw".
-
-    Returns:
-        Positions in [0, 1], and velocities.
+    `GSA.bounds` says how, and what becomes of their velocities v; the key is for "redraw".
     """
     if bounds == "redraw":
         outside = (x < 0) | (x > 1)

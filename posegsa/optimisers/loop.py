@@ -1,8 +1,7 @@
 """The loop that runs every optimiser, its record, and when it stops.
 
 An optimiser sees the unit box and finite numbers only. This module maps its positions into the
-user's box, deals with costs and gradients that are not finite (`tell`, nowhere else), and keeps the
-record of the search.
+user's box, replaces costs and gradients that are not finite, and keeps the record of the search.
 """
 
 from collections.abc import Callable
@@ -15,14 +14,14 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from posegsa.arguments import check_returned, check_whole, refuse
+from posegsa.arguments import check_whole, refuse
 from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
-"""What is minimised; a plain function is differentiated by reverse mode where need be. The last
-kind runs on the host."""
+"""What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
+with its own gradients; or an ordinary Python function, which runs on the host."""
 
 
 class History(NamedTuple):
@@ -56,14 +55,7 @@ class Until(NamedTuple):
 def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     """Return a search that has not evaluated anything yet.
 
-    Args:
-        optimiser: What searches.
-        box: Where.
-        key: Random key of the whole search.
-
-    Returns:
-        The search at iteration 0. Its best position is the box's centre, with cost inf: a position
-        that is safe to use, but that has not been evaluated.
+    Its best position is the box's centre, with cost inf: it is safe to use, but not evaluated.
 
     Raises:
         ConfigError: The optimiser can't run here: another library that it needs is missing.
@@ -122,7 +114,7 @@ def advance(
             is no better than any real cost (`Optimiser.failure_cost`). A gradient that is not
             finite is counted too, and told as 0.
         box: Where to search.
-        search: The search so far, from `start` or `advance`.
+        search: The search so far.
         stop: Number of iterations, counted from the start of the search, after which to stop; the
             search ends with those of the optimiser in any case.
         until: When to stop before that; by default never.
@@ -136,12 +128,12 @@ def advance(
         ArgumentError: If the objective does not return one cost per agent.
     """
     in_python = on_host or optimiser.on_host
-    repeat, choose = (_while, _if) if in_python else (lax.while_loop, lax.cond)
+    repeat = _while if in_python else lax.while_loop
     phases, begin = optimiser.phases, 0
     states = [search.state] if len(phases) == 1 else list(search.state)
     for i, phase in enumerate(phases):
         if i > 0:
-            states[i] = choose(  # once, in whatever chunks
+            states[i] = lax.cond(  # once, in whatever chunks
                 (search.iteration == begin) & (jnp.asarray(stop) > begin),
                 phase.begin_at,
                 lambda state, _: state,
@@ -151,9 +143,7 @@ def advance(
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step_in_python, phase, objective, box, on_host)
-            if in_python
-            else partial(_step, phase, objective, box),
+            partial(_step, phase, _evaluation(phase, objective, on_host), box, in_python),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -162,55 +152,68 @@ def advance(
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
     """`lax.while_loop`, in Python."""
-    while going(search):
+    while going(search._replace(state=None)):  # it may hold more than arrays
         search = step(search)
     return search
 
 
-def _if(condition: Array, yes: Callable[..., Any], no: Callable[..., Any], *operands: Any) -> Any:
-    """`lax.cond`, in Python."""
-    return yes(*operands) if condition else no(*operands)
-
-
+@partial(jax.jit, static_argnums=0, inline=True)  # one program where the loop is Python's
 def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Array:
     """Whether a phase that lasts from one iteration to another has more to do."""
-    more = (search.iteration >= begin) & (search.iteration < end)
-    return more if until is None else more & ~is_satisfied(search, until)
+    best, done = search.best_cost, search.iteration
+    more = (done >= begin) & (done < end)
+    if until is None:
+        return more
+    patience = jnp.asarray(until.patience, jnp.int32)
+    tolerance = jnp.asarray(until.tolerance, best.dtype)
+    before = search.history.best[jnp.maximum(done - 1 - patience, 0)]
+    falls = best < before - tolerance * jnp.abs(jnp.where(jnp.isfinite(before), before, 0))
+    reached = best <= jnp.asarray(until.target, best.dtype)
+    return more & ~reached & (falls | (done <= patience))
 
 
-def _step(phase: Optimiser, objective: Any, box: Box, search: Search) -> Search:
-    """One iteration, for a compiled loop."""
-    positions = ask(phase, box, search)
-    if phase.wants_gradients:
-        whole = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
-        return tell(phase, box, search, *whole.costs_and_gradients(positions))
-    costs = (objective.costs if isinstance(objective, Differentiable) else objective)(positions)
-    check_returned("objective", costs)
-    return tell(phase, box, search, costs)
+def _evaluation(phase: Optimiser, objective: Any, on_host: bool) -> Callable[[Array], Any]:
+    """What maps positions to costs, or to costs and gradients where the phase wants them."""
+    if on_host:
+        return lambda positions: objective(np.asarray(positions))
+    given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
+    return given.costs_and_gradients if phase.wants_gradients else given.costs
 
 
-def _step_in_python(
-    phase: Optimiser, objective: Any, box: Box, on_host: bool, search: Search
+def _step(
+    phase: Optimiser, evaluate: Callable[[Array], Any], box: Box, in_python: bool, search: Search
 ) -> Search:
-    """One iteration; what can be compiled of it is."""
-    asked, told = (ask, tell) if phase.on_host else (_compiled_ask, _compiled_tell)
-    positions = asked(phase, box, search)
-    found = objective(np.asarray(positions) if on_host else positions)
+    """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
+    compiled = in_python and not phase.on_host
+    asked, told = (_compiled_ask, _compiled_tell) if compiled else (ask, tell)
+    found = evaluate(asked(phase, box, search))
     costs, *gradients = found if isinstance(found, tuple) else (found,)
-    try:
-        wanted = [costs, *gradients] if phase.wants_gradients else [costs]
-        arrays = [np.asarray(values, box.lower.dtype) for values in wanted]
-    except (TypeError, ValueError) as error:
-        refuse(f"objective: {error}", f"costs ({phase.agents},), one per agent")
-    return told(phase, box, search, *arrays)
+    return told(phase, box, search, *_numbers(phase, box, costs, *gradients))
+
+
+def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:
+    """Costs (agents,), and gradients (agents, dimensions) where wanted, in the box's dtype."""
+
+    def checked(name: str, values: Any, *shape: int) -> Array:
+        try:
+            array = jnp.asarray(values)
+        except (TypeError, ValueError):
+            refuse(f"objective: {name} are a {type(values).__name__}", f"numbers {shape}")
+        if array.shape != shape or jnp.iscomplexobj(array):
+            given = f"{array.dtype} of shape {array.shape}"
+            refuse(f"objective: {name} are {given}", f"real numbers {shape}")
+        return array.astype(box.lower.dtype)
+
+    found = [checked("costs", costs, optimiser.agents)]
+    if optimiser.wants_gradients:
+        found.append(checked("gradients", gradients, optimiser.agents, len(box.lower)))
+    return found
 
 
 def lengthened(search: Search, iterations: int) -> Search:
-    """A search with room in its history for more iterations than it was started for.
+    """A search with room in its history for so many iterations in all, more than it was begun for.
 
-    Args:
-        search: From `start`, `advance` or `minimise`.
-        iterations: Iterations in all, as the optimiser that goes on with it has them.
+    An optimiser of as many iterations can go on with it.
     """
     more = iterations - search.history.best.shape[0]
     check_whole("lengthened: further iterations", more, 0)
@@ -220,17 +223,6 @@ def lengthened(search: Search, iterations: int) -> Search:
         return jnp.concatenate([values, jnp.full(more, unknown, values.dtype)])
 
     return search._replace(history=jax.tree.map(padded, search.history))
-
-
-@partial(jax.jit, inline=True)  # one program where the loop is Python's
-def is_satisfied(search: Search, until: Until) -> Array:
-    """Whether the best cost is good enough, or has stopped falling."""
-    best, done = search.best_cost, search.iteration
-    patience = jnp.asarray(until.patience, jnp.int32)
-    tolerance = jnp.asarray(until.tolerance, best.dtype)
-    before = search.history.best[jnp.maximum(done - 1 - patience, 0)]
-    falls = best < before - tolerance * jnp.abs(jnp.where(jnp.isfinite(before), before, 0))
-    return (best <= jnp.asarray(until.target, best.dtype)) | ((done > patience) & ~falls)
 
 
 def ask(optimiser: Optimiser, box: Box, search: Search) -> Array:
@@ -255,7 +247,7 @@ def tell(
 
     Args:
         optimiser: What searches.
-        box: Where.
+        box: Where to search.
         search: The search whose positions were evaluated.
         costs: What they cost; see `advance` for costs that are not finite.
         gradients: Their gradients (agents, dimensions) in the box's coordinates, where the
@@ -264,24 +256,14 @@ def tell(
     Raises:
         ArgumentError: If there is not one cost, and where needed one gradient, per agent.
     """
-    dtype = box.lower.dtype
-    costs = jnp.asarray(costs).astype(dtype)
-    agents, dimensions = optimiser.agents, box.lower.shape[0]
-    if costs.shape != (agents,):
-        refuse(f"objective: costs of shape {costs.shape}", f"({agents},), one per agent")
-
+    costs, *slopes = _numbers(optimiser, box, costs, gradients)
     finite = jnp.isfinite(costs)
-    some = finite.any()
     worst = jnp.max(costs, where=finite, initial=-jnp.inf)
     instead = _failure_cost(optimiser.failure_cost, search, costs)
     told = [jnp.where(finite, costs, instead)]
     judged = finite
-    if optimiser.wants_gradients:
-        slopes = None if gradients is None else jnp.asarray(gradients).astype(dtype)
-        if slopes is None or slopes.shape != (agents, dimensions):
-            shape = None if slopes is None else slopes.shape
-            refuse(f"objective: gradients of shape {shape}", f"({agents}, {dimensions})")
-        in_unit = slopes * (box.upper - box.lower)[None, :]
+    for gradient in slopes:
+        in_unit = gradient * (box.upper - box.lower)[None, :]
         judged = finite & jnp.isfinite(in_unit).all(axis=1)
         told.append(jnp.where(judged[:, None], in_unit, 0))
     failures = jnp.sum(~judged, dtype=jnp.int32)
@@ -289,18 +271,17 @@ def tell(
     champion = jnp.argmin(jnp.where(finite, costs, jnp.inf))
     better = finite[champion] & (costs[champion] < search.best_cost)
     best_cost = jnp.where(better, costs[champion], search.best_cost)
-    positions = ask(optimiser, box, search)
-    best_position = jnp.where(better, positions[champion], search.best_position)
+    champion_position = ask(optimiser, box, search)[champion]
 
     seen = History(
         best=best_cost,
         mean=jnp.mean(costs, where=finite),
-        worst=jnp.where(some, worst, jnp.nan),
+        worst=jnp.where(finite.any(), worst, jnp.nan),
         non_finite=failures,
     )
     return Search(
         state=optimiser.tell(search.state, *told),
-        best_position=best_position,
+        best_position=jnp.where(better, champion_position, search.best_position),
         best_cost=best_cost,
         iteration=search.iteration + 1,
         non_finite=search.non_finite + failures,

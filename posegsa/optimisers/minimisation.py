@@ -11,9 +11,17 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from posegsa.arguments import check_callable, check_number, check_whole, made_of_jax, refuse
+from posegsa.arguments import (
+    check_callable,
+    check_number,
+    check_type,
+    check_whole,
+    made_of_jax,
+    refuse,
+)
 from posegsa.optimisers.base import Optimiser
 from posegsa.optimisers.driver import in_chunks, runner
+from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, start
 from posegsa.optimisers.search_box import Box
 from posegsa.optimisers.search_box import box as checked_box
@@ -76,10 +84,10 @@ def minimise(
         ArgumentError: If an argument is not what is said here, or the objective does not return one
             cost per agent.
     """
-    _check_arguments(objective, box, optimiser, key)
+    _check_kinds(objective, box, optimiser, key)
+    check_callable("minimise: callback", callback)
     if not any(isinstance(bound, Tracer) for bound in box):
         box = checked_box(*box)
-    check_callable("minimise: callback", callback)
     end = optimiser.total_iterations
     if evaluations is not None:
         check_whole("minimise: evaluations", evaluations, 1)
@@ -109,7 +117,7 @@ def minimise(
             callback(now)
         if isinstance(now.iteration, Tracer):
             continue  # under a transformation it is not known yet whether there is more to do
-        if until is not None and bool(jnp.all(now.iteration < stop)):
+        if jnp.all(now.iteration < stop):
             break
         if seconds is not None and time.monotonic() - begun >= seconds:
             break
@@ -117,20 +125,21 @@ def minimise(
 
 
 def _until(target: float | None, patience: int | None, tolerance: float) -> Until | None:
-    """What stops a search inside the compiled loop; None where nothing does."""
-    if target is not None and not isinstance(target, Tracer):
-        check_number("minimise: target", target)
+    """What stops a search inside the compiled loop, if anything does."""
+    check_number("minimise: tolerance", tolerance, 0)
+    until = Until(tolerance=tolerance)
+    if target is None and patience is None and tolerance == 0:
+        return None
+    if target is not None:
+        if not isinstance(target, Tracer):
+            check_number("minimise: target", target)
+        until = until._replace(target=target)
     if patience is not None:
         check_whole("minimise: patience", patience, 1)
-    check_number("minimise: tolerance", tolerance, 0)
-    if patience is None and tolerance != 0:
+        until = until._replace(patience=patience)
+    elif tolerance != 0:
         refuse(f"minimise: tolerance = {tolerance!r}", "with patience")
-    if target is None and patience is None:
-        return None
-    until = Until()
-    if target is not None:
-        until = until._replace(target=target)
-    return until if patience is None else until._replace(patience=patience, tolerance=tolerance)
+    return until
 
 
 def _check_structure(search: Search, like: Search) -> None:
@@ -147,25 +156,20 @@ def _check_structure(search: Search, like: Search) -> None:
 
 
 def _kind(leaf: Any) -> str:
-    """An array's dtype and shape; the type of what is none, such as the strategy of pycma."""
+    """An array's dtype and shape; the type of anything else, such as the strategy of pycma."""
     dtype = getattr(leaf, "dtype", None)
     return type(leaf).__name__ if dtype is None else f"{dtype} {leaf.shape}"
 
 
-def _check_arguments(objective: Any, box: Any, optimiser: Any, key: Any) -> None:
+def _check_kinds(objective: Any, box: Any, optimiser: Any, key: Any) -> None:
     """Refuse arguments that are of another kind than `minimise` takes."""
-    if not callable(objective) and not isinstance(objective, tuple):
-        refuse(
-            f"minimise: objective is a {type(objective).__name__}",
-            "a function that maps positions (agents, dimensions) to costs (agents,)",
-        )
-    if not isinstance(box, Box):
-        kind = type(box).__name__
-        refuse(f"minimise: box is a {kind}", "a Box, as posegsa.box(lower, upper) makes it")
-    if not isinstance(optimiser, Optimiser):
-        kind = "type" if isinstance(optimiser, type) else type(optimiser).__name__
-        refuse(f"minimise: optimiser is a {kind}", "settings such as posegsa.GSA(agents=50)")
-    dtype = getattr(key, "dtype", None)
-    if dtype is None or not jnp.issubdtype(dtype, jax.dtypes.prng_key) or key.ndim > 1:
-        given = f"{type(key).__name__}" if dtype is None else f"{dtype} of shape {key.shape}"
-        refuse(f"minimise: key is {given}", "jax.random.key(seed), or several of them (R,)")
+    if not isinstance(objective, Differentiable) and not callable(objective):
+        allowed = "a function that maps positions (agents, dimensions) to costs (agents,)"
+        refuse(f"minimise: objective: a {type(objective).__name__}", allowed)
+    check_type("minimise: box", box, Box, allowed="a Box, as posegsa.box(lower, upper) makes it")
+    allowed = "settings such as posegsa.GSA(agents=50)"
+    check_type("minimise: optimiser", optimiser, Optimiser, allowed=allowed)
+    is_key = hasattr(key, "dtype") and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    if not is_key or key.ndim > 1:
+        allowed = "jax.random.key(seed), or several of them (R,)"
+        refuse(f"minimise: key: a {_kind(key)}", allowed)

@@ -12,7 +12,6 @@ with fresh r1, r2 in [0, 1) for each agent and dimension, p the agent's own best
 best of all. A coordinate that leaves the box stops at its bound, with velocity 0.
 """
 
-import math
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -23,14 +22,9 @@ from pydantic import Field
 from posegsa.optimisers.base import FailureCost, Optimiser, uniform
 from posegsa.settings.fields import Count, NonNegative
 
-
-def constriction(phi: float) -> float:
-    """Return chi of Clerc and Kennedy (2002, Eq. 4.15 with kappa = 1) for phi = phi1 + phi2 > 4."""
-    return 2 / (phi - 2 + math.sqrt(phi**2 - 4 * phi))
-
-
 INERTIA, PULL = 0.7298, 1.4961
-"""chi and chi phi1 for the usual phi1 = phi2 = 2.05, with the four places usually printed."""
+"""chi and chi phi1 for the usual phi1 = phi2 = 2.05 (Clerc and Kennedy 2002, Eq. 4.15 with
+kappa = 1), with the four places usually printed."""
 
 
 class ParticleSwarmState(NamedTuple):
@@ -66,10 +60,6 @@ class ParticleSwarm(Optimiser):
         position = uniform(key_position, (self.agents, dimensions), dtype)
         unknown = jnp.full(self.agents, jnp.inf, dtype)
         return ParticleSwarmState(position, jnp.zeros_like(position), position, unknown, key)
-
-    def ask(self, state: ParticleSwarmState) -> Array:
-        """Return the particles' positions (agents, dimensions) in the unit box."""
-        return state.position
 
     def tell(self, state: ParticleSwarmState, costs: Array) -> ParticleSwarmState:
         """Learn the costs (agents,) of the positions, and move the particles."""

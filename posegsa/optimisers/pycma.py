@@ -7,6 +7,7 @@ It is no JAX code: it runs on the host, and only the objective is compiled.
 """
 
 import copy
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ class PyCMAState(NamedTuple):
     """State between two iterations; nothing in it is changed once it is made."""
 
     strategy: Any  # cma.CMAEvolutionStrategy, and its positions before they were cast
-    asked: Array  # (agents, dimensions) in the unit box
+    position: Array  # (agents, dimensions) in the unit box
 
 
 class PyCMA(Optimiser):
@@ -42,35 +43,33 @@ class PyCMA(Optimiser):
     compared_by_default: ClassVar[bool] = False
 
     def check_usable(self) -> None:
-        """See that pycma is installed.
-
-        Raises:
-            ConfigError: It is not.
-        """
-        _library()
+        """See that pycma is installed."""
+        try:
+            import cma  # noqa: F401
+        except ImportError:
+            message = "cma (pycma) is not installed; pip install 'posegsa[compare]'"
+            raise ConfigError(message) from None
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> PyCMAState:
         """Begin in the middle of the box."""
+        import cma
+
         seed = np.asarray(random.key_data(key)).tolist()
         options = {
             "bounds": [0, 1],
             "popsize": self.agents,
             "seed": np.nan,  # leaves NumPy's own generator alone
-            "randn": _Normal(np.random.default_rng(seed)),
+            "randn": partial(_normal, np.random.default_rng(seed)),
             "verbose": -10,
         }
-        strategy = _library().CMAEvolutionStrategy([0.5] * dimensions, self.sigma, options)
+        strategy = cma.CMAEvolutionStrategy([0.5] * dimensions, self.sigma, options)
         return self._asked(strategy, dtype)
-
-    def ask(self, state: PyCMAState) -> Array:
-        """Return the positions (agents, dimensions) in the unit box."""
-        return state.asked
 
     def tell(self, state: PyCMAState, costs: Array) -> PyCMAState:
         """Tell a copy of the strategy what its positions cost."""
         strategy, positions = copy.deepcopy(state.strategy)
         strategy.tell(positions, np.asarray(costs, np.float64).tolist())
-        return self._asked(strategy, state.asked.dtype)
+        return self._asked(strategy, state.position.dtype)
 
     def _asked(self, strategy: Any, dtype: DTypeLike) -> PyCMAState:
         positions = strategy.ask()
@@ -79,19 +78,5 @@ class PyCMA(Optimiser):
         )
 
 
-class _Normal:
-    """Standard normal numbers from a generator that is copied with what it belongs to."""
-
-    def __init__(self, generator: np.random.Generator) -> None:
-        self.generator = generator
-
-    def __call__(self, *shape: int) -> np.ndarray:
-        return self.generator.standard_normal(shape)
-
-
-def _library() -> Any:
-    try:
-        import cma
-    except ImportError:
-        raise ConfigError("cma (pycma) is not installed; pip install 'posegsa[compare]'") from None
-    return cma
+def _normal(generator: np.random.Generator, *shape: int) -> np.ndarray:
+    return generator.standard_normal(shape)

@@ -29,10 +29,6 @@ class RandomSearch(Optimiser):
         position = uniform(key_position, (self.agents, dimensions), dtype)
         return RandomSearchState(position, key)
 
-    def ask(self, state: RandomSearchState) -> Array:
-        """Return the positions (agents, dimensions) to evaluate."""
-        return state.position
-
     def tell(self, state: RandomSearchState, costs: Array) -> RandomSearchState:
         """Draw the next positions, whatever the costs (agents,) were."""
         del costs

@@ -10,19 +10,18 @@ from posegsa.optimisers.polish import PolishedGSA
 from posegsa.optimisers.pycma import PyCMA
 from posegsa.optimisers.random_search import RandomSearch
 
-_KINDS: tuple[type[Optimiser], ...] = (
-    GSA,
-    RandomSearch,
-    ParticleSwarm,
-    DifferentialEvolution,
-    CMAES,
-    Adam,
-    PolishedGSA,
-    Evosax,
-    PyCMA,
-)
-
 OPTIMISERS: dict[str, type[Optimiser]] = {
-    kind.model_fields["optimiser"].default: kind for kind in _KINDS
+    kind.model_fields["optimiser"].default: kind
+    for kind in (
+        GSA,
+        RandomSearch,
+        ParticleSwarm,
+        DifferentialEvolution,
+        CMAES,
+        Adam,
+        PolishedGSA,
+        Evosax,
+        PyCMA,
+    )
 }
 """By name, the default first."""

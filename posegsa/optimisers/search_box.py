@@ -51,14 +51,9 @@ def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) 
 
 
 def from_unit(box: Box, unit: Array) -> Array:
-    """Map positions in the unit box into `box`, never past its bounds.
+    """Map positions (..., d) in the unit box into `box`, never past its bounds.
 
-    Args:
-        box: The target box of d coordinates.
-        unit: Positions (..., d) in [0, 1].
-
-    Returns:
-        Positions (..., d); 0 and 1 give the bounds exactly, and a box of zero width its value.
+    0 and 1 give the bounds exactly, and a box of zero width its value.
     """
     lower = jnp.broadcast_to(box.lower, unit.shape)
     upper = jnp.broadcast_to(box.upper, unit.shape)

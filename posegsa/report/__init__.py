@@ -16,12 +16,7 @@ from posegsa.report.words import what_was_run
 
 @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
 def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
-    """A result as one HTML page.
-
-    Args:
-        result: The result.
-        pictures: Its figures as PNG files, by name.
-    """
+    """A result as one HTML page, with its figures, PNG files by name."""
     here, run = files(__name__), result.experiment.run
     page = Template((here / "page.html").read_text(encoding="utf-8"))
     held_out = cost(result.evaluation.cost(TUNED).mean)

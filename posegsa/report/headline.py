@@ -22,48 +22,37 @@ from posegsa.words import counted
 
 def warnings(result: TuneResult) -> Html:
     """What a reader must know before trusting the result; nothing where there is nothing."""
-    found = result.warnings()
-    if not found:
-        return Html()
-    items = join(element("li", each[:1].upper() + each[1:]) for each in found)
-    return section("Warnings", element("ul", items), class_="warnings")
+    items = [element("li", each[:1].upper() + each[1:]) for each in result.warnings()]
+    return section("Warnings", element("ul", *items), class_="warnings") if items else Html()
 
 
 def headline(result: TuneResult) -> Html:
     """The numbers that matter most, training beside held-out."""
     evaluation = result.evaluation
     difference = evaluation.difference(CONSTANT)
-    unbroken = interval(*difference[1:]).replace(" ", "\u00a0")
-    constant = (
-        f"{_training(result.constant_training_costs)} with K = {result.constant_gain:.4g} 1/s"
-    )
+    unbroken = f"95 % interval {interval(*difference[1:])}".replace(" ", "\u00a0")
+    in_training = [
+        f"in training {cost(float(np.mean(costs)))} on {counted(len(costs), 'scenario')}"
+        for costs in (result.training_costs, result.constant_training_costs)
+    ]
+    in_training[1] += f" with K = {result.constant_gain:.4g} 1/s"
     tiles = [
-        _tile("Held out: tuned", *_mean(evaluation.cost(TUNED)), _training(result.training_costs)),
-        _tile("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), constant),
-        _tile(
-            "Tuned minus best constant",
-            cost(difference.mean, "+.2f"),
-            "",
-            f"95\u00a0% interval {unbroken}",
-        ),
+        ("Held out: tuned", *_mean(evaluation.cost(TUNED)), in_training[0]),
+        ("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), in_training[1]),
+        ("Tuned minus best constant", cost(difference.mean, "+.2f"), "", unbroken),
     ]
     if ORACLE in evaluation.contenders:
         closed = evaluation.gap_closed()
-        tiles.append(
-            _tile(
-                "Gap to the oracle closed",
-                DASH if closed is None else f"{number(100 * closed, '.0f')} %",
-                "",
-                f"oracle K(t), held out: {cost(evaluation.cost(ORACLE).mean)}",
-            )
-        )
-    bad = evaluation.contenders[TUNED].metrics.diverged
-    share = f"of {counted(evaluation.scenarios, 'scenario')}"
-    tiles.append(_tile("Held out: diverged", str(np.count_nonzero(bad)), "", share))
+        share = DASH if closed is None else f"{number(100 * closed, '.0f')} %"
+        held_out = f"oracle K(t), held out: {cost(evaluation.cost(ORACLE).mean)}"
+        tiles.append(("Gap to the oracle closed", share, "", held_out))
+    bad = np.count_nonzero(evaluation.contenders[TUNED].metrics.diverged)
+    of = f"of {counted(evaluation.scenarios, 'scenario')}"
+    tiles.append(("Held out: diverged", str(bad), "", of))
     return section(
         "Result",
         paragraph(verdict(evaluation), class_="verdict"),
-        element("dl", join(tiles, "\n"), class_="headline"),
+        element("dl", join((_tile(*tile) for tile in tiles), "\n"), class_="headline"),
     )
 
 
@@ -104,11 +93,6 @@ def _tile(name: str, value: str, beside: str, below: str) -> Html:
         element("dd", value, " ", element("span", beside, class_="beside"), class_="value"),
         element("dd", below),
     )
-
-
-def _training(costs: np.ndarray) -> str:
-    mean, count = cost(float(np.mean(costs))), counted(len(costs), "scenario")
-    return f"in training {mean} on {count}"
 
 
 def _mean(of: Interval) -> tuple[str, str]:

@@ -60,12 +60,7 @@ def table(
 ) -> Html:
     """A table that scrolls in a box of its own where it is too wide.
 
-    Args:
-        caption: What it shows.
-        columns: Heads of all columns, the first one included.
-        rows: Cells; the first of each row is its head.
-        class_: Class of the table.
-        own: Head of the row that is marked as the reader's own.
+    The first cell of each row is its head; the row with the head `own` is marked as the reader's.
     """
     head = join(element("th", column, scope="col") for column in columns)
     body = join(

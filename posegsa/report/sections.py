@@ -1,6 +1,6 @@
 """The sections of the report, each a function from the result to HTML."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,13 +9,12 @@ from posegsa import config
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import schedule as schedule_figures
 from posegsa.figures.captioned import ResultFigure
-from posegsa.judging.evaluation import ORACLE, TUNED, Evaluation
+from posegsa.judging.evaluation import ORACLE, TUNED
 from posegsa.judging.metrics import (
     DIVERGED_ATTITUDE,
     DIVERGED_POSITION,
     SETTLED_ATTITUDE,
     SETTLED_POSITION,
-    Metrics,
 )
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import PERTURBATION, SENSITIVE, Trust
@@ -27,7 +26,6 @@ from posegsa.report.markup import (
     details,
     element,
     figure,
-    interval,
     join,
     number,
     paragraph,
@@ -37,62 +35,39 @@ from posegsa.report.markup import (
 from posegsa.search.build import rule_indices
 from posegsa.words import counted, toml
 
-_COSTS: tuple[tuple[str, Callable[[Evaluation, str], str]], ...] = (
-    ("Mean", lambda e, name: cost(e.cost(name).mean)),
-    ("95 % interval", lambda e, name: interval(*e.cost(name)[1:], ".2f")),
-    ("Median", lambda e, name: cost(np.median(_costs(e, name)))),
-    ("95th percentile", lambda e, name: cost(np.quantile(_costs(e, name), 0.95, method="lower"))),
-    ("Worst", lambda e, name: cost(np.max(_costs(e, name)))),
-    ("Tuned minus this", lambda e, name: _other(name, cost(e.difference(name).mean, "+.2f"))),
-    ("95 % interval", lambda e, name: _other(name, interval(*e.difference(name)[1:]))),
-    ("Diverged", lambda e, name: _percent(np.mean(e.contenders[name].metrics.diverged))),
-)
-_BEHAVIOUR: tuple[tuple[str, Callable[[Metrics], str]], ...] = (
-    ("Transient part", lambda m: cost(np.mean(m.transient))),
-    ("Steady part", lambda m: cost(np.mean(m.steady))),
-    ("Attitude settled [s]", lambda m: number(np.median(m.settling_attitude))),
-    ("Position settled [s]", lambda m: number(np.median(m.settling_position))),
-    ("Steady attitude RMS [deg]", lambda m: number(np.mean(m.rms_attitude))),
-    ("Steady position RMS [cm]", lambda m: number(100 * np.mean(m.rms_position), ".1f")),
-    ("Bias error, angular [rad/s]", lambda m: number(np.mean(m.bias_angular), ".3f")),
-    ("Bias error, linear [m/s]", lambda m: number(np.mean(m.bias_linear), ".3f")),
-)
-"""Columns of the tables of contenders: head, and what stands in a cell."""
-
 
 def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
     """All contenders side by side, as tables and figures."""
     evaluation = result.evaluation
     each = evaluation.contenders
-    costs = table(
+    captions = (
         f"Cost on {counted(evaluation.scenarios, 'held-out scenario')}, no unit",
-        ("Contender", *(head for head, _ in _COSTS)),
-        [(name, *(cell(evaluation, name) for _, cell in _COSTS)) for name in each],
-        class_="contenders",
-        own=TUNED,
-    )
-    behaviour = table(
         "Where the cost comes from, and the errors behind it",
-        ("Contender", *(head for head, _ in _BEHAVIOUR)),
-        [(name, *(cell(of.metrics) for _, cell in _BEHAVIOUR)) for name, of in each.items()],
-        class_="contenders",
-        own=TUNED,
     )
+    numbers = [
+        table(caption, head, rows, class_="contenders", own=TUNED)
+        for caption, (head, *rows) in zip(captions, evaluation.tables(cost), strict=True)
+    ]
     found = table(
         "What each contender is",
         ("Contender", "Schedule"),
         [(name, schedule_words(contender.schedule)) for name, contender in each.items()],
         class_="contenders text",
     )
-    angle = np.median(each[TUNED].metrics.initial_angle)
-    same = (
-        f"All scenarios start at an attitude error of {number(angle, '.1f')} deg, so that cost "
-        "against initial angle has nothing to show."
-    )
+    notes = []
+    if ORACLE not in each:
+        more = " adds random search, a smooth schedule and the oracle to the contenders."
+        notes.append(paragraph(element("code", "posegsa evaluate"), more, class_="note"))
+    if not evaluation_figures.angles_differ(evaluation):
+        angle = number(np.median(each[TUNED].metrics.initial_angle), ".1f")
+        same = (
+            f"All scenarios start at an attitude error of {angle} deg, so that cost against "
+            "initial angle has nothing to show."
+        )
+        notes.append(paragraph(same, class_="note"))
     return section(
         "Held-out evaluation",
-        costs,
-        behaviour,
+        *numbers,
         paragraph(
             "Parts of the cost, RMS and bias errors are means over scenarios, settling times "
             f"medians. Settled: the attitude error stays under {SETTLED_ATTITUDE:g} deg, the "
@@ -103,34 +78,23 @@ def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
             class_="note",
         ),
         found,
-        *([] if ORACLE in each else [_MORE]),
-        *([] if evaluation_figures.angles_differ(evaluation) else [paragraph(same, class_="note")]),
+        *notes,
         figures(evaluation_figures.FIGURES, pictures),
     )
 
 
-_MORE = paragraph(
-    element("code", "posegsa evaluate"),
-    " adds random search, a smooth schedule and the oracle to the contenders.",
-    class_="note",
-)
-
-
 def schedule(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
     """The tuned schedule: parameters as terms, rules with their weight, figures."""
-    half = len(config.PARAMETERS) // 2
-    low, high = result.experiment.parameters.gain_range
-    heads = ("Term", "Left foot", "Peak", "Right foot")
-    tables = [
-        table(title, heads, _terms(result.parameters[part], config.PARAMETERS[part], *ends))
-        for title, part, ends in (
-            ("Input terms, of scaled error and scaled rate [-]", slice(half), config.INPUT_RANGE),
-            ("Output terms [1/s]; gain K = 1 + centroid", slice(half, None), (low, high)),
-        )
-    ]
+    half, gains = len(config.PARAMETERS) // 2, result.experiment.parameters.gain_range
+    inputs = "Input terms, of scaled error and scaled rate [-]"
+    outputs = "Output terms [1/s]; gain K = 1 + centroid"
+    tables = (
+        _terms(inputs, result, slice(half), config.INPUT_RANGE),
+        _terms(outputs, result, slice(half, None), gains),
+    )
     return section(
         "The tuned schedule",
-        element("div", join(tables), class_="figures"),
+        element("div", *tables, class_="figures"),
         _rules(result),
         figures(schedule_figures.FIGURES, pictures),
     )
@@ -139,30 +103,29 @@ def schedule(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
 def trust(result: TuneResult) -> Html:
     """Numerical sensitivity and coverage."""
     found, own = result.trust, result.experiment.run.dtype
-    costs = {"float32": found.cost_float32, "float64": found.cost_float64}
-    simulated = {f"{name} (the run's own)" if name == own else name: c for name, c in costs.items()}
+    simulated = {"float32": found.cost_float32, "float64": found.cost_float64}
+    reference = simulated[own]
     simulated[f"{own}, start changed by {PERTURBATION:g}"] = found.cost_perturbed
-    with np.errstate(all="ignore"):
-        away = np.array(list(simulated.values())) / np.float64(costs[own]) - 1
-    rows = [
-        (name, cost(value, ".4f"), _percent(difference, "+.2g"))
-        for (name, value), difference in zip(simulated.items(), away, strict=True)
-    ]
+    rows = []
+    for name, value in simulated.items():
+        with np.errstate(all="ignore"):
+            away = np.float64(value) / reference - 1
+        said = f"{name} (the run's own)" if name == own else name
+        rows.append((said, cost(value, ".4f"), _percent(away, "+.2g")))
     within = f"{100 * SENSITIVE:g} %"
-    said = (
-        f"Sensitive: these costs differ by more than {within}, or are not finite. The simulation "
-        "is chaotic with this schedule; do not trust its costs."
-        if found.sensitive
-        else f"Not sensitive: the costs agree within {within}."
-    )
+    if found.sensitive:
+        verdict = element(
+            "strong",
+            f"Sensitive: these costs differ by more than {within}, or are not finite. The "
+            "simulation is chaotic with this schedule; do not trust its costs.",
+        )
+    else:
+        verdict = f"Not sensitive: the costs agree within {within}."
+    heads = ("Simulated in", "Cost", "Difference")
     return section(
         "Trust checks",
-        paragraph(element("strong", said) if found.sensitive else said),
-        table(
-            "Mean training cost of the tuned schedule",
-            ("Simulated in", "Cost", "Difference"),
-            rows,
-        ),
+        paragraph(verdict),
+        table("Mean training cost of the tuned schedule", heads, rows),
         paragraph(_coverage(found)),
     )
 
@@ -215,15 +178,6 @@ def schedule_words(found: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {value}" for key, value in found.items())
 
 
-def _other(name: str, cell: str) -> str:
-    """A cell that says something of the other contenders only."""
-    return "" if name == TUNED else cell
-
-
-def _costs(evaluation: Evaluation, name: str) -> np.ndarray:
-    return evaluation.contenders[name].metrics.cost
-
-
 def _percent(share: float | np.floating, form: str = ".1f") -> str:
     return f"{number(100 * share, form)} %"
 
@@ -238,32 +192,28 @@ def _with_small(text: str, small: str) -> Html:
     return join([text, " ", element("small", small)])
 
 
-def _terms(values: np.ndarray, names: tuple[str, ...], low: float, high: float) -> list[list[str]]:
-    """Rows of a table of five terms: each corner with the parameter that it is."""
-    corners = config.triangles([number(v, ".5g") for v in values], f"{low:g}", f"{high:g}")
-    labels = config.triangles(names, "fixed", "fixed")
-    return [
-        [term, *map(_with_small, row, of_row)]
-        for term, row, of_row in zip(config.TERMS, corners, labels, strict=True)
+def _terms(caption: str, result: TuneResult, part: slice, ends: tuple[float, float]) -> Html:
+    """A table of five terms: each corner with the parameter that it is."""
+    low, high = (f"{end:g}" for end in ends)
+    values = [number(value, ".5g") for value in result.parameters[part]]
+    corners = config.triangles(values, low, high)
+    names = config.triangles(config.PARAMETERS[part], "fixed", "fixed")
+    rows = [
+        [term, *map(_with_small, row, named)]
+        for term, row, named in zip(config.TERMS, corners, names, strict=True)
     ]
+    return table(caption, ("Term", "Left foot", "Peak", "Right foot"), rows)
 
 
 def _rules(result: TuneResult) -> Html:
     """The rule table with the weight of each rule."""
-    targets = rule_indices(result.experiment.fuzzy.rules)
-    rows = [
-        [
-            f"Rate {term}",
-            *(
-                _with_small(config.TERMS[target], number(weight, ".2g"))
-                for target, weight in zip(row, weights, strict=True)
-            ),
-        ]
-        for term, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True)
-    ]
-    heads = ("Rule: output term, weight", *(f"Error {term}" for term in config.TERMS))
+    targets, rows = rule_indices(result.experiment.fuzzy.rules), []
+    for term, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
+        outputs = [config.TERMS[i] for i in row]
+        shown = [number(weight, ".2g") for weight in weights]
+        rows.append([f"Rate {term}", *map(_with_small, outputs, shown)])
     return table(
         "Rules, and the mean firing strength of each over one held-out trajectory, 0 to 1",
-        heads,
+        ("Rule: output term, weight", *(f"Error {term}" for term in config.TERMS)),
         rows,
     )

@@ -12,7 +12,6 @@ random keys are stored as the numbers that they consist of.
 
 import hashlib
 import json
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +35,7 @@ _MAX_HEADER = 2**24
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint whose checksum was right; its arrays are not yet matched with a search."""
+    """A checkpoint whose checksum is right; its arrays are not yet matched with a search."""
 
     path: Path
     about: dict[str, Any]
@@ -54,30 +53,24 @@ class Checkpoint(NamedTuple):
             CheckpointError: An array is missing or of another shape or dtype, or `like` holds
                 something other than arrays; names it.
         """
-        _refuse_objects("like", like)
-        leaves, structure = jax.tree_util.tree_flatten_with_path(like)
-        wanted = {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
-        for name in [*wanted, *self.arrays]:
+        wanted = _arrays("like", like)
+        for name in wanted | self.arrays:
             if name not in self.arrays:
                 raise CheckpointError(f"{self.path}: has no {name}, which this optimiser needs")
             if name not in wanted:
                 raise CheckpointError(f"{self.path}: has {name}, which this optimiser has not")
-        return jax.tree.unflatten(structure, [self._leaf(*item) for item in wanted.items()])
+        leaves = [self._leaf(name, leaf) for name, leaf in wanted.items()]
+        return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
     def _leaf(self, name: str, like: jax.Array) -> jax.Array:
-        dtype, values = self.arrays[name]
-        like = jnp.asarray(like)
-        needed = _data(like)
-        if dtype != str(like.dtype):
-            raise CheckpointError(f"{self.path}: {name} is {dtype}; needed: {like.dtype}")
-        if values.dtype != needed.dtype:
-            raise CheckpointError(
-                f"{self.path}: {name} is stored as {values.dtype}; needed: {needed.dtype}"
-            )
-        if values.shape != needed.shape:
-            raise CheckpointError(
-                f"{self.path}: {name} has shape {values.shape}; needed: {needed.shape}"
-            )
+        (dtype, values), needed = self.arrays[name], _numbers(like)
+        for what, found, right in (
+            ("is", dtype, str(like.dtype)),
+            ("is stored as", values.dtype, needed.dtype),
+            ("has shape", values.shape, needed.shape),
+        ):
+            if found != right:
+                raise CheckpointError(f"{self.path}: {name} {what} {found}; needed: {right}")
         if _is_key(like):
             return jax.random.wrap_key_data(jnp.asarray(values), impl=jax.random.key_impl(like))
         return jnp.asarray(values)
@@ -97,21 +90,29 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
     """
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
-    content = _packed(search, about or {})
+    arrays = _arrays("search", search)
+    stored = {name: _numbers(array) for name, array in arrays.items()}
+    header = {
+        "format": FORMAT,
+        "about": about or {},
+        "arrays": [
+            [name, str(arrays[name].dtype), numbers.dtype.name, numbers.shape]
+            for name, numbers in stored.items()
+        ],
+    }
+    bytes_of = (a.astype(a.dtype.newbyteorder("<")).tobytes() for a in stored.values())
+    content = json.dumps(header).encode() + b"\n" + b"".join(bytes_of)
+    digest = hashlib.sha256(content).hexdigest().encode()
     try:
-        write_atomically(Path(path), content)
+        write_atomically(Path(path), _MAGIC + digest + b"\n" + content)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def objects_in(search: Search) -> dict[str, str]:
     """What keeps a search from being saved: the types of its parts that are no arrays, by path."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
-    return {
-        jax.tree_util.keystr(path): type(leaf).__name__
-        for path, leaf in leaves
-        if not _is_numbers(leaf)
-    }
+    leaves = _leaves(search).items()
+    return {path: type(leaf).__name__ for path, leaf in leaves if not _is_numeric(leaf)}
 
 
 def load_search(path: str | Path, like: Search) -> Search:
@@ -179,35 +180,25 @@ def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
     return Checkpoint(path, dict(header["about"]), arrays)
 
 
-def _packed(search: Search, about: dict[str, Any]) -> bytes:
-    """A checkpoint's bytes."""
-    _refuse_objects("search", search)
-    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
-    named = [(jax.tree_util.keystr(path), jnp.asarray(leaf)) for path, leaf in leaves]
-    stored = [_data(leaf) for _, leaf in named]
-    if sys.byteorder == "big":
-        stored = [a.byteswap() for a in stored]
-    header = {
-        "format": FORMAT,
-        "about": about,
-        "arrays": [
-            [name, str(leaf.dtype), a.dtype.name, a.shape]
-            for (name, leaf), a in zip(named, stored, strict=True)
-        ],
-    }
-    content = json.dumps(header).encode() + b"\n" + b"".join(a.tobytes() for a in stored)
-    return _MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+def _arrays(argument: str, search: Search) -> dict[str, jax.Array]:
+    """The arrays of a search by their path in it.
 
-
-def _refuse_objects(name: str, search: Search) -> None:
-    """Raise a CheckpointError if a search holds something other than arrays."""
+    Raises:
+        CheckpointError: It holds something else.
+    """
     for path, kind in objects_in(search).items():
         raise CheckpointError(
-            f"{name}{path} is a {kind}; needed: an array, so that it can be saved and read"
+            f"{argument}{path} is a {kind}; needed: an array, so that it can be saved and read"
         )
+    return {path: jnp.asarray(leaf) for path, leaf in _leaves(search).items()}
 
 
-def _is_numbers(leaf: object) -> bool:
+def _leaves(search: Search) -> dict[str, Any]:
+    leaves, _ = jax.tree_util.tree_flatten_with_path(search)
+    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
+
+
+def _is_numeric(leaf: object) -> bool:
     if isinstance(leaf, bool | int | float | complex):
         return True
     dtype, kinds = getattr(leaf, "dtype", None), (np.number, np.bool_, jax.dtypes.prng_key)
@@ -218,6 +209,6 @@ def _is_key(leaf: jax.Array) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def _data(leaf: jax.Array) -> np.ndarray:
+def _numbers(leaf: jax.Array) -> np.ndarray:
     """The numbers of an array, or those that a random key consists of."""
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)

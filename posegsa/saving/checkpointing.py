@@ -5,7 +5,6 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 import jax
@@ -69,14 +68,8 @@ def search_with_checkpoints(
 ) -> Found:
     """Search to the end, or until a signal asks to stop where the search can be resumed.
 
-    Args:
-        problem: What to search.
-        folder: Where checkpoints go, locked.
-        run: The run to go on with; None to begin.
-        progress: As `tune`'s.
-
-    Returns:
-        What was found, with the time that all processes together have taken.
+    It goes on with a run, or begins one in place of any whose checkpoints the locked folder holds.
+    The times of what was found are those of all processes together.
 
     Raises:
         SearchInterrupted: Ctrl-C or SIGTERM.
@@ -85,7 +78,9 @@ def search_with_checkpoints(
     """
     experiment = problem.experiment
     if run is None:
-        discard_checkpoints(folder)
+        with write_errors(folder):
+            for path in checkpoint_paths(folder):
+                path.unlink()
         search, before = first_search(problem), (0.0, 0.0)
     else:
         search = run.search(problem)
@@ -97,13 +92,12 @@ def search_with_checkpoints(
             PosegsaWarning,
             stacklevel=4,
         )
-        found = run_search(problem, progress, search=search)
-    else:
-        with (
-            deferred_signals() as request,
-            CheckpointWriter(folder, experiment, request, before) as writer,
-        ):
-            found = run_search(problem, progress, search=search, keep=writer)
+        return run_search(problem, progress, search=search)
+    with (
+        deferred_signals() as request,
+        CheckpointWriter(folder, experiment, request, before) as writer,
+    ):
+        found = run_search(problem, progress, search=search, keep=writer)
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -156,11 +150,10 @@ def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
 class CheckpointWriter:
     """Writes a run's checkpoints, as a context around its search.
 
-    Called with the search before it begins and after each chunk, it writes a checkpoint if one is
-    due, and stops the search if a signal has asked for that, even after the last chunk: the process
-    that resumes the run will judge it. A search that ends early, for whatever reason, is saved. If
-    a checkpoint can't be written, a warning says so and the search goes on until the next one is
-    due; only the very first one must succeed.
+    It stops the search if a signal has asked for that, even after the last chunk: the process that
+    resumes the run will judge it. A search that ends early, for whatever reason, is saved. If a
+    checkpoint can't be written, a warning says so and the search goes on until the next one is due;
+    only the very first one must succeed.
     """
 
     def __init__(
@@ -191,12 +184,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """Write a checkpoint if one is due, and stop if a signal has asked for that.
-
-        Args:
-            search: The search.
-            search_seconds: Time that this process has searched [s].
-            compile_seconds: Time that it has compiled [s].
+        """Write a checkpoint if one is due; called as `search.run.Keep` says.
 
         Raises:
             SearchInterrupted: A signal has asked to stop; the search is saved.
@@ -208,19 +196,9 @@ class CheckpointWriter:
             self._save()
         self._stop_if_asked()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Save what there is; an error of JAX's says how to go on.
-
-        Raises:
-            SearchInterrupted: A signal has asked to stop since the search was last looked at.
-            SearchError: JAX could not go on.
-        """
-        if error is not None and self._last is not None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        """Save what there is; an error of JAX's becomes a SearchError that says how to go on."""
+        if error is not None:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
                 self._save()
         if isinstance(error, jax.errors.JaxRuntimeError):
@@ -244,8 +222,7 @@ class CheckpointWriter:
             raise SearchInterrupted(f"interrupted {self._where()}", self._request.signal_number)
 
     def _save(self) -> None:
-        assert self._last is not None
-        if self._saved == self._iteration:
+        if self._last is None or self._saved == self._iteration:
             return
         search, search_seconds, compile_seconds = self._last
         about = About(
@@ -271,10 +248,7 @@ class CheckpointWriter:
                 )
             return
         self._saved, self._saved_at, self._warned = self._iteration, self._clock(), False
-        self._remove_others()
-
-    def _remove_others(self) -> None:
-        """Remove old checkpoints but the last few, and later ones, which were damaged."""
+        # The last few stay. Later ones, which were damaged, go.
         with contextlib.suppress(OSError):
             numbered = [p for p in checkpoint_paths(self._folder) if p.stem.isdecimal()]
             later = [p for p in numbered if int(p.stem) > self._iteration]
@@ -291,13 +265,6 @@ class CheckpointWriter:
             f"after iteration {self._iteration} of {iterations}{saved}, "
             f"best cost {best:.4g}; go on with: posegsa tune --resume {self._folder}"
         )
-
-
-def discard_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of a run that is being replaced."""
-    with write_errors(folder):
-        for path in checkpoint_paths(folder):
-            path.unlink()
 
 
 def checkpoint_paths(folder: Path) -> list[Path]:

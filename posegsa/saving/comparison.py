@@ -37,15 +37,11 @@ def load_comparison(folder: str | Path) -> OptimiserComparison:
 def continued(
     comparison: OptimiserComparison, folder: Path, *, overwrite: bool = False
 ) -> OptimiserComparison:
-    """A comparison with the searches of it that a folder holds; other optimisers come after.
-
-    Args:
-        comparison: The comparison.
-        folder: The folder, locked.
-        overwrite: Remove another comparison from it, or one that can't be read.
+    """A comparison with the searches of it that a locked folder holds; other optimisers come after.
 
     Raises:
-        RunFolderError: It holds such a one.
+        RunFolderError: It holds another comparison, or one that can't be read; with `overwrite`
+            that is removed.
     """
     if not (folder / DATA).exists():
         return comparison
@@ -79,21 +75,15 @@ def write_searches(comparison: OptimiserComparison, folder: Path) -> None:
 def write_comparison(
     comparison: OptimiserComparison, folder: Path, levels: Sequence[float] | None
 ) -> None:
-    """Write JSON, table and figure to a folder that the caller has locked.
-
-    Args:
-        comparison: The comparison.
-        folder: The folder.
-        levels: Costs to reach, in the table; by default medians.
-    """
+    """Write JSON, table (with these costs to reach) and figure to a folder that is locked."""
     files = {
-        DATA: _json(comparison).encode(),
+        DATA: _json(comparison),
         TABLE: f"{comparison.table(levels)}\n".encode(),
         FIGURE: png(plot_comparison(comparison)),
     }
     replace_files(folder, files, remove=())
 
 
-def _json(comparison: OptimiserComparison) -> str:
+def _json(comparison: OptimiserComparison) -> bytes:
     searched = [name for name, repeats in comparison.repeats.items() if repeats]
-    return to_json(comparison.only(searched), SCHEMA)
+    return to_json(comparison.only(searched), SCHEMA).encode()

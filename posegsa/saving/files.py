@@ -18,16 +18,15 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 """Flag of `os.open` that refuses to follow a link; 0 where the system has none (Windows)."""
 
 
-def write_atomically(path: Path, content: str | bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that it is whole, or as it was before, even if the power fails.
 
     Raises:
         OSError: It can't be written; nothing is left of it.
     """
-    data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = path.with_name(path.name + PART)
     try:
-        write_synced(temporary, data)
+        write_synced(temporary, content)
         temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):

@@ -31,13 +31,9 @@ _STAGED, _COMMITTED = ".saving", ".saved"
 def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A folder for a run to write to, made if missing, and locked while the context lasts.
 
-    Args:
-        folder: The folder.
-        overwrite: Allow one that holds a run already.
-
     Raises:
-        RunFolderError: It holds a run already, finished or not; is not a folder; can't be written;
-            or another run is writing there.
+        RunFolderError: It holds a run already, finished or not, and `overwrite` is not said; is
+            not a folder; can't be written; or another run is writing there.
     """
     folder = prepare_folder(folder, overwrite=overwrite)
     with lock(folder):
@@ -47,14 +43,10 @@ def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Pa
 
 
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make a folder and check that a run may be written there.
-
-    Raises:
-        RunFolderError: As `locked_folder`'s.
-    """
+    """Make a folder, unless it is one that a run may not be written to."""
     folder = as_path("folder", folder)
     if not overwrite:
-        if _exists(folder, RESULT):
+        if any((folder / place / RESULT).exists() for place in ("", _COMMITTED)):
             raise RunFolderError(
                 f"{folder}: holds a run already; choose another folder, or replace the run "
                 "(--overwrite; overwrite=True)"
@@ -180,28 +172,23 @@ def finish_commit(folder: Path) -> None:
 
 
 def read_text(folder: Path, name: str, limit: int, of: str) -> str:
-    """The text of a file in a run's folder; of a committed one, if there is one.
-
-    Args:
-        folder: The folder.
-        name: The file's name.
-        limit: Bytes that it may have.
-        of: What it is part of, in words.
+    """The text of a file, at most `limit` bytes, in a run's folder; a committed one comes first.
 
     Raises:
-        RunFolderError: It can't be read, is too large, or not UTF-8 text.
+        RunFolderError: It can't be read, is too large, not UTF-8 text, or missing: there is no
+            `of`, which are words for what it is part of.
     """
     for path in (folder / _COMMITTED / name, folder / name):
         try:
             return read_bounded(path, limit).decode("utf-8")
         except FileNotFoundError:
             continue  # also where a writer has just moved it from the first place to the second
+        except UnicodeDecodeError:
+            raise RunFolderError(f"{path}: is not UTF-8 text") from None
         except RunFolderError:
             raise
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise RunFolderError(f"{path}: is not UTF-8 text") from None
     raise RunFolderError(f"{folder}: holds no {of} ({name} is missing)")
 
 
@@ -214,10 +201,6 @@ def as_path(name: str, value: object) -> Path:
     if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
         raise RunFolderError(f"{name} = {value!r}; allowed: a path")
     return Path(value)
-
-
-def _exists(folder: Path, name: str) -> bool:
-    return (folder / _COMMITTED / name).exists() or (folder / name).exists()
 
 
 def _refuse_links(folder: Path) -> None:

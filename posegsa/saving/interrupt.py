@@ -44,10 +44,8 @@ def immediate_signals(on_first: Callable[[], object]) -> Iterator[None]:
     """Have SIGTERM raise as Ctrl-C does, and a second signal end the process at once.
 
     Python handles signals between its own steps only, not while a compiled loop runs; so a thread
-    reads them from the system. For programs that own their process, such as the command line.
-
-    Args:
-        on_first: Called by that thread at the first signal.
+    reads them from the system, and calls `on_first` at the first. For programs that own their
+    process, such as the command line.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -41,30 +41,28 @@ _SHOWN = 3
 
 
 def to_json(record: object, schema: int, summary: Mapping[str, Any] | None = None) -> str:
-    """A record as JSON.
+    """A record as JSON, under the number of its layout.
 
-    Args:
-        record: The record.
-        schema: Number of the layout, so that a file of another one is known as that.
-        summary: What follows from the record, for other readers; `from_json` passes over it.
+    `summary` is what follows from the record, for other readers; `from_json` passes over it.
     """
     head = {"schema": schema} | ({} if summary is None else {"summary": plain(summary)})
     return json_text(head | plain(record)) + "\n"
 
 
 def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Record:
-    """Read what `to_json` wrote.
-
-    Args:
-        kind: The type of the record.
-        text: The JSON.
-        schema: Number of the layout that is read.
-        source: The file, for errors.
+    """Read what `to_json` wrote, from the file that errors name.
 
     Raises:
         RunFolderError: It is not such a record, or one of another layout.
     """
-    data = _parsed(text, source)
+
+    def refuse(word: str) -> NoReturn:  # NaN and Infinity, which Python would take, are not JSON
+        raise ValueError(word)
+
+    try:
+        data = json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise RunFolderError(f"{source}: is not JSON: {error}") from None
     if not isinstance(data, dict):
         raise RunFolderError(f"{source}: {reprlib.repr(data)}; allowed: an object")
     found = data.pop("schema", "none")
@@ -91,18 +89,6 @@ def from_plain(kind: type[Record], data: object, source: Path) -> Record:
         words = "; ".join(_words(problem) for problem in problems[:_SHOWN])
         more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
         raise RunFolderError(f"{source}: {words}{more}") from None
-
-
-def _parsed(text: str, source: Path) -> Any:
-    """The data in a JSON document; NaN and Infinity, which Python would take, are not JSON."""
-
-    def refuse(word: str) -> NoReturn:
-        raise ValueError(word)
-
-    try:
-        return json.loads(text, parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise RunFolderError(f"{source}: is not JSON: {error}") from None
 
 
 def _words(problem: Mapping[str, Any]) -> str:
@@ -193,12 +179,7 @@ def to_csv(record: object) -> str:
 
 
 def from_csv(kind: type[Record], text: str, source: Path) -> Record:
-    """Read what `to_csv` wrote.
-
-    Args:
-        kind: The type of the record.
-        text: The table.
-        source: The file, for errors.
+    """Read what `to_csv` wrote, from the file that errors name.
 
     Raises:
         RunFolderError: It is not such a table.
@@ -213,7 +194,7 @@ def from_csv(kind: type[Record], text: str, source: Path) -> Record:
         for number, row in enumerate(rows, start=1):
             if len(row) != len(needed):
                 raise ValueError(f"row {number} has {len(row)} values; allowed: {len(needed)}")
-        table = [[_number(*cell) for cell in zip(needed, row, strict=True)] for row in rows]
+        table = [[_number(cell) for cell in row] for row in rows]
     except (csv.Error, ValueError) as error:
         raise RunFolderError(f"{source}: is not such a table: {error}") from None
     data, start = {}, 0
@@ -224,12 +205,12 @@ def from_csv(kind: type[Record], text: str, source: Path) -> Record:
     return from_plain(kind, data, source)
 
 
-def _number(name: str, cell: str) -> int | float:
-    """The number in a cell of a column."""
+def _number(cell: str) -> int | float | str:
+    """The number in a cell; any other text stays, for the type to refuse."""
     try:
         return int(cell) if cell.isdecimal() else float(cell)
     except ValueError:
-        raise ValueError(f"{name} = {cell!r}; allowed: numbers") from None
+        return cell
 
 
 def _columns(kind: Any) -> dict[str, tuple[str, ...]]:

@@ -51,16 +51,13 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
         dict(_leaves(one.model_dump(mode="json", exclude={"search", "checkpoint"})))
         for one in (stored, asked)
     )
-    problems = [
-        Violation(key, f"the run has {have.get(key, 'no such value')}; allowed: the same", value)
-        for key, value in want.items()
-        if have.get(key) != value
-    ]
-    problems += [
-        Violation(key, f"missing; the run has {value}")
-        for key, value in have.items()
-        if key not in want
-    ]
+    problems = []
+    for key in want | have:
+        if key not in want:
+            problems.append(Violation(key, f"missing; the run has {have[key]}"))
+        elif have.get(key) != want[key]:
+            reason = f"the run has {have.get(key, 'no such value')}; allowed: the same"
+            problems.append(Violation(key, reason, want[key]))
     search = stored.search
     try:
         search = search.resumed(asked.search)

@@ -27,6 +27,7 @@ SCHEMA = 2
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
+_FIGURE = f"{FIGURES}/{{}}.png"
 MAX_BYTES = 2**27
 """Size up to which a file of a run is read: 128 MiB."""
 MAX_ROW = 2**10
@@ -82,33 +83,30 @@ def write_run(result: TuneResult, folder: Path) -> None:
     """
     pictures = {name: png(figure) for name, figure in draw(result).items()}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
+    columns = {name: np.asarray(values) for name, values in result.history._asdict().items()}
+    history = HistoryTable(iteration=np.arange(1, len(columns["best"]) + 1), **columns)
+    evaluation = result.evaluation
     texts = {
-        HISTORY: to_csv(_table(result.history)),
+        HISTORY: to_csv(history),
         TRAJECTORY: to_csv(result.trajectory),
-        EVALUATION: to_json(result.evaluation, SCHEMA, _evaluation_summary(result.evaluation)),
-        TABLE: result.evaluation.table() + "\n",
+        EVALUATION: to_json(evaluation, SCHEMA, _evaluation_summary(evaluation)),
+        TABLE: evaluation.table() + "\n",
         REPORT: report_html(result, pictures),
         RESULT: to_json(_StoredResult(**held), SCHEMA, _result_summary(result)),
     }
     files = {name: text.encode("utf-8") for name, text in texts.items()}
-    figures = {_figure(name): picture for name, picture in pictures.items()}
+    figures = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.
-    stale = [_figure(each.name) for each in result_figures.FIGURES]
+    stale = [_FIGURE.format(each.name) for each in result_figures.FIGURES]
     replace_files(folder, files | figures, remove=stale)
 
 
-def _table(history: History) -> HistoryTable:
-    columns = {name: np.asarray(values) for name, values in history._asdict().items()}
-    return HistoryTable(iteration=np.arange(1, len(columns["best"]) + 1), **columns)
-
-
 def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
-    contenders = {name: evaluation.summary(name) for name in evaluation.contenders}
     return {
         "scenarios": evaluation.scenarios,
         "quantiles": QUANTILES,
         "gap_closed": evaluation.gap_closed(),
-        "contenders": contenders,
+        "contenders": {name: evaluation.summary(name) for name in evaluation.contenders},
     }
 
 
@@ -120,10 +118,6 @@ def _result_summary(result: TuneResult) -> dict[str, Any]:
         "held_out_scenarios": result.evaluation.scenarios,
         "warnings": result.warnings(),
     }
-
-
-def _figure(name: str) -> str:
-    return f"{FIGURES}/{name}.png"
 
 
 def load(folder: str | Path) -> TuneResult:
@@ -155,23 +149,25 @@ def load(folder: str | Path) -> TuneResult:
 
 def _refuse_disagreement(folder: Path, result: TuneResult, iteration: np.ndarray) -> None:
     """Raise a RunFolderError where the files of a run do not fit together."""
-
-    def agree(file: str, field: str, found: object, needed: object) -> None:
+    experiment, evaluation, history = result.experiment, result.evaluation, result.history
+    both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
+    k, gain = (
+        evaluation.contenders[name].schedule.get(value) if name in both else None
+        for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
+    )
+    samples, training = experiment.scenario.samples, experiment.run.training_scenarios
+    numbers = list(range(1, len(iteration) + 1))
+    for file, field, found, needed in (
+        (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
+        (EVALUATION, f"contenders.{TUNED}.schedule.k", k, result.parameters.tolist()),
+        (EVALUATION, f"contenders.{CONSTANT}.schedule.gain", gain, result.constant_gain),
+        (EVALUATION, "number of times", len(evaluation.time), len(band_samples(samples))),
+        (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
+        (RESULT, "number of training_costs", len(result.training_costs), training),
+        (HISTORY, "iteration", iteration.tolist(), numbers),
+        (HISTORY, "last best", float(history.best[-1]), result.best_cost),
+        (HISTORY, "sum of non_finite", int(history.non_finite.sum()), result.non_finite),
+    ):
         if found != needed:
             found, needed = reprlib.repr(found), reprlib.repr(needed)
             raise RunFolderError(f"{folder / file}: {field} = {found}; in {RESULT}: {needed}")
-
-    experiment, contenders = result.experiment, result.evaluation.contenders
-    both = [TUNED, CONSTANT]
-    agree(EVALUATION, "contenders", [name for name in both if name in contenders], both)
-    tuned, constant = (contenders[name].schedule for name in both)
-    agree(EVALUATION, f"contenders.{TUNED}.schedule.k", tuned.get("k"), result.parameters.tolist())
-    gain = constant.get("gain")
-    agree(EVALUATION, f"contenders.{CONSTANT}.schedule.gain", gain, result.constant_gain)
-    samples, training = experiment.scenario.samples, experiment.run.training_scenarios
-    agree(EVALUATION, "number of times", len(result.evaluation.time), len(band_samples(samples)))
-    agree(TRAJECTORY, "number of rows", len(result.trajectory.time), samples)
-    agree(RESULT, "number of training_costs", len(result.training_costs), training)
-    agree(HISTORY, "iteration", iteration.tolist(), list(range(1, len(iteration) + 1)))
-    agree(HISTORY, "last best", float(result.history.best[-1]), result.best_cost)
-    agree(HISTORY, "sum of non_finite", int(result.history.non_finite.sum()), result.non_finite)

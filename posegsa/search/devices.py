@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from posegsa.arguments import check_type, check_whole
-from posegsa.errors import ArgumentError, PosegsaError
+from posegsa.arguments import check_type, check_whole, refuse
+from posegsa.errors import PosegsaError
 
 AXIS = "devices"
 """Name of the mesh's only axis."""
@@ -41,19 +41,17 @@ def join_processes(
         ArgumentError: Some are given and others not, or one is not what is said here.
         PosegsaError: The processes did not find each other, or JAX was in use already.
     """
-    given = coordinator, processes, process
-    if any(a is None for a in given) and any(a is not None for a in given):
-        raise ArgumentError(
-            f"coordinator = {coordinator}, processes = {processes}, process = {process}; allowed: "
-            "all three, or none on a cluster that JAX knows"
-        )
-    if coordinator is not None:
+    if coordinator is not None and processes is not None and process is not None:
         check_type("coordinator", coordinator, str, allowed="text, HOST:PORT")
-    if coordinator is not None and not coordinator.rpartition(":")[2].isdecimal():
-        raise ArgumentError(f"coordinator = {coordinator!r}; allowed: HOST:PORT")
-    if processes is not None and process is not None:
+        if not coordinator.rpartition(":")[2].isdecimal():
+            refuse(f"coordinator = {coordinator!r}", "HOST:PORT")
         check_whole("processes", processes, 1, MAX_PROCESSES)
         check_whole("process", process, 0, processes - 1)
+    elif (coordinator, processes, process) != (None, None, None):
+        refuse(
+            f"coordinator = {coordinator}, processes = {processes}, process = {process}",
+            "all three, or none on a cluster that JAX knows",
+        )
     try:
         jax.distributed.initialize(coordinator, processes, process)
     except (RuntimeError, ValueError) as error:

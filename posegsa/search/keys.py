@@ -58,7 +58,7 @@ def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
     """
     key = keys(seed).held_out
     if another is not None:
-        check_whole("seed", another, 0, 2**31 - 1)
+        check_whole("seed", another, 0)
         key = random.fold_in(key, 2**31 + another)  # no scenario has so large a number
     return scenario_keys(key, count)
 

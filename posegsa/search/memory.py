@@ -1,7 +1,8 @@
 """What an experiment needs of memory, estimated before anything is allocated."""
 
-import contextlib
+from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import jax
@@ -21,12 +22,7 @@ _GROUP = Path("/sys/fs/cgroup")
 
 
 def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[str, int]:
-    """Estimated bytes, by the values that cause them.
-
-    Args:
-        experiment: The experiment.
-        held_out: Number of held-out scenarios, if not its own.
-    """
+    """Estimated bytes, by the values that cause them; `held_out` replaces its own scenarios."""
     run, scenario, search = experiment.run, experiment.scenario, experiment.search
     size = np.dtype(run.dtype).itemsize
     held_out = run.held_out_scenarios if held_out is None else held_out
@@ -36,39 +32,33 @@ def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[st
     # Truth, measurements and what the loop reads of them; once more, at both precisions, of the
     # training scenarios, on which the result's sensitivity is checked.
     prepared = 27 + 8 * landmarks
-    numbers = prepared + 25 + 7 * (vectors + landmarks)
-    per_scenario = samples * numbers
+    per_scenario = samples * (prepared + 25 + 7 * (vectors + landmarks))
     points = experiment.fuzzy.sampled_points if experiment.fuzzy.centroid == "sampled" else 0
-    agents = search.agents * training * (PER_AGENT + points) * size
+    per_agent = training * (PER_AGENT + points) + 22 * 10
     return {
         "run.held_out_scenarios": held_out * per_scenario * size,
         "run.training_scenarios": training
         * (per_scenario * (size + 8) + samples * prepared * size),
-        "search.agents": agents + search.agents * 22 * size * 10,
+        "search.agents": search.agents * per_agent * size,
         "search.iterations": search.total_iterations * (3 * size + 4 + 3 * 8),
     }
 
 
 def check(experiments: Iterable[config.Experiment], held_out: int | None = None) -> None:
-    """Refuse experiments that would need more memory than there is.
-
-    Args:
-        experiments: All that are to be held at once.
-        held_out: Number of held-out scenarios, if not their own.
+    """Refuse experiments, all held at once, that would need more memory than there is.
 
     Raises:
         MemoryLimitError: They would; it names the values and their share.
     """
     many = list(experiments)
-    shares: dict[str, int] = {}
+    shares = Counter[str]()
     for one in many:
-        for key, share in needs(one, held_out).items():
-            shares[key] = shares.get(key, 0) + share
+        shares.update(needs(one, held_out))
     total, there = COMPILER + sum(shares.values()), available()
     if there is None or total <= there:
         return
     violations = []
-    for key, share in sorted(shares.items(), key=lambda item: -item[1]):
+    for key, share in shares.most_common():
         if share > total / 20:
             section, name = key.split(".")
             value = getattr(getattr(many[0], section), name)
@@ -93,12 +83,12 @@ def available() -> int | None:
         if "bytes_limit" in stats:
             return int(stats["bytes_limit"]) - int(stats.get("bytes_in_use", 0))
     found = []
-    with contextlib.suppress(OSError, ValueError):
+    with suppress(OSError, ValueError):
         found.append(1024 * _entry(_MEMORY, "MemAvailable:"))
-    with contextlib.suppress(OSError, ValueError):  # "max" is no number: no limit
+    with suppress(OSError, ValueError):  # "max" is no number: no limit
         limit = int((_GROUP / "memory.max").read_text("ascii"))
         used = int((_GROUP / "memory.current").read_text("ascii"))
-        with contextlib.suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):
             # Files that nobody has read for a while: the system drops them where memory is short.
             used -= _entry(_GROUP / "memory.stat", "inactive_file")
         found.append(limit - used)
@@ -106,12 +96,7 @@ def available() -> int | None:
 
 
 def _entry(path: Path, name: str) -> int:
-    """A number from a file of the system's with a name and a number in each line.
-
-    Raises:
-        OSError: It can't be read.
-        ValueError: It has no such number.
-    """
+    """A number from a file of the system's with a name and a number in each line."""
     for line in path.read_text("ascii").splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:

@@ -9,7 +9,7 @@ that; both keep every value inside its own box and leave a vector that is in ord
 it is.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import jax
@@ -18,11 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.config import (
-    INPUT_RANGE,
-    PARAMETERS,
-    triangles,
-)
+from posegsa.config import INPUT_RANGE, PARAMETERS, triangles
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 from posegsa.model.schedules import FuzzyGain
@@ -31,22 +27,11 @@ _SEARCHED = slice(2, 13)
 """Where the searched values stand among the 15 entries of five triangles; the other four are
 fixed."""
 
+_STATIC = {"static": True}
+"""Marks a field for whose value programs are compiled."""
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["lower", "upper", "overlap"],
-    meta_fields=[
-        "ordering",
-        "coverage",
-        "rules",
-        "gain_range",
-        "centroid",
-        "points",
-        "sampled_rule",
-        "no_rule",
-        "reach",
-    ],
-)
+
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ParameterSpace:
     """Boxes and repairs of the vector k, and the controller's choices that are not searched."""
@@ -57,16 +42,16 @@ class ParameterSpace:
     """(22,)"""
     overlap: Array
     """Minimum overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
-    ordering: bool
-    coverage: bool
-    rules: Rules
-    gain_range: tuple[float, float]
+    ordering: bool = field(metadata=_STATIC)
+    coverage: bool = field(metadata=_STATIC)
+    rules: Rules = field(metadata=_STATIC)
+    gain_range: tuple[float, float] = field(metadata=_STATIC)
     """Ends of the output universe [1/s]."""
-    centroid: Centroid
-    points: int
-    sampled_rule: SampledRule
-    no_rule: NoRule
-    reach: int
+    centroid: Centroid = field(metadata=_STATIC)
+    points: int = field(metadata=_STATIC)
+    sampled_rule: SampledRule = field(metadata=_STATIC)
+    no_rule: NoRule = field(metadata=_STATIC)
+    reach: int = field(metadata=_STATIC)
     """How far apart in their order output terms may overlap anywhere in the boxes."""
 
     @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
@@ -111,10 +96,8 @@ class ParameterSpace:
 
     def vector(self, controller: FuzzyController) -> Array:
         """The vector k (22,) of a controller, the inverse of `controller` on repaired vectors."""
-        inputs, outputs = (
-            jnp.reshape(t, 15) for t in (controller.input_terms, controller.output_terms)
-        )
-        return jnp.concatenate([inputs[_SEARCHED], outputs[_SEARCHED]])
+        terms = controller.input_terms, controller.output_terms
+        return jnp.concatenate([jnp.reshape(t, 15)[_SEARCHED] for t in terms])
 
     def valid(self, vector: Array) -> Array:
         """Whether a vector k (22,) has a cost: with ordering off, only if it is in order."""
@@ -132,17 +115,14 @@ class ParameterSpace:
             values = np.asarray(k, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise FuzzyError(f"k: must be 22 numbers, k1 to k22 ({error})") from None
-        if values.shape != (len(PARAMETERS),):
-            raise FuzzyError(
-                f"k: must have the shape ({len(PARAMETERS)},), k1 to k22, got {values.shape}"
-            )
+        if values.shape != (22,):
+            raise FuzzyError(f"k: must have the shape (22,), k1 to k22, got {values.shape}")
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         slack = 1e-6 * np.maximum(1.0, np.abs(upper))  # rounding of float32 results written as text
-        for i, value in enumerate(values):
-            if not lower[i] - slack[i] <= value <= upper[i] + slack[i]:
-                raise FuzzyError(
-                    f"{PARAMETERS[i]}: must lie in [{lower[i]:g}, {upper[i]:g}], got {value:g}"
-                )
+        inside = (lower - slack <= values) & (values <= upper + slack)
+        for i in np.flatnonzero(~inside):
+            allowed = f"[{lower[i]:g}, {upper[i]:g}]"
+            raise FuzzyError(f"{PARAMETERS[i]}: must lie in {allowed}, got {values[i]:g}")
         return jnp.asarray(np.clip(values, lower, upper), self.lower.dtype)
 
 
@@ -158,11 +138,8 @@ def ordered(terms: Array) -> Array:
 def covering(terms: Array, lower_feet: Array, overlap: Array) -> Array:
     """Input terms (5, 3) without gaps: a_{i+1} <- max(low, a_i, min(a_{i+1}, c_i - overlap)).
 
-    Args:
-        terms: ordered terms.
-        lower_feet: (5,) lower bounds of the a's.
-        overlap: minimum overlap wanted. A bound `low` above c_i - overlap wins: the result stays in
-        its box.
+    The terms are ordered, lower_feet (5,) are the lower bounds of the a's. A bound above
+    c_i - overlap wins: the result stays in its box.
     """
     feet = [terms[0, 0]]
     for i in range(terms.shape[0] - 1):

@@ -3,20 +3,20 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.sharding import Mesh
+from jax.typing import ArrayLike
 
 from posegsa import config
 from posegsa.errors import ConfigError
 from posegsa.optimisers import (
     Differentiable,
     Search,
-    advance,
     forward_mode,
     in_chunks,
     runner,
@@ -76,10 +76,9 @@ def run_timed(
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
         progress: As `tune`'s.
-        keep: As `run_search`'s.
+        keep: Looks at the search on its way, such as to save it.
     """
-    keep = keep if keep is not None else lambda *_: None
-    tell = progress if progress is not None else lambda _: None
+    keep, tell = keep or (lambda *_: None), progress or (lambda _: None)
     keep(collect(search), 0.0, 0.0)
     begun = time.monotonic()
     # No iterations yet: this compiles, unless a search of this structure has run in this process.
@@ -126,17 +125,13 @@ def run_search(
         task: What to search.
         progress: As `tune`'s.
         search: A search of this task to go on with; by default a new one.
-        keep: What looks at the search on its way, such as to save it.
+        keep: As `run_timed`'s.
     """
-    optimiser = task.experiment.search
-    begin = first_search(task) if search is None else search
-    if optimiser.on_host:
-        run = _run_on_host(task)
-    else:
-        mesh = _mesh(task)
-        begin, box, *data = spread((begin, task.space.box, task.training, task.space), mesh)
-        run = runner(optimiser, _objective(task, mesh), box, *data, on_devices=on_each(mesh))
-    return run_timed(run, begin, optimiser.total_iterations, progress, keep)
+    optimiser, search = task.experiment.search, search or first_search(task)
+    if not optimiser.on_host:
+        return _run_on_devices(task, search, progress, keep)
+    run = runner(optimiser, on_all_devices(task), task.space.box, on_host=True)
+    return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
 
 def search_batch(
@@ -165,12 +160,9 @@ def search_batch(
             f"only, such as noise, gamma, weights, boxes and initial errors ({error})"
         ) from None
     search_keys = jnp.stack([keys(task.experiment.run.seed).search for task in tasks])
-    search = jax.vmap(partial(start, optimiser))(space.box, search_keys)
-
-    mesh = _mesh(tasks[0])
-    search, box, *data = spread((search, space.box, training, space), mesh)
-    run = runner(optimiser, _objective(tasks[0], mesh), box, *data, on_devices=on_each(mesh))
-    found = run_timed(run, search, optimiser.total_iterations, progress)
+    searches = jax.vmap(partial(start, optimiser))(space.box, search_keys)
+    together = tasks[0]._replace(training=training, space=space)
+    found = _run_on_devices(together, searches, progress)
     share = len(tasks)
     return [
         Found(
@@ -186,9 +178,17 @@ def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[P
     return replace(space, schedules=replace(space.schedules, reach=reach))
 
 
-def _mesh(task: TuningProblem) -> Mesh | None:
-    experiment = task.experiment
-    return mesh_for(experiment.search.agents * experiment.run.training_scenarios)
+def _run_on_devices(
+    task: TuningProblem,
+    search: Search,
+    progress: Callable[[Progress], object] | None,
+    keep: Keep | None = None,
+) -> Found:
+    """Run one compiled search, or R of them: then the task's arrays have leaves (R, ...)."""
+    optimiser, objective, mesh = task.experiment.search, *_objective(task)
+    search, box, *data = spread((search, task.space.box, task.training, task.space), mesh)
+    run = runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
+    return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
 
 class _Objective(NamedTuple):
@@ -202,51 +202,32 @@ class _Objective(NamedTuple):
 
     def __call__(self, training: ScenarioBatch, space: SearchSpace) -> Differentiable:
         """As a function of vectors (A, 22), on training scenarios."""
-
-        def costs(vectors: Array) -> Array:
-            return population_costs(vectors, training, space, self.objective, self.axis, self.cost)
-
-        return forward_mode(costs)
-
-
-def _objective(task: TuningProblem, mesh: Mesh | None) -> _Objective:
-    return _Objective(task.experiment.objective, None if mesh is None else AXIS, task.cost)
+        return forward_mode(
+            lambda vectors: population_costs(
+                vectors, training, space, self.objective, self.axis, self.cost
+            )
+        )
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _costs(
-    objective: _Objective,
-    on_devices: Callable[[Callable[..., Array]], Callable[..., Array]],
-    vectors: Array,
-    training: ScenarioBatch,
-    space: SearchSpace,
-) -> Array:
+def _objective(task: TuningProblem) -> tuple[_Objective, Mesh | None]:
+    """The objective of a task, and the devices over which its simulations are divided."""
+    experiment = task.experiment
+    mesh = mesh_for(experiment.search.agents * experiment.run.training_scenarios)
+    axis = None if mesh is None else AXIS
+    return _Objective(experiment.objective, axis, task.cost), mesh
+
+
+def on_all_devices(task: TuningProblem) -> Callable[[ArrayLike], Array]:
+    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
+    objective, mesh = _objective(task)
+    training, space = spread((task.training, task.space), mesh)
+    costs = _costs(objective, mesh)
+    return lambda vectors: collect(costs(spread(vectors, mesh), training, space))
+
+
+@cache
+def _costs(objective: _Objective, mesh: Mesh | None) -> Callable[..., Array]:
     def costs(vectors: Array, training: ScenarioBatch, space: SearchSpace) -> Array:
         return objective(training, space).costs(vectors)
 
-    return on_devices(costs)(vectors, training, space)
-
-
-def on_all_devices(task: TuningProblem) -> Callable[[Array], Array]:
-    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
-    mesh = _mesh(task)
-    objective, (training, space) = _objective(task, mesh), spread((task.training, task.space), mesh)
-
-    def costs(vectors: Array) -> Array:
-        return collect(_costs(objective, on_each(mesh), spread(vectors, mesh), training, space))
-
-    return costs
-
-
-def _run_on_host(task: TuningProblem) -> Runner:
-    """What runs a search on whose optimiser can't be compiled; the simulations are."""
-    optimiser, space = task.experiment.search, task.space
-    costs = on_all_devices(task)
-
-    def run(search: Search, stop: int) -> Search:
-        if stop == 0:  # compile
-            anything = jnp.tile(space.box.lower[None], (optimiser.agents, 1))
-            jax.block_until_ready(costs(anything))
-        return advance(optimiser, costs, space.box, search, stop)
-
-    return run
+    return jax.jit(on_each(mesh)(costs))

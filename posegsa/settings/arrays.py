@@ -57,14 +57,9 @@ class Numbers:
         return core_schema.with_info_after_validator_function(read, schema)
 
     def _array(self, numbers: Any, lengths: Any) -> np.ndarray:
-        """Numbers of the right type as an array.
+        """Nested lists of the right type as an array, if shape and values are allowed.
 
-        Args:
-            numbers: Nested lists, or a single number.
-            lengths: The named lengths that this record has shown so far; new ones are added.
-
-        Raises:
-            ValueError: They have another shape, or NaN where that is not allowed.
+        `lengths` are the named ones that this record has shown so far; new ones are added.
         """
         array = np.array(numbers, self.dtype)
         needed = [

@@ -82,32 +82,29 @@ def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> 
 
 
 def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
-    """What one error of pydantic's stands for."""
+    """What is wrong, according to one error of pydantic's."""
     context, value, reason = item.get("ctx", {}), item["input"], item["msg"]
     path, tables = _place(item["loc"], model)
     if isinstance(cause := context.get("error"), Refused):
         return [violation.under(path) for violation in cause.violations]
-    is_table = isinstance(value, Mapping)
-    if "discriminator" in context and is_table:  # the key that says which of a union is meant
-        key = context["discriminator"].strip("'")
-        path, value = (*path, key), value.get(key, ABSENT)
     match item["type"]:
         case "extra_forbidden":
             path = (*path, item["loc"][-1])
             value, reason = ABSENT, _unknown_key(path, tables, model)
-        case "union_tag_not_found" if not is_table:
-            reason = f"Input should be a table with the keys {_listed(tables)}"
-        case "missing" | "union_tag_not_found":
+        case "missing":
             value, reason = ABSENT, "missing"
         case "tuple_type":
             reason = "Input should be an array"
-        case "model_type" | "model_attributes_type":
+        case "model_type" | "model_attributes_type" | "union_tag_not_found":
             reason = f"Input should be a table with the keys {_listed(tables)}"
-        case "literal_error" | "union_tag_invalid":
-            expected = context.get("expected") or context["expected_tags"]
-            reason = f"Input should be {expected}"
-            if nearest := _nearest(value, re.findall("'([^']*)'", expected)):
-                reason += f"; did you mean '{nearest}'?"
+        case "union_tag_invalid":  # the key that says which table is meant
+            key = context["discriminator"].strip("'")
+            path = (*path, key)
+            value = value[key] if isinstance(value, Mapping) else context["tag"]
+    if expected := context.get("expected") or context.get("expected_tags"):
+        reason = f"Input should be {expected}"
+        if nearest := _nearest(value, re.findall("'([^']*)'", expected)):
+            reason += f"; did you mean '{nearest}'?"
     reason = re.sub("^(Input|Tuple) | after validation", "", reason)
     reason = re.sub(r"0\.0{4}\d+", lambda small: f"{float(small[0]):g}", reason)
     return [Violation(_dotted(path), reason, value)]
@@ -126,7 +123,8 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
         if fields:
             tables = [table for field in fields for table in _tables_of(field)]
         else:
-            tables = [t for t in tables if _is_tag_of(step, t)] or tables
+            tagged = [t for t in tables if any(step in get_args(f.annotation) for f in t.values())]
+            tables = tagged or tables
     return path, tables
 
 
@@ -143,10 +141,6 @@ def _tables(annotation: Any) -> list[_Table]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation.model_fields]
     return [table for part in get_args(annotation) for table in _tables(part)]
-
-
-def _is_tag_of(step: int | str, table: _Table) -> bool:
-    return any(step in get_args(field.annotation) for field in table.values())
 
 
 def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:

@@ -86,7 +86,7 @@ def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["tune", "missing.toml"], ["missing.toml", "no such file"]),
+        (["tune", "missing.toml"], ["missing.toml", "No such file"]),
         (["tune", "--set", "filter.substep=4"], ["filter.substep", "substeps"]),
         (["tune", "--set", "run.dtype=float16"], ["run.dtype", "float16", "float32", "float64"]),
         (["tune", "--set", "scenario.velocity_noise=-0.1"], ["scenario.velocity_noise", "-0.1"]),

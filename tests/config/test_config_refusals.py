@@ -376,8 +376,8 @@ def test_a_bad_file_is_named_with_its_place(tmp_path: Path, content: bytes, mess
 
 
 def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
-    assert "no such file" in refusal(load, tmp_path / "none.toml")
-    assert "a folder" in refusal(load, tmp_path)
+    assert "cannot be read as a TOML file: No such file" in refusal(load, tmp_path / "none.toml")
+    assert "cannot be read as a TOML file: Is a directory" in refusal(load, tmp_path)
     assert "cannot be read" in refusal(load, written(tmp_path, b"") / "below")
     assert "cannot be read" in refusal(load, "a\0b")
 
@@ -387,7 +387,9 @@ def test_a_file_without_rights_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "open", denied)
-    assert "cannot be read: Permission denied" in refusal(load, tmp_path / "secret.toml")
+    assert "cannot be read as a TOML file: Permission denied" in refusal(
+        load, tmp_path / "secret.toml"
+    )
 
 
 # Settings from the command line -------------------------------------------------------------------

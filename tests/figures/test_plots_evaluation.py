@@ -99,7 +99,6 @@ def test_nothing_finite_and_one_contender_are_drawn():
         figure.draw_without_rendering()
     (ax,) = plots.plot_costs(evaluation((TUNED,))).axes
     assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
-    plots.plot_costs(evaluation((TUNED, "someone's own"))).draw_without_rendering()
 
 
 def test_bands_are_the_quantiles_of_three_contenders():

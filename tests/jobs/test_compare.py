@@ -14,7 +14,7 @@ from scipy import stats
 import posegsa
 from posegsa.cli.command import main
 from posegsa.cli.progress import CompareBar
-from posegsa.comparing import Status, _search
+from posegsa.comparing import Status, Subject, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
@@ -220,7 +220,7 @@ def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) ->
     with pytest.raises(KeyboardInterrupt):
         posegsa.compare(tiny(), optimisers=["gsa", "pso"], progress=interrupted, **same)
     assert {n: len(r) for n, r in load_comparison(tmp_path).repeats.items()} == {"gsa": 1}
-    assert "1 repeats" in load_comparison(tmp_path).table()
+    assert "1 repeat of" in load_comparison(tmp_path).table()
     more = posegsa.compare(tiny(), optimisers=["random_search"], **same)
     assert {n: len(r) for n, r in more.repeats.items()} == {"random_search": 2, "gsa": 1}
 
@@ -273,22 +273,15 @@ def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(
         sys.modules["posegsa.comparing"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
     )
-    monkeypatch.setattr(sys.modules["posegsa.comparing"], "_Filter", Unsearched)
+    monkeypatch.setattr(
+        sys.modules["posegsa.comparing"], "_filter", lambda _: Subject("a filter", None, None)
+    )
     same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
     posegsa.compare(tiny(), repeats=1, **same)
     more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
     assert len(more.repeats["gsa"]) == 2
     with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
         posegsa.compare(tiny("filter.gamma=7.0"), repeats=2, **same)
-
-
-class Unsearched:
-    """A filter that takes no time to make ready."""
-
-    title = "a filter"
-
-    def __init__(self, experiment) -> None:
-        del experiment
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

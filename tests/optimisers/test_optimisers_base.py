@@ -281,7 +281,9 @@ def test_minimise_refuses_a_chunk(chunk: Any) -> None:
 
 
 def test_objective_of_the_wrong_shape() -> None:
-    with pytest.raises(ValueError, match=r"objective: costs of shape \(5, 1\); allowed: \(5,\)"):
+    with pytest.raises(
+        ValueError, match=r"costs are float32 of shape \(5, 1\); allowed: real numbers \(5,\)"
+    ):
         minimise(lambda x: x, box([0], [1]), Fixed(), jax.random.key(0))
 
 

@@ -11,7 +11,12 @@ from jax import Array, random
 
 from posegsa.optimisers import Box, ParticleSwarm, box, minimise
 from posegsa.optimisers.base import uniform
-from posegsa.optimisers.particle_swarm import INERTIA, PULL, constriction
+from posegsa.optimisers.particle_swarm import INERTIA, PULL
+
+
+def constriction(phi: float) -> float:
+    """Return chi of Clerc and Kennedy (2002, Eq. 4.15 with kappa = 1) for phi = phi1 + phi2 > 4."""
+    return 2 / (phi - 2 + math.sqrt(phi**2 - 4 * phi))
 
 
 def test_constriction_is_the_published_number() -> None:

@@ -146,14 +146,14 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
         pytest.fail("a link was opened")
     (run / "comparison.json.part").symlink_to(precious)
     with pytest.raises(OSError, match="symbolic links"):
-        files.write_atomically(run / "comparison.json", "new")
+        files.write_atomically(run / "comparison.json", b"new")
     assert precious.read_text() == "mine"
 
 
 def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
     """By real means: the system refuses to write more than this to a file."""
     path = tmp_path / "file"
-    files.write_atomically(path, "old")
+    files.write_atomically(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import pytest
-from pydantic import Field
 
 from posegsa.errors import ConfigError
+from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Ascending, Count, NonNegative, Section
 from posegsa.settings.violations import Violation
 
@@ -42,7 +42,10 @@ class Then(Section):
 
 
 class Root(Section):
-    search: Annotated[Swarm | Descent | Then, Field(discriminator="optimiser")] = Swarm()
+    search: Annotated[
+        Swarm | Descent | Then,
+        Choice("optimiser", {"swarm": Swarm, "descent": Descent, "swarm+descent": Then}),
+    ] = Swarm()
     """A union told apart by its tag."""
     particles: Literal[1, 2] = 1
     """A key that a member of the union has too."""
@@ -65,7 +68,7 @@ def refusal(search: object, **others: object) -> str:
             "mean 'swarm'?",
         ),
         ({"optimiser": 3}, "search.optimiser = 3 should be 'swarm', 'descent', 'swarm+descent'"),
-        ({"particles": 3}, "search.optimiser missing"),
+        ({"starts": 3}, "search.starts unknown key; known here: optimiser, particles"),
         (3, "search = 3 should be a table with the keys optimiser, particles, inertia, starts"),
         ({"optimiser": "swarm", "inertai": 1}, "search.inertai unknown key; did you mean search.i"),
         ({"optimiser": "descent", "inertia": 1}, "search.inertia unknown key; known here: optimi"),
