@@ -14,10 +14,9 @@ from posegsa.evaluating import evaluate
 from posegsa.export import export_c, export_csv, export_json
 from posegsa.figures.result import draw
 from posegsa.figures.schedule import plot_input_terms, plot_output_terms, plot_surface
-from posegsa.judging.batch import TuneBatch
 from posegsa.judging.comparison import OptimiserComparison
 from posegsa.judging.result import VERSION as __version__
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import TuneBatch, TuneResult
 from posegsa.model.filter import FilterSettings, FilterState, initial_state, step
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements

@@ -1,9 +1,7 @@
 """The main job: an experiment in, a tuned schedule out, judged on noise that it has not seen."""
 
-import json
 import os
 from collections.abc import Callable, Iterable
-from numbers import Integral
 from pathlib import Path
 
 import jax
@@ -11,9 +9,8 @@ import jax
 from posegsa import config
 from posegsa.arguments import check_callable, check_type
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
-from posegsa.judging.batch import TuneBatch
 from posegsa.judging.judge import judge
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import TuneBatch, TuneResult
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
     newest_checkpoint,
@@ -25,6 +22,7 @@ from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import Progress, run_search, search_batch
+from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
 """An experiment, a TOML file, or the recommended experiment."""
@@ -174,12 +172,5 @@ def _chosen(
 ) -> config.Experiment:
     """The experiment that a user means, with a seed and a number of iterations if given."""
     given = {"run.seed": seed, "search.iterations": iterations}
-    settings = [f"{key}={_written(value)}" for key, value in given.items() if value is not None]
+    settings = [f"{key}={toml(value)}" for key, value in given.items() if value is not None]
     return config.override(config.as_experiment(experiment), settings)
-
-
-def _written(value: object) -> str:
-    """A number, also NumPy's, as a setting writes it; anything else so that it is refused."""
-    if isinstance(value, Integral) and not isinstance(value, bool):
-        return str(int(value))
-    return json.dumps(str(value))

@@ -126,9 +126,7 @@ def test_two_processes_find_what_one_finds(task):
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
     joined = {}
-    monkeypatch.setattr(
-        "posegsa.cli.tune.join_processes", lambda **given: joined.update(given)
-    )
+    monkeypatch.setattr("posegsa.cli.tune.join_processes", lambda **given: joined.update(given))
     monkeypatch.setattr(jax, "process_index", lambda: 1)
     monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
     command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
