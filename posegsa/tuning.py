@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 
 from posegsa import config
-from posegsa.arguments import check_callable, check_type
+from posegsa.arguments import check_callable, several
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
 from posegsa.judging.judge import judge
 from posegsa.judging.result import TuneBatch, TuneResult
@@ -154,11 +154,10 @@ def _all_chosen(
     """The experiments that a user means, each with each seed; at least one, all of one dtype."""
     if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
         experiments = [config.as_experiment(experiments)]
-    check_type("experiments", experiments, Iterable, allowed="experiments, or one")
-    many = [config.as_experiment(one) for one in experiments]
+    each = several("experiments", experiments, object, "experiments, or one")
+    many = list(map(config.as_experiment, each))
     if seeds is not None:
-        check_type("seeds", seeds, Iterable, allowed="several whole numbers")
-        each = list(seeds)
+        each = several("seeds", seeds, object, "several whole numbers")
         many = [_chosen(one, seed) for one in many for seed in each]
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")

@@ -72,12 +72,9 @@ class _SmoothObjective(NamedTuple):
 
     def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
         """As a function of vectors (A, 3), on training scenarios."""
-
-        def costs(vectors: Array) -> Array:
-            schedules = jax.vmap(smooth_gain)(vectors)
-            return over_scenarios(agent_costs(schedules, training), self.objective)
-
-        return costs
+        return lambda vectors: over_scenarios(
+            agent_costs(jax.vmap(smooth_gain)(vectors), training), self.objective
+        )
 
 
 def search_smooth(

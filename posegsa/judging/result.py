@@ -49,7 +49,6 @@ class TuneResult:
     evaluation: Evaluation
     """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
     trust: Trust
-    """Numerical sensitivity and use of the rules."""
     evaluations: Annotated[int, Field(ge=1)]
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
     as several (`search.gradient_price`)."""
@@ -59,13 +58,11 @@ class TuneResult:
     compile_seconds: NonNegative
     search_seconds: NonNegative
     history: History
-    """Best, mean and worst cost and the number that was not finite, of each iteration."""
     trajectory: Trajectory
     """The tuned filter on the first held-out scenario."""
     environment: dict[str, str]
     """Versions and device."""
     version: str
-    """Version of posegsa."""
 
     @property
     def controller(self) -> FuzzyController:

@@ -43,9 +43,7 @@ class About(NamedTuple):
     search_seconds: NonNegative
     """Time that all processes so far have searched [s]."""
     compile_seconds: NonNegative
-    """Time that they have compiled [s]."""
     environment: dict[str, str]
-    """Where it was made."""
 
 
 class CheckpointedRun(NamedTuple):
@@ -166,7 +164,6 @@ class CheckpointWriter:
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
-        """Nothing is saved yet."""
         self._last: tuple[Search, float, float] | None = None
         self._iteration = -1
         self._saved: int | None = None  # iteration of the newest checkpoint

@@ -125,7 +125,7 @@ def _strict(kind: Any) -> Any:
     """The type by which pydantic reads values of a type from plain data, and nothing else."""
     if kind in _SCALARS:
         return _SCALARS[kind]
-    if _is_record(kind):
+    if is_dataclass(kind) or typing.is_typeddict(kind) or hasattr(kind, "_fields"):
         return _strict_record(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
@@ -144,12 +144,6 @@ def _section(kind: type[BaseModel], data: Any) -> BaseModel:
     if not isinstance(data, dict):
         raise ValueError("allowed: a table")
     return kind(**data)
-
-
-def _is_record(kind: Any) -> bool:
-    if is_dataclass(kind) or typing.is_typeddict(kind):
-        return True
-    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
 def _strict_record(kind: Any) -> Any:
@@ -222,7 +216,6 @@ def _number(cell: str) -> int | float | str:
 
 
 def _columns(kind: Any) -> dict[str, tuple[str, ...]]:
-    """The names of the columns of each field of a record."""
     return {
         field: said.names
         for field, hint in typing.get_type_hints(kind, include_extras=True).items()
