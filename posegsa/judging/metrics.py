@@ -55,14 +55,11 @@ class Metrics(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """Quantiles over scenarios of the errors over time, each (3, N): QUANTILES, in this order."""
+    """Quantiles over scenarios of errors [deg], [m] and gain [1/s] over time, each (3, N)."""
 
     attitude: Band
-    """[deg]"""
     position: Band
-    """[m]"""
     gain: Band
-    """[1/s]"""
 
 
 @jax.jit

@@ -6,7 +6,7 @@ user's box, replaces costs and gradients that are not finite, and keeps the reco
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from posegsa.arguments import check_whole, refuse
 from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
+from posegsa.settings.arrays import Columns
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
 """What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
@@ -27,10 +28,14 @@ with its own gradients; or an ordinary Python function, which runs on the host."
 class History(NamedTuple):
     """What each iteration saw; NaN (0 for the count) from `Search.iteration` on."""
 
-    best: Array  # (iterations,) best cost so far; inf before any finite one
-    mean: Array  # (iterations,) mean of the iteration's finite costs; NaN if there were none
-    worst: Array  # (iterations,) largest of the iteration's finite costs; NaN if there were none
-    non_finite: Array  # (iterations,) int32, number of its evaluations that were not finite
+    best: Annotated[Array, Columns("best", allow="infinite")]
+    """(iterations,) best cost so far; inf before any finite one."""
+    mean: Annotated[Array, Columns("mean", allow="any")]
+    """(iterations,) mean of the iteration's finite costs; NaN if there were none."""
+    worst: Annotated[Array, Columns("worst", allow="any")]
+    """(iterations,) largest of the iteration's finite costs; NaN if there were none."""
+    non_finite: Annotated[Array, Columns("non_finite", dtype=int)]
+    """(iterations,) int32, number of its evaluations that were not finite."""
 
 
 class Search(NamedTuple):

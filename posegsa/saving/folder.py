@@ -20,6 +20,9 @@ from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synce
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
+MAX_BYTES = 2**27
+"""Size up to which a file is read, but for the largest: 128 MiB."""
+
 _LOCK = ".lock"
 _STAGED, _COMMITTED = ".saving", ".saved"
 
@@ -171,7 +174,7 @@ def finish_commit(folder: Path) -> None:
 # Reading ------------------------------------------------------------------------------------------
 
 
-def read_text(folder: Path, name: str, limit: int, of: str) -> str:
+def read_text(folder: Path, name: str, of: str, limit: int = MAX_BYTES) -> str:
     """The text of a file, at most `limit` bytes, in a run's folder; a committed one comes first.
 
     Raises:
