@@ -82,6 +82,7 @@ def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
     assert (folder / "posegsa-run" / "result.json").read_bytes() == before
 
 
+@pytest.mark.quick
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -197,6 +198,7 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.quick
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "said"),

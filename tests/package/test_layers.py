@@ -1,9 +1,12 @@
 """The import rule: a folder imports only what stands before it in the data flow."""
 
+import pytest
 import ast
 from pathlib import Path
 
 import posegsa
+
+pytestmark = pytest.mark.quick
 
 LAYERS = (
     "errors arguments words runtime settings | optimisers model | config | search | judging"
