@@ -108,6 +108,7 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
+    long += ["--set", "filter.substeps=1", "--set", "scenario.cross_vector=false"]
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],

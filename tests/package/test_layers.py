@@ -1,8 +1,9 @@
 """The import rule: a folder imports only what stands before it in the data flow."""
 
-import pytest
 import ast
 from pathlib import Path
+
+import pytest
 
 import posegsa
 
