@@ -12,6 +12,8 @@ from filters import jitted_prepare, prepared
 from posegsa.errors import MeasurementError
 from posegsa.model.measurements import Measurements
 
+pytestmark = pytest.mark.quick
+
 N, VECTORS, LANDMARKS = 4, 3, 2
 
 

@@ -16,6 +16,8 @@ from posegsa.optimisers import GSA, History
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 from posegsa.settings.arrays import Columns, Cost, Numbers
 
+pytestmark = pytest.mark.quick
+
 FILE = Path("record.json")
 
 
