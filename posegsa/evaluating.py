@@ -2,18 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 
 from posegsa.arguments import check_callable, check_type, check_whole
-from posegsa.judging.baselines import Described, baselines
-from posegsa.judging.evaluation import CONTENDERS, TUNED, contender, evaluation
+from posegsa.judging.baselines import candidate_of, describe, schedule_baselines
+from posegsa.judging.evaluation import (
+    CONTENDERS,
+    EKF,
+    EKF_VECTORS,
+    Description,
+    contender,
+    evaluation,
+)
+from posegsa.judging.kalman import kalman_scenarios, kalman_tracks, tune_kalman
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import TuneResult
 from posegsa.search import memory
-from posegsa.search.build import scenario, scenario_batch
+from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import held_out_keys
+from posegsa.search.parameters import ParameterSpace
+from posegsa.search.population import TrackCost
 from posegsa.settings.fields import MAX_COUNT
 
 
@@ -22,18 +33,21 @@ def evaluate(
     *,
     scenarios: int = 1000,
     seed: int | None = None,
+    cost: TrackCost | None = None,
     progress: Callable[[str], object] | None = None,
 ) -> TuneResult:
     """Judge a tuned schedule on unseen scenarios beside all baselines.
 
-    Random search and the smooth schedule are searched on the run's training scenarios with the
-    run's number of evaluations; the best constant gain is the run's. The scenarios that judge are
-    drawn with keys that no search has seen.
+    Schedules are searched on the run's training scenarios with the run's optimiser and number of
+    evaluations (`judging.baselines`), the Kalman filters' noises until that brings little more
+    (`judging.kalman`). What a result has been judged beside before is not searched again. The
+    scenarios that judge are drawn with keys that no search has seen.
 
     Args:
         result: A tuned result.
         scenarios: Number of held-out scenarios, at least 2.
         seed: Another held-out set than the run's own.
+        cost: The user's own cost that the result was tuned with, if it was.
         progress: Told in words what is done next.
 
     Returns:
@@ -52,20 +66,46 @@ def evaluate(
     memory.check([experiment], held_out=scenarios)
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        one = scenario(experiment)
-        k = result.parameters.tolist()
-        schedules: dict[str, Described] = {TUNED: (result.schedule, {"kind": "fuzzy", "k": k})}
-        # All are found, the oracle first, before any is judged.
-        for name, find in baselines(result, one).items():
-            say(f"searching: {name}")
-            schedules[name] = find()
+        problem = tuning_problem(experiment, cost)
+        found = _all_found(result, problem, say)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
-        held_out = scenario_batch(experiment, one, unseen)
         contenders = {}
-        for name in CONTENDERS:
+        for name, description in found.items():
             say(f"judging: {name}")
-            schedule, description = schedules[name]
-            contenders[name] = contender(
-                error_tracks(Candidate(schedule), held_out), held_out, description
-            )
+            if description.kind == "Kalman":
+                held_out = kalman_scenarios(
+                    experiment, problem.scenario, unseen, vector_biases=name == EKF_VECTORS
+                )
+                tracks = kalman_tracks(description, held_out)
+            else:
+                held_out = scenario_batch(experiment, problem.scenario, unseen)
+                tracks = error_tracks(candidate_of(description, problem.space.schedules), held_out)
+            contenders[name] = contender(tracks, held_out, description, cost)
         return replace(result, evaluation=evaluation(contenders, held_out, seed))
+
+
+def _all_found(
+    result: TuneResult, problem: TuningProblem, say: Callable[[str], object]
+) -> dict[str, Description]:
+    """All contenders, in order; those that the result has been judged beside are not searched."""
+    known = {name: each.filter for name, each in result.evaluation.contenders.items()}
+    space, evaluations = problem.space.schedules, problem.experiment.search.evaluations
+    find: dict[str, Callable[[], Description]] = {
+        name: partial(_described, search, space, evaluations)
+        for name, search in schedule_baselines(problem, result.candidate).items()
+    }
+    for name in (EKF, EKF_VECTORS):
+        find[name] = partial(
+            tune_kalman, problem.experiment, problem.scenario, vector_biases=name == EKF_VECTORS
+        )
+    for name, search in find.items():
+        if name not in known:
+            say(f"searching: {name}")
+            known[name] = search()
+    return {name: known[name] for name in CONTENDERS}
+
+
+def _described(
+    search: Callable[[], Candidate], space: ParameterSpace, evaluations: int
+) -> Description:
+    return describe(search(), space, evaluations)

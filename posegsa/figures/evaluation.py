@@ -10,7 +10,14 @@ from matplotlib.ticker import MaxNLocator
 from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
-from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Evaluation
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    CONTENDERS,
+    EKF_VECTORS,
+    SWITCH,
+    TUNED,
+    Evaluation,
+)
 from posegsa.judging.metrics import Bands, Metrics
 
 FIGURES: list[ResultFigure] = []
@@ -18,11 +25,9 @@ FIGURES: list[ResultFigure] = []
 ANGLE_SPREAD = 1.0
 """Minimum range of initial angles over which cost is worth drawing [deg]."""
 
-_STYLES: dict[str, Style] = dict(
-    zip((TUNED, SMOOTH, CONSTANT, ORACLE, RANDOM), style.CURVES, strict=False)
-)
+_STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 """Colour and line look of each contender, the same in all figures."""
-_MARKERS = {TUNED: "o", CONSTANT: "s", ORACLE: "D"}
+_MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "v"}
 """Of the contenders that are drawn as curves: more would hide each other."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
 
@@ -95,8 +100,8 @@ def plot_costs(evaluation: Evaluation) -> Figure:
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.
 
-    Of tuned schedule, best constant gain and oracle over time [s], of the runs with a finite cost.
-    The left column enlarges the start.
+    Of the tuned filter, the best constant gains, the best time switch and the Kalman filter over
+    time [s], of the runs with a finite cost. The left column enlarges the start.
     """
     time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
     parts = style.time_parts(time)

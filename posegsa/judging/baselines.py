@@ -1,195 +1,219 @@
-"""What a tuned schedule has to beat, and the oracle that shows how far schedules can go."""
+"""What a tuned filter has to beat, each found on its training scenarios at its own budget.
+
+Every schedule is searched with the run's optimiser (with differential evolution where that descends
+by gradients or can't be compiled) and as many evaluations, together with all that was tuned beside
+k1..k22: the baselines, too, have the filter, signal and weights that suit them.
+"""
 
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jax import Array
 
-from posegsa.config import ObjectiveConfig, override
-from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, Description
-from posegsa.judging.result import TuneResult
-from posegsa.model.scenario import Scenario
-from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
-from posegsa.optimisers import Box, Optimiser, runner, start
-from posegsa.optimisers.gradient import value_and_slopes
-from posegsa.search.build import scenario_batch, tuning_problem
-from posegsa.search.candidates import Candidate
-from posegsa.search.keys import keys, open_loop_keys, training_keys
-from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
-from posegsa.search.run import run_search
+from posegsa import config
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    OPEN_LOOP,
+    RANDOM,
+    REPLAYED,
+    SMOOTH,
+    SWITCH,
+    Description,
+    Kind,
+)
+from posegsa.judging.metrics import error_tracks
+from posegsa.model.schedules import (
+    ConstantGain,
+    FuzzyGain,
+    GainSchedule,
+    KnotGain,
+    SmoothGain,
+    SwitchGain,
+)
+from posegsa.optimisers import Optimiser
+from posegsa.search.build import TuningProblem, search_space
+from posegsa.search.candidates import Candidate, SimpleSpace
+from posegsa.search.keys import keys
+from posegsa.search.parameters import ParameterSpace
+from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
+from posegsa.search.run import first_search, run_search
 
 CONSTANT_GAINS = 201
-"""Constant gains that `tune` tries, evenly spaced over all that a controller can ask for."""
-ORACLE_SCENARIOS = 32
-"""Scenarios that the oracle is fitted to; none of them is a training or a held-out one."""
-KNOTS = 24
-"""Knots of the oracle's gain over time."""
-ORACLE_STARTS = (10.0, 30.0, 100.0)
-"""Constant gains [1/s] that the oracle's descents start from."""
-ORACLE_RATES = (0.1, 0.03, 0.01)
-"""Adam's steps on the logarithm of a gain: coarse, then finer from the best of each start."""
-ORACLE_PATIENCE = 20
-"""Steps without an improvement of ORACLE_IMPROVEMENT after which a start is done at one rate."""
-ORACLE_IMPROVEMENT = 1e-4
-"""Relative improvement of the cost that counts."""
-ORACLE_STEPS = 400
-"""Most steps at one rate; a descent that needs more says so."""
-ORACLE_RANGE = (0.5, 200.0)
-"""Gains that the oracle may ask for [1/s]; wider than a controller's range."""
+"""Constant gains that `best_constant` tries, evenly spaced over those that a controller may ask
+for."""
+GAINS = (0.5, 200.0)
+"""Gains that a baseline may ask for [1/s]; wider than a controller's range."""
+KNOTS = 16
+"""Knots of the best open-loop gains."""
+REPLAYED_KNOTS = 300
+"""Most knots of the tuned gains that are replayed."""
+
+SCHEDULES: dict[Kind, type] = {
+    "constant": ConstantGain,
+    "switch": SwitchGain,
+    "smooth": SmoothGain,
+    "open loop": KnotGain,
+}
+"""The types of schedules without a controller, by the kind of their `Description`."""
 
 
-Described = tuple[GainSchedule, Description]
-"""A schedule, and what it is as it is stored."""
+def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> Description:
+    """A candidate as it is stored."""
+    schedule, kinds = candidate.schedule, {type_: kind for kind, type_ in SCHEDULES.items()}
+    kind = kinds.get(type(schedule), "fuzzy")
+    arrays = vars(schedule)
+    if isinstance(schedule, FuzzyGain):
+        arrays = {"k": space.vector(schedule.controller)}
+    numbers = {name: np.ravel(np.asarray(a, np.float64)).tolist() for name, a in arrays.items()}
+    return Description(kind, numbers, candidate.values_by_key(), evaluations)
 
 
-def best_constant(
-    training: ScenarioBatch, gain_range: tuple[float, float], objective: ObjectiveConfig
-) -> ConstantGain:
+def candidate_of(found: Description, space: ParameterSpace) -> Candidate:
+    """The candidate that was stored; not of a Kalman filter."""
+    dtype = space.lower.dtype
+    numbers = {name: jnp.asarray(values, dtype) for name, values in found.numbers.items()}
+    if found.kind == "fuzzy":
+        schedule: GainSchedule = space.schedule(numbers["k"])
+    elif found.kind == "open loop":
+        schedule = KnotGain(**numbers)
+    else:
+        schedule = SCHEDULES[found.kind](**{name: a[0] for name, a in numbers.items()})
+    values = tuple(jnp.asarray(value, dtype) for value in found.also.values())
+    return Candidate(schedule, values, tuple(found.also))
+
+
+def best_constant(problem: TuningProblem) -> Candidate:
     """The constant gain of lowest cost, of CONSTANT_GAINS that a controller can ask for.
 
     With one number to find, and a cost that is flat about its minimum, more of them change nothing.
     """
-    low, high = gain_range
+    low, high = problem.experiment.parameters.gain_range
+    training = problem.training
     gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
-    costs = np.asarray(
-        over_scenarios(costs_by_scenario(Candidate(ConstantGain(gains)), training), objective)
+    by_scenario = costs_by_scenario(Candidate(ConstantGain(gains)), training, cost=problem.cost)
+    costs = np.asarray(over_scenarios(by_scenario, problem.experiment.objective))
+    return Candidate(
+        ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
     )
-    return ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])
 
 
-def smooth_gain(vector: Array) -> SmoothGain:
-    """The schedule of a search vector (3,): low and high gain [1/s], log of the half-way error."""
-    return SmoothGain(vector[0], vector[1], jnp.exp(vector[2]))
+def _constant(vector: Array) -> GainSchedule:
+    return ConstantGain(jnp.exp(vector[0]))
 
 
-class _SmoothObjective(NamedTuple):
-    """What the search for a smooth schedule minimises, for programs that are compiled for it."""
-
-    objective: ObjectiveConfig
-
-    def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
-        """As a function of vectors (A, 3), on training scenarios."""
-        return lambda vectors: over_scenarios(
-            agent_costs(jax.vmap(smooth_gain)(vectors), training), self.objective
-        )
+def _switch(vector: Array) -> GainSchedule:
+    before, after, time = jnp.exp(vector[:3])
+    return SwitchGain(before, after, time, learning_time=vector[3])
 
 
-def search_smooth(
-    optimiser: Optimiser,
-    objective: ObjectiveConfig,
-    gain_range: tuple[float, float],
-    training: ScenarioBatch,
-    key: Array,
-) -> SmoothGain:
-    """The best smooth schedule that a search finds on training scenarios.
-
-    Its gains are those of a controller of this range (output k_op [1/s], the gain less 1); it is
-    half-way at a scaled error from 0.003 to 1.
-    """
-    low, high = (1 + end for end in gain_range)
-    bounds = (low, low, math.log(0.003)), (high, high, 0.0)
-    box = Box(*(jnp.asarray(ends, training.dtype) for ends in bounds))
-    run = runner(optimiser, _SmoothObjective(objective), box, training)
-    return smooth_gain(run(start(optimiser, box, key), optimiser.total_iterations).best_position)
+def _smooth(vector: Array) -> GainSchedule:
+    low, high, half = jnp.exp(vector)
+    return SmoothGain(low, high, half)
 
 
-@jax.jit
-def _descend(
-    log_gain: Array, state: optax.OptState, rate: Array, time: Array, batch: ScenarioBatch
-) -> tuple[Array, Array, optax.OptState]:
-    """Mean cost (s,) of each start's knots (s, n), and the knots after one step of Adam."""
-
-    def cost(knots: Array) -> Array:
-        schedule = jax.tree.map(lambda a: a[None], KnotGain(time, knots))
-        return jnp.mean(agent_costs(Candidate(schedule), batch))
-
-    values, gradient = jax.vmap(partial(value_and_slopes, cost))(log_gain)
-    gradient = jnp.where(jnp.isfinite(gradient), gradient, 0.0)
-    direction, state = optax.scale_by_adam().update(gradient, state)
-    low, high = (math.log(end) for end in ORACLE_RANGE)
-    return values, jnp.clip(log_gain - rate * jnp.asarray(direction), low, high), state
+def _open_loop(end: float, log_gain: Array) -> GainSchedule:
+    return KnotGain(jnp.asarray(knot_times(end), log_gain.dtype), log_gain)
 
 
-def oracle_knots(end: float) -> np.ndarray:
-    """Times (KNOTS,) of the oracle's knots [s]: dense in the transient, even after it."""
-    dense, turn = KNOTS // 3, min(1.0, 0.5 * end)
+def knot_times(end: float) -> np.ndarray:
+    """Times (KNOTS,) of the open-loop gains' knots [s]: dense in the transient, even after it."""
+    dense, turn = KNOTS // 2, min(2.0, 0.5 * end)
     early = np.geomspace(0.03 * turn, turn, dense)
     return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
 
 
-def oracle(batch: ScenarioBatch) -> Described:
-    """The best open-loop gain sequence found for a batch of scenarios, and how it was found.
+Ends = tuple[float, float]
 
-    Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains from several
-    starts, at ever finer rates, each until no start improves any more. It is a strong reference for
-    what a schedule can do on the family as a whole, no proven bound: a schedule that looks at the
-    error may beat it.
+
+def schedule_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
+    """Where the schedules of a kind are searched for an experiment.
+
+    Gains are searched by their logarithm in GAINS, times of a switch up to half of a scenario, the
+    scaled error half-way from 0.003 to 1.
     """
-    dtype = batch.dtype
-    time = jnp.asarray(oracle_knots(float(batch.samples.time[0, -1])), dtype)
-    starts = jnp.log(jnp.asarray(ORACLE_STARTS, dtype))
-    best = starts[:, None] * jnp.ones((1, KNOTS), dtype)
-    best_cost = np.full(len(ORACLE_STARTS), np.inf)
-    steps, converged = 0, True
-    for rate in ORACLE_RATES:
-        knots, state = best, optax.scale_by_adam().init(best)
-        counted, idle = best_cost.copy(), np.zeros(len(ORACLE_STARTS), int)
-        for _ in range(ORACLE_STEPS):
-            with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
-                values, after, state = _descend(knots, state, jnp.asarray(rate, dtype), time, batch)
-            costs = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf)
-            better = costs < best_cost
-            best = jnp.where(jnp.asarray(better)[:, None], knots, best)
-            best_cost = np.where(better, costs, best_cost)
-            enough = best_cost < counted * (1 - ORACLE_IMPROVEMENT)
-            counted, idle = np.where(enough, best_cost, counted), np.where(enough, 0, idle + 1)
-            knots, steps = after, steps + 1
-            if (idle >= ORACLE_PATIENCE).all():
-                break
-        else:
-            converged = False
-    i = int(np.argmin(best_cost))
-    return KnotGain(time, best[i]), {
-        "kind": "open loop",
-        "time": np.asarray(time, np.float64).tolist(),
-        "gain": np.exp(np.asarray(best[i], np.float64)).tolist(),
-        "cost_fitted": float(best_cost[i]),
-        "steps": steps,
-        "converged": converged,
+    end = experiment.scenario.duration
+    gain, half = (math.log(GAINS[0]), math.log(GAINS[1])), (math.log(0.003), 0.0)
+    switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
+    # Without learnt biases there is nothing to begin later.
+    learning = (0.0, 0.5 * end if experiment.filter.vector_bias == "estimated" else 0.0)
+    boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
+        "constant": ([gain], _constant),
+        "switch": ([gain, gain, switch, learning], _switch),
+        "smooth": ([gain, gain, half], _smooth),
+        "open loop": ([gain] * KNOTS, _at(end)),
     }
+    bounds, make = boxes[kind]
+    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
+    return SimpleSpace(lower, upper, make)
 
 
-def baselines(result: TuneResult, one: Scenario) -> dict[str, Callable[[], Described]]:
-    """How to find each baseline of a run, by name."""
-    experiment, run = result.experiment, result.experiment.run
-    training = scenario_batch(experiment, one, training_keys(run.seed, run.training_scenarios))
+_AT: dict[float, Callable[[Array], GainSchedule]] = {}
 
-    def constant() -> Described:
-        # The grid's best: with one number to find, a full search ends at the same cost.
-        gain = jnp.asarray(result.constant_gain, training.dtype)
-        return ConstantGain(gain), {"kind": "constant", "gain": result.constant_gain}
 
-    def random() -> Described:
-        # By name, because the library of the run's own optimiser may not be installed here.
-        task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
-        controller = task.space.controller(run_search(task).search.best_position)
-        k = np.asarray(task.space.vector(controller)).tolist()
-        return FuzzyGain(controller), {"kind": "fuzzy", "k": k}
+def _at(end: float) -> Callable[[Array], GainSchedule]:
+    """`_open_loop` to a time; the same function each time, as programs are found again by it."""
+    return _AT.setdefault(end, partial(_open_loop, end))
 
-    def smooth() -> Described:
-        optimiser = override(experiment, ["search.optimiser=gsa"]).search
-        gains, key = experiment.parameters.gain_range, keys(run.seed).baselines
-        schedule = search_smooth(optimiser, experiment.objective, gains, training, key)
-        low, high, half = map(float, (schedule.low, schedule.high, schedule.half))
-        return schedule, {"kind": "smooth", "low": low, "high": high, "half": half}
 
-    def best_sequence() -> Described:
-        return oracle(scenario_batch(experiment, one, oracle_keys(run.seed, ORACLE_SCENARIOS)))
+def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
+    """The best schedule of a kind, with all that is tuned beside it, on training scenarios."""
+    experiment = _searched(problem.experiment)
+    one = problem._replace(
+        experiment=experiment,
+        space=search_space(experiment, schedule_space(kind, experiment)),
+    )
+    found = run_search(one, search=first_search(one, keys(experiment.run.seed).baselines))
+    return one.space.candidate(found.search.best_position)
 
-    return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}
+
+def _searched(experiment: config.Experiment) -> config.Experiment:
+    """The experiment with an optimiser that searches any schedule in a compiled loop."""
+    own: Optimiser = experiment.search
+    if own.on_host or any(phase.wants_gradients for phase in own.phases):
+        return config.override(experiment, ["search.optimiser=de"])
+    return experiment
+
+
+def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
+    """The tuned filter's own gains over time, the mean over training scenarios, without feedback.
+
+    What the tuned schedule costs less than this is what looking at the error brings.
+    """
+    training: ScenarioBatch = problem.training
+    gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
+    time = np.asarray(training.samples.time[0], np.float64)
+    kept = np.unique(np.linspace(0, len(time) - 1, REPLAYED_KNOTS).round().astype(int))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_gain = np.mean(np.log(np.maximum(gain[:, kept], 1e-3)), axis=0)
+    schedule = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
+    return Candidate(schedule, tuned.values, tuned.keys)
+
+
+def random_search(problem: TuningProblem) -> Candidate:
+    """The best controller of random search, with the run's number of evaluations."""
+    # By name, because the library of the run's own optimiser may not be installed here.
+    experiment = config.override(problem.experiment, ["search.optimiser=random_search"])
+    one = problem._replace(experiment=experiment)
+    return one.space.candidate(run_search(one).search.best_position)
+
+
+def schedule_baselines(
+    problem: TuningProblem, tuned: Candidate
+) -> dict[str, Callable[[], Candidate]]:
+    """How to find each baseline that is a gain schedule, by name."""
+    found: dict[str, Callable[[], Candidate]] = {
+        name: partial(search_baseline, problem, kind)
+        for name, kind in (
+            (CONSTANT, "constant"),
+            (SWITCH, "switch"),
+            (SMOOTH, "smooth"),
+            (OPEN_LOOP, "open loop"),
+        )
+    }
+    return found | {
+        REPLAYED: partial(replayed, problem, tuned),
+        RANDOM: partial(random_search, problem),
+    }

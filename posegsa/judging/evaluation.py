@@ -3,33 +3,36 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, TypedDict
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from posegsa.config import PARAMETERS
 from posegsa.judging.metrics import Bands, Metrics, metrics_of
 from posegsa.model.rollout import ErrorTrack
-from posegsa.search.population import ScenarioBatch
-from posegsa.settings.arrays import Cost, Numbers
+from posegsa.search.population import ScenarioBatch, TrackCost
+from posegsa.settings.arrays import Numbers
 from posegsa.words import counted, text_table
 
-CONTENDERS = TUNED, CONSTANT, RANDOM, SMOOTH, ORACLE = (
+CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, EKF_VECTORS = (
     "tuned fuzzy gain",
-    "best constant gain",
+    "best constant gains",
+    "best time switch",
+    "tuned gains replayed",
     "fuzzy gain, random search",
     "smooth gain K(e)",
-    "oracle K(t)",
+    "best open-loop gains",
+    "invariant EKF",
+    "invariant EKF, vector biases",
 )
-"""Names of the schedules that may be judged, in the order in which they are shown."""
+"""Names of the filters that may be judged, in the order in which they are shown."""
 BAND_POINTS = 300
 """Most points in time that error bands are kept at."""
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % confidence interval (normal approximation over scenarios)."""
+    """A mean and its 95 % confidence interval (Student's t over scenarios)."""
 
     mean: float
     low: float
@@ -41,52 +44,27 @@ class Interval(NamedTuple):
         return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
 
 
-class _Fuzzy(TypedDict):
-    """A `FuzzyGain` as it is stored: k1..k22, in order and repaired as configured."""
-
-    kind: Literal["fuzzy"]
-    k: Annotated[list[float], Numbers(len(PARAMETERS))]
+Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "Kalman"]
 
 
-class _Constant(TypedDict):
-    """A `ConstantGain` as it is stored [1/s]."""
+class Description(NamedTuple):
+    """A filter as it is stored, by its own numbers."""
 
-    kind: Literal["constant"]
-    gain: float
-
-
-class _Smooth(TypedDict):
-    """A `SmoothGain`: gains without and at large errors [1/s], and the scaled error half-way."""
-
-    kind: Literal["smooth"]
-    low: float
-    high: float
-    half: float
-
-
-class _OpenLoop(TypedDict):
-    """A `KnotGain`: times [s] and gains [1/s] of its knots, and how it was found."""
-
-    kind: Literal["open loop"]
-    time: Annotated[list[float], Numbers("knots")]
-    gain: Annotated[list[float], Numbers("knots")]
-    cost_fitted: Cost
-    """Mean cost on the scenarios that it was fitted to."""
-    steps: int
-    """Steps of the descents."""
-    converged: bool
-    """Whether every descent ended because it no longer improved."""
-
-
-Description = Annotated[_Fuzzy | _Constant | _Smooth | _OpenLoop, Field(discriminator="kind")]
+    kind: Kind
+    numbers: dict[str, list[float]]
+    """Of the schedule, or the noises of a Kalman filter, by name; one number is a list of one."""
+    also: dict[str, float]
+    """What else was tuned of the filter and its signal, by key."""
+    evaluations: Annotated[int, Field(ge=0)]
+    """Evaluations of the search that found it; 0 where none was needed."""
 
 
 class Contender(NamedTuple):
-    """A schedule's performance on every scenario."""
+    """A filter's performance on every scenario."""
 
     metrics: Metrics
     bands: Bands
-    schedule: Description
+    filter: Description
 
 
 class Summary(NamedTuple):
@@ -173,14 +151,6 @@ class Evaluation:
         with np.errstate(invalid="ignore"):
             return interval(tuned - self.contenders[name].metrics.cost)
 
-    def gap_closed(self) -> float | None:
-        """Share of the gap from best constant gain to oracle that the tuned schedule closes."""
-        if ORACLE not in self.contenders:
-            return None
-        tuned, constant, best = (self.cost(n).mean for n in (TUNED, CONSTANT, ORACLE))
-        gap = constant - best
-        return (constant - tuned) / gap if math.isfinite(gap) and gap > 0 else None
-
     def summary(self, name: str) -> Summary:
         """What a contender's costs come to."""
         metrics = self.contenders[name].metrics
@@ -206,10 +176,6 @@ class Evaluation:
         """The contenders side by side, as text for a person."""
         title = f"Cost on {counted(self.scenarios, 'held-out scenario')}:"
         parts = [title, *map(text_table, self.tables())]
-        if (closed := self.gap_closed()) is not None:
-            parts.append(
-                f"The tuned schedule closes {100 * closed:.0f} % of the gap to the oracle."
-            )
         return "\n\n".join(parts)
 
 
@@ -219,13 +185,21 @@ def interval(values: np.ndarray) -> Interval:
     mean = float(np.mean(values))
     if not math.isfinite(mean) or len(values) < 2:
         return Interval(mean, math.nan, math.nan)
-    half = 1.96 * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    from scipy.special import stdtrit  # not at the top: takes a while to load
+
+    spread = float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    half = float(stdtrit(len(values) - 1, 0.975)) * spread
     return Interval(mean, mean - half, mean + half)
 
 
-def contender(tracks: ErrorTrack, held_out: ScenarioBatch, description: Description) -> Contender:
-    """A schedule's performance from what it did on the held-out scenarios."""
-    metrics, bands = metrics_of(tracks, held_out)
+def contender(
+    tracks: ErrorTrack,
+    held_out: ScenarioBatch,
+    description: Description,
+    cost: TrackCost | None = None,
+) -> Contender:
+    """A filter's performance from what it did on the held-out scenarios."""
+    metrics, bands = metrics_of(tracks, held_out, cost)
     kept = band_samples(held_out.samples.time.shape[1])
     return Contender(metrics, Bands(*(band[:, kept] for band in bands)), description)
 

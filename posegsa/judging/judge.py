@@ -4,59 +4,58 @@ import jax
 import numpy as np
 
 from posegsa.judging import trust
-from posegsa.judging.baselines import best_constant
-from posegsa.judging.evaluation import CONSTANT, TUNED, Description, contender, evaluation
+from posegsa.judging.baselines import best_constant, describe, search_baseline
+from posegsa.judging.endurance import endurance
+from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.judging.trajectory import simulate_scenario
-from posegsa.model.schedules import FuzzyGain
 from posegsa.runtime import environment
-from posegsa.search.build import TuningProblem
-from posegsa.search.candidates import Candidate
+from posegsa.search.build import TuningProblem, with_values
 from posegsa.search.keys import held_out_keys
 from posegsa.search.run import Found
 
 
 def judge(problem: TuningProblem, found: Found) -> TuneResult:
-    """Judge the best controller that a search found, beside the best constant gain."""
-    experiment, search = problem.experiment, found.search
-    controller = problem.space.schedules.controller(search.best_position)
-    parameters = np.asarray(problem.space.schedules.vector(controller), np.float64)
-    tuned = FuzzyGain(controller)
-    constant = best_constant(
-        problem.training, experiment.parameters.gain_range, experiment.objective
-    )
-    constant_gain = float(constant.gain)
-    schedules = {TUNED: tuned, CONSTANT: constant}
-    descriptions: dict[str, Description] = {
-        TUNED: {"kind": "fuzzy", "k": parameters.tolist()},
-        CONSTANT: {"kind": "constant", "gain": constant_gain},
+    """Judge the best candidate that a search found, beside the best constant gain."""
+    experiment, search, space = problem.experiment, found.search, problem.space
+    tuned = space.candidate(search.best_position)
+    # Without further numbers a constant gain is found on a grid; with them by a search like theirs.
+    constant = search_baseline(problem, "constant") if tuned.keys else best_constant(problem)
+    candidates = {TUNED: tuned, CONSTANT: constant}
+    descriptions = {
+        name: describe(each, space.schedules, experiment.search.evaluations)
+        for name, each in candidates.items()
     }
 
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
     count = experiment.run.training_scenarios
-    tracks = {
-        name: error_tracks(Candidate(each), problem.everywhere) for name, each in schedules.items()
-    }
+    tracks = {name: error_tracks(each, problem.everywhere) for name, each in candidates.items()}
     training = {
-        name: metrics_of(each.select(slice(count)), problem.training)[0].cost
+        name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
         for name, each in tracks.items()
     }
     contenders = {
-        name: contender(each.select(slice(count, None)), problem.held_out, descriptions[name])
+        name: contender(
+            each.select(slice(count, None)), problem.held_out, descriptions[name], problem.cost
+        )
         for name, each in tracks.items()
     }
     first_held_out = held_out_keys(experiment.run.seed, 1)[0]
-    trajectory = simulate_scenario(tuned, problem.scenario, experiment, first_held_out)
+    trajectory = simulate_scenario(
+        tuned.schedule, problem.scenario, with_values(experiment, tuned), first_held_out
+    )
     return TuneResult(
         experiment=experiment,
         best_cost=float(search.best_cost),
-        parameters=parameters,
+        parameters=np.array(descriptions[TUNED].numbers["k"]),
+        also=descriptions[TUNED].also,
         training_costs=training[TUNED],
-        constant_gain=constant_gain,
+        constant_gain=descriptions[CONSTANT].numbers["gain"][0],
         constant_training_costs=training[CONSTANT],
         evaluation=evaluation(contenders, problem.held_out),
-        trust=trust.check(problem, parameters, tracks[TUNED], trajectory),
+        endurance=endurance(experiment, tuned, constant),
+        trust=trust.check(problem, tuned, tracks[TUNED], trajectory),
         evaluations=experiment.search.evaluations,
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,

@@ -3,12 +3,13 @@
 from typing import Annotated, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from posegsa.model.filter import FilterState
 from posegsa.model.rollout import ErrorTrack, Samples, simulate_errors
 from posegsa.search.candidates import Candidate
-from posegsa.search.population import ScenarioBatch
+from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
@@ -86,8 +87,14 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such
-def metrics_of(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[Metrics, Bands]:
-    """Metrics on each of a batch's scenarios, and the bands of its errors over time."""
+def metrics_of(
+    tracks: ErrorTrack, batch: ScenarioBatch, cost: TrackCost | None = None
+) -> tuple[Metrics, Bands]:
+    """Metrics on each of a batch's scenarios, and the bands of its errors over time.
+
+    With a cost of a user's own that is the metrics' cost; their parts stay those of the configured
+    one.
+    """
     time = np.asarray(batch.samples.time[0], np.float64)
     distance, position, gain, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
     angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(distance, 0, 1))))  # NaN stays
@@ -97,6 +104,9 @@ def metrics_of(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[Metrics, Bands
         for weight in (batch.weights.transient, batch.weights.steady)
     )
     total = transient + steady
+    if cost is not None:
+        own = jax.vmap(cost)(jax.tree.map(jnp.asarray, tracks), batch.samples.time)
+        total = np.asarray(own, np.float64)
     finite = np.isfinite(total)
     window = np.asarray(batch.weights.window)
     bias_error = bias - np.asarray(batch.bias, np.float64)

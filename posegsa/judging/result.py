@@ -12,8 +12,9 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type
-from posegsa.config import PARAMETERS, Experiment
+from posegsa.config import PARAMETERS, Experiment, override
 from posegsa.errors import PosegsaWarning
+from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
@@ -24,6 +25,7 @@ from posegsa.model.rollout import Estimates, run_filter
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
+from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
@@ -40,6 +42,8 @@ class TuneResult:
     """Least cost that the search found on the training scenarios."""
     parameters: Annotated[np.ndarray, Numbers(len(PARAMETERS))]
     """(22,) k1..k22, in order and repaired as configured."""
+    also: dict[str, float]
+    """What was tuned beside them, by key of the configuration."""
     training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     """(S,) its cost on each training scenario; infinite where it diverged."""
     constant_gain: float
@@ -48,6 +52,8 @@ class TuneResult:
     """(S,) what that costs on each of them."""
     evaluation: Evaluation
     """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
+    endurance: Endurance
+    """Both long after the time that they were tuned for."""
     trust: Trust
     evaluations: Annotated[int, Field(ge=1)]
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
@@ -63,6 +69,19 @@ class TuneResult:
     environment: dict[str, str]
     """Versions and device."""
     version: str
+
+    @property
+    def candidate(self) -> Candidate:
+        """The tuned schedule, with what was tuned beside it."""
+        dtype = self.experiment.run.dtype
+        with jax.enable_x64(dtype == "float64"):
+            values = tuple(jnp.asarray(value, dtype) for value in self.also.values())
+            return Candidate(self.schedule, values, tuple(self.also))
+
+    @property
+    def tuned(self) -> Experiment:
+        """The experiment with the numbers in it that were tuned beside k1..k22."""
+        return override(self.experiment, [f"{key}={value!r}" for key, value in self.also.items()])
 
     @property
     def controller(self) -> FuzzyController:
@@ -103,8 +122,8 @@ class TuneResult:
                 self.schedule,
                 jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
                 start,
-                filter_settings(self.experiment),
-                signal_settings(self.experiment.gain, dtype),
+                filter_settings(self.tuned),
+                signal_settings(self.tuned.gain, dtype),
             )
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
         if used < 0.1 * asked:

@@ -17,7 +17,7 @@ from posegsa.model.filter import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import TuningProblem, parameter_space, scenario, scenario_batch
+from posegsa.search.build import TuningProblem, scenario, scenario_batch
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import training_keys
 from posegsa.settings.arrays import Cost, Numbers
@@ -50,9 +50,9 @@ class Trust:
 
 
 def check(
-    problem: TuningProblem, parameters: np.ndarray, own: ErrorTrack, trajectory: Trajectory
+    problem: TuningProblem, tuned: Candidate, own: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
-    """Check the parameters (22,) that were found for a problem.
+    """Check the candidate that was found for a problem.
 
     `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
     """
@@ -60,14 +60,16 @@ def check(
     training = slice(experiment.run.training_scenarios)
 
     def mean_cost(tracks: ErrorTrack) -> float:
-        metrics, _ = metrics_of(tracks.select(training), problem.training)
+        metrics, _ = metrics_of(tracks.select(training), problem.training, problem.cost)
         return float(np.mean(metrics.cost))
 
-    schedule, cost = _schedule(experiment, parameters), mean_cost(own)
+    cost = mean_cost(own)
+    assert isinstance(tuned.schedule, FuzzyGain)
+    controller = tuned.schedule.controller
     pushed = everywhere._replace(initial=_perturbed(everywhere.initial))
-    perturbed = mean_cost(error_tracks(Candidate(schedule), pushed))
+    perturbed = mean_cost(error_tracks(tuned, pushed))
     double = experiment.run.dtype == "float64"
-    other = _cost_at("float32" if double else "float64", experiment, parameters)
+    other = _cost_at("float32" if double else "float64", problem, tuned)
     # Not finite is sensitive too: no comparison with NaN or infinity holds.
     steady = all(abs(c - cost) <= SENSITIVE * abs(cost) for c in (other, perturbed))
     return Trust(
@@ -75,26 +77,21 @@ def check(
         cost_float64=cost if double else other,
         cost_perturbed=perturbed,
         sensitive=not steady,
-        uncovered=uncovered(schedule.controller),
-        rule_weights=rule_weights(schedule.controller, trajectory.error, trajectory.rate),
+        uncovered=uncovered(controller),
+        rule_weights=rule_weights(controller, trajectory.error, trajectory.rate),
     )
 
 
-def _schedule(experiment: config.Experiment, parameters: np.ndarray) -> FuzzyGain:
-    space = parameter_space(experiment)
-    return FuzzyGain(space.controller(jnp.asarray(parameters, experiment.run.dtype)))
-
-
-def _cost_at(dtype: str, experiment: config.Experiment, parameters: np.ndarray) -> float:
+def _cost_at(dtype: str, problem: TuningProblem, tuned: Candidate) -> float:
     """Mean training cost at another precision."""
+    own = jax.device_get(tuned)
     with jax.enable_x64(dtype == "float64"), warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)
-        there = config.override(experiment, [f"run.dtype={dtype}"])
+        there = config.override(problem.experiment, [f"run.dtype={dtype}"])
         keys = training_keys(there.run.seed, there.run.training_scenarios)
         training = scenario_batch(there, scenario(there), keys)
-        metrics, _ = metrics_of(
-            error_tracks(Candidate(_schedule(there, parameters)), training), training
-        )
+        candidate = jax.tree.map(lambda a: jnp.asarray(a, dtype), own)
+        metrics, _ = metrics_of(error_tracks(candidate, training), training, problem.cost)
         return float(np.mean(metrics.cost))
 
 

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
-from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED, Evaluation, Interval
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation, Interval
 from posegsa.judging.result import TuneResult
 from posegsa.report.markup import (
-    DASH,
     Html,
     cost,
     element,
@@ -41,11 +40,6 @@ def headline(result: TuneResult) -> Html:
         ("Held out: best constant", *_mean(evaluation.cost(CONSTANT)), in_training[1]),
         ("Tuned minus best constant", cost(difference.mean, "+.2f"), "", unbroken),
     ]
-    if ORACLE in evaluation.contenders:
-        closed = evaluation.gap_closed()
-        share = DASH if closed is None else f"{number(100 * closed, '.0f')} %"
-        held_out = f"oracle K(t), held out: {cost(evaluation.cost(ORACLE).mean)}"
-        tiles.append(("Gap to the oracle closed", share, "", held_out))
     bad = np.count_nonzero(evaluation.contenders[TUNED].metrics.diverged)
     of = f"of {counted(evaluation.scenarios, 'scenario')}"
     tiles.append(("Held out: diverged", str(bad), "", of))

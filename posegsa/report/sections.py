@@ -1,7 +1,6 @@
 """The sections of the report, each a function from the result to HTML."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from posegsa import config
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import schedule as schedule_figures
 from posegsa.figures.captioned import ResultFigure
-from posegsa.judging.evaluation import ORACLE, TUNED
+from posegsa.judging.evaluation import SWITCH, TUNED, Description
 from posegsa.judging.metrics import (
     DIVERGED_ATTITUDE,
     DIVERGED_POSITION,
@@ -51,12 +50,12 @@ def contenders(result: TuneResult, pictures: Mapping[str, bytes]) -> Html:
     found = table(
         "What each contender is",
         ("Contender", "Schedule"),
-        [(name, schedule_words(contender.schedule)) for name, contender in each.items()],
+        [(name, filter_words(contender.filter)) for name, contender in each.items()],
         class_="contenders text",
     )
     notes = []
-    if ORACLE not in each:
-        more = " adds random search, a smooth schedule and the oracle to the contenders."
+    if SWITCH not in each:
+        more = " adds the time switch, other schedules and Kalman filters to the contenders."
         notes.append(paragraph(element("code", "posegsa evaluate"), more, class_="note"))
     if not evaluation_figures.angles_differ(evaluation):
         angle = number(np.median(each[TUNED].metrics.initial_angle), ".1f")
@@ -164,18 +163,19 @@ def configuration(result: TuneResult) -> Html:
     )
 
 
-def schedule_words(found: Mapping[str, Any]) -> str:
-    """What a contender's schedule is, by its own parameters."""
-    match found:
-        case {"gain": float(gain)}:
-            return f"K = {gain:.4g} 1/s"
-        case {"low": low, "high": high, "half": half}:
-            return f"K from {low:.4g} to {high:.4g} 1/s, half-way at a scaled error of {half:.3g}"
-        case {"time": [first, *_, last] as knots}:
-            return f"{len(knots)} knots of K(t) from {first:.3g} to {last:.4g} s, open loop"
-        case {"k": list(k)}:
-            return f"fuzzy, k1 to k{len(k)}"
-    return ", ".join(f"{key} = {value}" for key, value in found.items())
+def filter_words(found: Description) -> str:
+    """What a contender is, by its own numbers."""
+    numbers = {name: values[0] for name, values in found.numbers.items() if len(values) == 1}
+    match found.kind:
+        case "fuzzy":
+            words = f"fuzzy, k1 to k{len(found.numbers['k'])}"
+        case "open loop":
+            time = found.numbers["time"]
+            words = f"{len(time)} knots of K(t) from {time[0]:.3g} to {time[-1]:.4g} s, open loop"
+        case kind:
+            words = f"{kind}: " + ", ".join(f"{name} = {n:.4g}" for name, n in numbers.items())
+    also = [f"{key} = {value:.4g}" for key, value in found.also.items()]
+    return "; ".join([words, *also])
 
 
 def _percent(share: float | np.floating, form: str = ".1f") -> str:

@@ -29,7 +29,7 @@ from posegsa.saving.folder import (
 )
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 
-SCHEMA = 2
+SCHEMA = 3
 """Number of the layout of result.json and evaluation.json; it changes with their records."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
@@ -97,7 +97,6 @@ def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "scenarios": evaluation.scenarios,
         "quantiles": QUANTILES,
-        "gap_closed": evaluation.gap_closed(),
         "contenders": {name: evaluation.summary(name) for name in evaluation.contenders},
     }
 
@@ -141,14 +140,14 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
     k, gain = (
-        evaluation.contenders[name].schedule.get(value) if name in both else None
+        evaluation.contenders[name].filter.numbers.get(value) if name in both else None
         for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
     )
     samples, training = experiment.scenario.samples, experiment.run.training_scenarios
     for file, field, found, needed in (
         (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
-        (EVALUATION, f"contenders.{TUNED}.schedule.k", k, result.parameters.tolist()),
-        (EVALUATION, f"contenders.{CONSTANT}.schedule.gain", gain, result.constant_gain),
+        (EVALUATION, f"contenders.{TUNED}.filter.k", k, result.parameters.tolist()),
+        (EVALUATION, f"contenders.{CONSTANT}.filter.gain", gain, [result.constant_gain]),
         (EVALUATION, "number of times", len(evaluation.time), len(band_samples(samples))),
         (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
         (RESULT, "number of training_costs", len(result.training_costs), training),

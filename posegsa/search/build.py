@@ -357,8 +357,8 @@ def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchS
 
 def with_values(experiment: config.Experiment, candidate: Candidate) -> config.Experiment:
     """An experiment with a candidate's own numbers in it."""
-    values = zip(candidate.keys, candidate.values, strict=True)
-    return config.override(experiment, [f"{key}={float(value)!r}" for key, value in values])
+    values = candidate.values_by_key()
+    return config.override(experiment, [f"{key}={value!r}" for key, value in values.items()])
 
 
 def _reach(parameters: config.ParametersConfig) -> int:

@@ -29,6 +29,10 @@ class Candidate:
     keys: tuple[str, ...] = ()
     """Their keys in the configuration (`config.tunable`)."""
 
+    def values_by_key(self) -> dict[str, float]:
+        """The further numbers by key, of one candidate."""
+        return {key: float(value) for key, value in zip(self.keys, self.values, strict=True)}
+
     def applied(
         self, settings: FilterSettings, signal: SignalSettings
     ) -> tuple[FilterSettings, SignalSettings]:
