@@ -65,7 +65,7 @@ def compile_fast() -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", False)
 
 
-HEAVY = ("test_tuning", "test_gsa", "test_optimisers_base", "test_population", "test_rollout")
+HEAVY = ("test_tuning", "test_population", "test_gsa", "test_rollout", "test_filter")
 """Begun first, so that no worker is left with one of them at the end."""
 COMPILED = ("test_cli", "test_evaluate", "test_devices", "test_report", "test_resume")
 """What `test_tuning` compiles is needed here: begun when it is done."""

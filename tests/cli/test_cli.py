@@ -82,6 +82,7 @@ def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
     assert (folder / "posegsa-run" / "result.json").read_bytes() == before
 
 
+@pytest.mark.quick
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -107,6 +108,7 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
+    long += ["--set", "filter.substeps=1", "--set", "scenario.cross_vector=false"]
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
@@ -197,6 +199,7 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.quick
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "said"),

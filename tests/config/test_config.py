@@ -12,6 +12,8 @@ from posegsa.config import Experiment, from_dict, load, override, to_toml
 from posegsa.errors import ConfigError, PosegsaError, RunFolderError
 from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evosax, Optimiser
 
+pytestmark = pytest.mark.quick
+
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 FILES = sorted(CONFIGS.glob("*.toml"))
 WHOLE = ("paper", "paper_literal", "recommended")

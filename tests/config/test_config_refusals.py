@@ -7,6 +7,8 @@ import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override
 from posegsa.errors import ConfigError
 
+pytestmark = pytest.mark.quick
+
 
 def refusal(function: Any, *arguments: Any, **keywords: Any) -> str:
     """The text of the ConfigError that a call raises, its line breaks undone."""

@@ -18,6 +18,8 @@ from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, SCHEMA, export, export_c, export_csv, export_json
 from posegsa.model.fuzzy import FuzzyController
 
+pytestmark = pytest.mark.quick
+
 # JSON and CSV -------------------------------------------------------------------------------------
 
 

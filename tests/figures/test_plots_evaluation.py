@@ -23,6 +23,8 @@ from posegsa.judging.evaluation import (
 )
 from posegsa.judging.metrics import Bands
 
+pytestmark = pytest.mark.quick
+
 SPREAD = evaluation(initial_angle=ANGLES)
 FIGURES = {
     "costs": partial(plots.plot_costs, evaluation()),

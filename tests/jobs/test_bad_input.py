@@ -15,6 +15,8 @@ from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, Po
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 
+pytestmark = pytest.mark.quick
+
 SECTIONS = tuple(config.Experiment.model_fields)
 
 

@@ -6,6 +6,8 @@ from scipy.stats import rankdata
 
 from posegsa.judging.statistics import holm, signed_rank
 
+pytestmark = pytest.mark.quick
+
 
 def exact(differences: np.ndarray) -> float:
     """The p-value by counting all choices of signs, rank by rank; ranks doubled, to be whole."""

@@ -14,6 +14,8 @@ from posegsa.judging.trajectory import Trajectory, trajectory
 from posegsa.model.rollout import Estimates
 from posegsa.model.scenario import Truth
 
+pytestmark = pytest.mark.quick
+
 N = 40
 
 

@@ -64,15 +64,11 @@ def check_against_reference(
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     ("law", "substeps", "gain_limit"),
-    [  # every two of the three choices meet
+    [  # each law with and without sub-steps, with and without the limit
         ("gradient", 1, 1.5),
-        ("gradient", 2, None),
-        ("gradient", 3, 1.5),
-        ("gradient", 4, None),
+        ("gradient", 3, None),
         ("printed", 1, None),
         ("printed", 2, 1.5),
-        ("printed", 3, None),
-        ("printed", 4, 1.5),
     ],
 )
 def test_a_step_is_the_references_for_both_laws_substeps_and_limit(
@@ -84,7 +80,7 @@ def test_a_step_is_the_references_for_both_laws_substeps_and_limit(
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     ("vectors", "landmarks"),
-    [(0, 0), (0, 3), (1, 0), (2, 2), (3, 3), (4, 1)],
+    [(0, 0), (0, 3), (1, 0), (3, 2)],
 )
 def test_a_step_is_the_references_for_any_number_of_vectors_and_landmarks(
     vectors, landmarks

@@ -27,6 +27,8 @@ from posegsa.model.signal import (
 )
 from posegsa.search.build import signal_settings
 
+pytestmark = pytest.mark.quick
+
 N = 60
 
 jitted_state, jitted_prepare = jax.jit(initial_state), jax.jit(prepare)

@@ -17,6 +17,8 @@ from posegsa.model.measurements import (
     with_cross_vector,
 )
 
+pytestmark = pytest.mark.quick
+
 N, VECTORS, LANDMARKS = 4, 3, 2
 
 

@@ -6,6 +6,8 @@ from hypothesis import strategies as st
 from posegsa.errors import ScenarioError
 from posegsa.model.observability import are_collinear, check_observability
 
+pytestmark = pytest.mark.quick
+
 ALONG, UP, EAST = (1.0, -1.0, 1.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 CORNERS = ((1.0, 2.0, 3.0), (2.0, 2.0, 3.0), (1.0, 5.0, 3.0))
 

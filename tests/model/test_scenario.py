@@ -332,14 +332,6 @@ def test_initial_estimates_are_those_configured() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_measuring_under_jit_equals_measuring_eagerly() -> None:
-    s, key = quietly(experiment(duration=0.5)), jax.random.key(0)
-    truth = jitted_integrate(s)
-    # To rounding: fused multiply-adds differ.
-    same(jitted_measure(s, truth, key), measure(s, truth, key), atol=1e-13)
-
-
-@pytest.mark.usefixtures("x64")
 def test_vmap_over_keys_equals_a_loop() -> None:
     s = quietly(experiment(duration=0.5))
     truth, keys = jitted_integrate(s), jax.random.split(jax.random.key(0), 3)

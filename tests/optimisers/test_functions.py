@@ -6,6 +6,8 @@ import pytest
 
 from posegsa.optimisers.functions import FUNCTIONS, ClassicalFunction
 
+pytestmark = pytest.mark.quick
+
 # The textbook formulas, as the sources print them, in float64.
 Z = np.array([0.3, -1.2, 2.5])
 D = 3

@@ -119,21 +119,6 @@ def test_chunks_do_not_change_a_bit(optimiser: Optimiser) -> None:
         assert_same(seen[-1], whole)
 
 
-@pytest.mark.parametrize("optimiser", OPTIMISERS[:3:2])
-def test_vmap_over_keys_equals_a_loop(optimiser: Optimiser) -> None:
-    # Fused differently under vmap, sums may round differently: hence float64 and a tolerance.
-    with jax.enable_x64(True):
-        target, keys = box([-1.0, -2, 3], [1.0, 2, 3]), jax.random.split(jax.random.key(2), 3)
-        together = jax.vmap(lambda key: minimise(sphere, target, optimiser, key))(keys)
-        for i, key in enumerate(keys):
-            alone = minimise(sphere, target, optimiser, key)
-            for field in ("best_position", "best_cost", "iteration", "non_finite", "history"):
-                found = jax.tree.leaves(getattr(alone, field))
-                among = jax.tree.leaves(getattr(together, field))
-                for a, b in zip(found, among, strict=True):
-                    np.testing.assert_allclose(a, b[i], rtol=1e-9)
-
-
 @pytest.mark.parametrize("optimiser", OPTIMISERS[:3])
 def test_fixed_coordinates_stay_fixed(optimiser: Optimiser) -> None:
     target = box([0, 0.1, -1 / 3], [1, 0.1, -1 / 3])

@@ -10,6 +10,8 @@ from scipy import stats
 
 from posegsa.optimisers import RandomSearch, box, from_unit, minimise
 
+pytestmark = pytest.mark.quick
+
 
 def draws(optimiser: RandomSearch, dimensions: int, iterations: int) -> np.ndarray:
     """Positions of several iterations, (iterations, agents, dimensions)."""

@@ -3,7 +3,11 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 import posegsa
+
+pytestmark = pytest.mark.quick
 
 LAYERS = (
     "errors arguments words runtime settings | optimisers model | config | search | judging"

@@ -21,6 +21,8 @@ from posegsa.report.headline import verdict
 from posegsa.report.markup import cost, element, number
 from posegsa.report.sections import schedule_words
 
+pytestmark = pytest.mark.quick
+
 
 def test_it_needs_nothing_else():
     text = report_html(result(), {"costs": PICTURE, "gain": PICTURE})

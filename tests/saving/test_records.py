@@ -17,6 +17,8 @@ from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 from posegsa.saving.run import HistoryTable
 from posegsa.settings.arrays import Columns, Cost, Numbers
 
+pytestmark = pytest.mark.quick
+
 FILE = Path("record.json")
 
 

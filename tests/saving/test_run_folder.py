@@ -20,6 +20,8 @@ from posegsa.saving.folder import (
     replace_files,
 )
 
+pytestmark = pytest.mark.quick
+
 OLD = {"result.json": b"old", "figures/a.png": b"old", "figures/b.png": b"old"}
 NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}
 

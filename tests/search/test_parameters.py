@@ -42,6 +42,7 @@ def as_vectors(made: ParameterSpace, vectors: np.ndarray) -> np.ndarray:
 # Repairs ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("vectors", KINDS)
 @pytest.mark.parametrize(("changes", "repairs"), REPAIRS.values(), ids=REPAIRS.keys())
@@ -75,6 +76,7 @@ def test_another_overlap_against_the_reference(overlap: float) -> None:
     np.testing.assert_array_equal(inputs, expected)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("vectors", KINDS)
 def test_repaired_values_stay_in_their_own_boxes(

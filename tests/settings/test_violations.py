@@ -10,6 +10,8 @@ from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Ascending, Count, NonNegative, Section
 from posegsa.settings.violations import Violation
 
+pytestmark = pytest.mark.quick
+
 
 class Swarm(Section):
     optimiser: Literal["swarm"] = "swarm"
