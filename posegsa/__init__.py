@@ -20,9 +20,9 @@ from posegsa.figures.result import draw as draw
 from posegsa.figures.schedule import plot_input_terms as plot_input_terms
 from posegsa.figures.schedule import plot_output_terms as plot_output_terms
 from posegsa.figures.schedule import plot_surface as plot_surface
-from posegsa.judging.batch import TuneBatch as TuneBatch
 from posegsa.judging.comparison import OptimiserComparison as OptimiserComparison
 from posegsa.judging.result import VERSION
+from posegsa.judging.result import TuneBatch as TuneBatch
 from posegsa.judging.result import TuneResult as TuneResult
 from posegsa.model.filter import FilterSettings as FilterSettings
 from posegsa.model.filter import FilterState as FilterState

@@ -43,7 +43,6 @@ class Status(NamedTuple):
     share: float
     """Of the search that is running."""
     best_cost: float
-    """Its best cost so far."""
 
 
 class Subject(NamedTuple):
@@ -194,12 +193,9 @@ def _gradients(optimiser: Optimiser) -> Gradients | None:
 
 
 def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optimiser:
-    """The optimiser that a text means, with so many evaluations at most.
+    """The optimiser that a text such as "gsa:g0=1.0" means, with so many evaluations at most.
 
-    Args:
-        experiment: Where settings that the text does not give come from.
-        text: A name, as in search.optimiser, and after colons settings of its own: "gsa:g0=1.0".
-        evaluations: Evaluations of the search.
+    Settings that the text does not give come from the experiment.
 
     Raises:
         ConfigError: The name or a setting is not valid, or the evaluations are not enough for one
@@ -222,7 +218,6 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
 def _tell(
     progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int, now: Progress
 ) -> None:
-    """Pass a search's progress on as the comparison's."""
     if progress is not None:
         progress(Status(name, repeat, repeats, now.iteration / now.iterations, now.best_cost))
 
@@ -230,7 +225,6 @@ def _tell(
 def _search(
     subject: Subject, optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]
 ) -> Repeat:
-    """Search once, and judge what was found."""
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:

@@ -6,18 +6,10 @@ from dataclasses import replace
 import jax
 
 from posegsa.arguments import check_callable, check_type, check_whole
-from posegsa.judging.baselines import baselines
-from posegsa.judging.evaluation import (
-    CONTENDERS,
-    TUNED,
-    Description,
-    FuzzyDescription,
-    contender,
-    evaluation,
-)
+from posegsa.judging.baselines import Described, baselines
+from posegsa.judging.evaluation import CONTENDERS, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import TuneResult
-from posegsa.model.schedules import GainSchedule
 from posegsa.search import memory
 from posegsa.search.build import scenario, scenario_batch
 from posegsa.search.keys import held_out_keys
@@ -60,8 +52,8 @@ def evaluate(
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
         one = scenario(experiment)
-        tuned = FuzzyDescription(kind="fuzzy", k=result.parameters.tolist())
-        schedules: dict[str, tuple[GainSchedule, Description]] = {TUNED: (result.schedule, tuned)}
+        k = result.parameters.tolist()
+        schedules: dict[str, Described] = {TUNED: (result.schedule, {"kind": "fuzzy", "k": k})}
         # All are found, the oracle first, before any is judged.
         for name, find in baselines(result, one).items():
             say(f"searching: {name}")

@@ -1,19 +1,16 @@
 """The main job: an experiment in, a tuned schedule out, judged on noise that it has not seen."""
 
-import json
 import os
 from collections.abc import Callable, Iterable
-from numbers import Integral
 from pathlib import Path
 
 import jax
 
 from posegsa import config
-from posegsa.arguments import check_callable, check_type
+from posegsa.arguments import check_callable, several
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
-from posegsa.judging.batch import TuneBatch
 from posegsa.judging.judge import judge
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import TuneBatch, TuneResult
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
     newest_checkpoint,
@@ -25,6 +22,7 @@ from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import Progress, run_search, search_batch
+from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
 """An experiment, a TOML file, or the recommended experiment."""
@@ -156,11 +154,10 @@ def _all_chosen(
     """The experiments that a user means, each with each seed; at least one, all of one dtype."""
     if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
         experiments = [config.as_experiment(experiments)]
-    check_type("experiments", experiments, Iterable, allowed="experiments, or one")
-    many = [config.as_experiment(one) for one in experiments]
+    each = several("experiments", experiments, object, "experiments, or one")
+    many = list(map(config.as_experiment, each))
     if seeds is not None:
-        check_type("seeds", seeds, Iterable, allowed="several whole numbers")
-        each = list(seeds)
+        each = several("seeds", seeds, object, "several whole numbers")
         many = [_chosen(one, seed) for one in many for seed in each]
     if not many:
         raise ConfigError("nothing to tune: no experiments, or no seeds, were given")
@@ -174,12 +171,5 @@ def _chosen(
 ) -> config.Experiment:
     """The experiment that a user means, with a seed and a number of iterations if given."""
     given = {"run.seed": seed, "search.iterations": iterations}
-    settings = [f"{key}={_written(value)}" for key, value in given.items() if value is not None]
+    settings = [f"{key}={toml(value)}" for key, value in given.items() if value is not None]
     return config.override(config.as_experiment(experiment), settings)
-
-
-def _written(value: object) -> str:
-    """A number, also NumPy's, as a setting writes it; anything else so that it is refused."""
-    if isinstance(value, Integral) and not isinstance(value, bool):
-        return str(int(value))
-    return json.dumps(str(value))

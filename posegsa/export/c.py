@@ -103,7 +103,6 @@ def _comment(lines: Iterable[str]) -> str:
 
 
 def _costs(result: TuneResult) -> list[str]:
-    """What the schedule is worth, and whether to believe it."""
     names = {
         "tuned": "  this schedule",
         "constant": f"  best constant gain {result.constant_gain:.4g}/s",
@@ -165,7 +164,6 @@ def _known(scenario: ScenarioConfig) -> list[str]:
 
 
 def _settings(section: Section, without: Collection[str] = ()) -> list[str]:
-    """The settings of a section of the configuration, with their meaning."""
     return [
         line
         for name, value, description in section.described()

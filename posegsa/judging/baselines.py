@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,21 +12,12 @@ import optax
 from jax import Array
 
 from posegsa.config import ObjectiveConfig, override
-from posegsa.judging.evaluation import (
-    CONSTANT,
-    ORACLE,
-    RANDOM,
-    SMOOTH,
-    ConstantDescription,
-    Description,
-    FuzzyDescription,
-    OpenLoopDescription,
-    SmoothDescription,
-)
+from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, Description
 from posegsa.judging.result import TuneResult
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, KnotGain, SmoothGain
 from posegsa.optimisers import Box, Optimiser, runner, start
+from posegsa.optimisers.gradient import value_and_slopes
 from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.keys import keys, oracle_keys, training_keys
 from posegsa.search.population import ScenarioBatch, agent_costs, costs_by_scenario, over_scenarios
@@ -51,8 +43,8 @@ ORACLE_RANGE = (0.5, 200.0)
 """Gains that the oracle may ask for [1/s]; wider than a controller's range."""
 
 
-Baseline = Callable[[], tuple[GainSchedule, Description]]
-"""Finds a schedule, and says what it is."""
+Described = tuple[GainSchedule, Description]
+"""A schedule, and what it is as it is stored."""
 
 
 def best_constant(
@@ -80,12 +72,9 @@ class _SmoothObjective(NamedTuple):
 
     def __call__(self, training: ScenarioBatch) -> Callable[[Array], Array]:
         """As a function of vectors (A, 3), on training scenarios."""
-
-        def costs(vectors: Array) -> Array:
-            schedules = jax.vmap(smooth_gain)(vectors)
-            return over_scenarios(agent_costs(schedules, training), self.objective)
-
-        return costs
+        return lambda vectors: over_scenarios(
+            agent_costs(jax.vmap(smooth_gain)(vectors), training), self.objective
+        )
 
 
 def search_smooth(
@@ -117,13 +106,7 @@ def _descend(
         schedule = jax.tree.map(lambda a: a[None], KnotGain(time, knots))
         return jnp.mean(agent_costs(schedule, batch))
 
-    def cost_and_gradient(knots: Array) -> tuple[Array, Array]:
-        # Forward mode: few inputs, 1500 steps, and nothing to store.
-        basis = jnp.eye(knots.shape[0], dtype=knots.dtype)
-        values, slopes = jax.vmap(lambda d: jax.jvp(cost, (knots,), (d,)))(basis)
-        return values[0], slopes
-
-    values, gradient = jax.vmap(cost_and_gradient)(log_gain)
+    values, gradient = jax.vmap(partial(value_and_slopes, cost))(log_gain)
     gradient = jnp.where(jnp.isfinite(gradient), gradient, 0.0)
     direction, state = optax.scale_by_adam().update(gradient, state)
     low, high = (math.log(end) for end in ORACLE_RANGE)
@@ -137,13 +120,13 @@ def oracle_knots(end: float) -> np.ndarray:
     return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
 
 
-def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
+def oracle(batch: ScenarioBatch) -> Described:
     """The best open-loop gain sequence found for a batch of scenarios, and how it was found.
 
     Gradient descent (Adam, forward-mode derivatives) on the logarithm of KNOTS gains from several
     starts, at ever finer rates, each until no start improves any more. It is a strong reference for
     what a schedule can do on the family as a whole, no proven bound: a schedule that looks at the
-    error may beat it. How it was found is as `OpenLoopDescription` has it.
+    error may beat it.
     """
     dtype = batch.dtype
     time = jnp.asarray(oracle_knots(float(batch.samples.time[0, -1])), dtype)
@@ -169,39 +152,41 @@ def oracle(batch: ScenarioBatch) -> tuple[KnotGain, dict[str, Any]]:
         else:
             converged = False
     i = int(np.argmin(best_cost))
-    found = {"cost_fitted": float(best_cost[i]), "steps": steps, "converged": converged}
-    return KnotGain(time, best[i]), found
+    return KnotGain(time, best[i]), {
+        "kind": "open loop",
+        "time": np.asarray(time, np.float64).tolist(),
+        "gain": np.exp(np.asarray(best[i], np.float64)).tolist(),
+        "cost_fitted": float(best_cost[i]),
+        "steps": steps,
+        "converged": converged,
+    }
 
 
-def baselines(result: TuneResult, one: Scenario) -> dict[str, Baseline]:
+def baselines(result: TuneResult, one: Scenario) -> dict[str, Callable[[], Described]]:
     """How to find each baseline of a run, by name."""
     experiment, run = result.experiment, result.experiment.run
     training = scenario_batch(experiment, one, training_keys(run.seed, run.training_scenarios))
 
-    def constant() -> tuple[GainSchedule, Description]:
+    def constant() -> Described:
         # The grid's best: with one number to find, a full search ends at the same cost.
         gain = jnp.asarray(result.constant_gain, training.dtype)
-        return ConstantGain(gain), ConstantDescription(kind="constant", gain=result.constant_gain)
+        return ConstantGain(gain), {"kind": "constant", "gain": result.constant_gain}
 
-    def random() -> tuple[GainSchedule, Description]:
+    def random() -> Described:
         # By name, because the library of the run's own optimiser may not be installed here.
         task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
         controller = task.space.controller(run_search(task).search.best_position)
         k = np.asarray(task.space.vector(controller)).tolist()
-        return FuzzyGain(controller), FuzzyDescription(kind="fuzzy", k=k)
+        return FuzzyGain(controller), {"kind": "fuzzy", "k": k}
 
-    def smooth() -> tuple[GainSchedule, Description]:
+    def smooth() -> Described:
         optimiser = override(experiment, ["search.optimiser=gsa"]).search
         gains, key = experiment.parameters.gain_range, keys(run.seed).baselines
         schedule = search_smooth(optimiser, experiment.objective, gains, training, key)
-        values = {name: float(value) for name, value in vars(schedule).items()}
-        return schedule, SmoothDescription(kind="smooth", **values)
+        low, high, half = map(float, (schedule.low, schedule.high, schedule.half))
+        return schedule, {"kind": "smooth", "low": low, "high": high, "half": half}
 
-    def best_sequence() -> tuple[GainSchedule, Description]:
-        scenario_keys = oracle_keys(run.seed, ORACLE_SCENARIOS)
-        knots, how = oracle(scenario_batch(experiment, one, scenario_keys))
-        time = np.asarray(knots.time, np.float64).tolist()
-        gain = np.exp(np.asarray(knots.log_gain, np.float64)).tolist()
-        return knots, OpenLoopDescription(kind="open loop", time=time, gain=gain, **how)
+    def best_sequence() -> Described:
+        return oracle(scenario_batch(experiment, one, oracle_keys(run.seed, ORACLE_SCENARIOS)))
 
     return {ORACLE: best_sequence, CONSTANT: constant, RANDOM: random, SMOOTH: smooth}

@@ -28,12 +28,10 @@ class Repeat(NamedTuple):
     held_out: Cost | None
     """Cost of that on unseen scenarios; None where there are none."""
     position: list[float]
-    """Where it is."""
     seconds: NonNegative
     """Time of the search, without compiling."""
     compile_seconds: NonNegative
     non_finite: Annotated[int, Field(ge=0)]
-    """Evaluations that were not finite."""
     evaluations: Annotated[list[_Positive], Field(min_length=1)]
     """(n,) evaluations made after some or all iterations; a gradient counts at its price."""
     best: list[Cost]
@@ -78,7 +76,6 @@ class OptimiserComparison:
     gradients: dict[str, Gradients] = field(default_factory=dict)
     """Of the optimisers that use gradients."""
     environment: dict[str, str] = field(default_factory=dict)
-    """The machine that made them."""
 
     def only(self, names: Iterable[str]) -> "OptimiserComparison":
         """The same with some of the optimisers, in this order."""
@@ -199,13 +196,16 @@ class OptimiserComparison:
             "(Holm). 'to C': median evaluations (and seconds) until the cost is at most C; '-' "
             "where fewer than half of the repeats got there.",
         ]
-        evaluation = self._evaluation_seconds()
+        # One evaluation among many: of the quickest optimiser without gradients.
+        plain = [repeats for name, repeats in self.repeats.items() if name not in self.gradients]
+        each = ([r.seconds / r.evaluations[-1] for r in repeats] for repeats in plain)
+        quickest = float(min(map(np.median, each), default=0))
         for name in filter(self.gradients.get, self.repeats):
             price, measured = self.gradients[name].price, self.gradient_seconds(name)
             lines.append(
                 f"{name}: a cost with its gradient counts as {counted(price, 'evaluation')}; it "
                 f"took {1000 * measured:.3g} ms"
-                + (f", as long as {measured / evaluation:.3g}." if evaluation else ".")
+                + (f", as long as {measured / quickest:.3g}." if quickest else ".")
             )
         return "\n".join(lines)
 
@@ -217,12 +217,6 @@ class OptimiserComparison:
             begun = np.interp(begin, [0, *r.evaluations], [0.0, *r.times])
             per.append((r.times[-1] - begun) * price / (r.evaluations[-1] - begin))
         return float(np.median(per))
-
-    def _evaluation_seconds(self) -> float | None:
-        """Time of one evaluation among many: of the quickest optimiser without gradients."""
-        plain = [n for n in self.repeats if n not in self.gradients]
-        times = [np.median([r.seconds / r.evaluations[-1] for r in self.repeats[n]]) for n in plain]
-        return float(min(times)) if times else None
 
 
 def quantiles(values: np.ndarray) -> np.ndarray:

@@ -41,24 +41,21 @@ class Interval(NamedTuple):
         return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
 
 
-# Schedules as they are stored, by the values of those in `posegsa.model.schedules`.
-
-
-class FuzzyDescription(TypedDict):
-    """A `FuzzyGain`: k1..k22, in order and repaired as configured."""
+class _Fuzzy(TypedDict):
+    """A `FuzzyGain` as it is stored: k1..k22, in order and repaired as configured."""
 
     kind: Literal["fuzzy"]
     k: Annotated[list[float], Numbers(len(PARAMETERS))]
 
 
-class ConstantDescription(TypedDict):
-    """A `ConstantGain` [1/s]."""
+class _Constant(TypedDict):
+    """A `ConstantGain` as it is stored [1/s]."""
 
     kind: Literal["constant"]
     gain: float
 
 
-class SmoothDescription(TypedDict):
+class _Smooth(TypedDict):
     """A `SmoothGain`: gains without and at large errors [1/s], and the scaled error half-way."""
 
     kind: Literal["smooth"]
@@ -67,7 +64,7 @@ class SmoothDescription(TypedDict):
     half: float
 
 
-class OpenLoopDescription(TypedDict):
+class _OpenLoop(TypedDict):
     """A `KnotGain`: times [s] and gains [1/s] of its knots, and how it was found."""
 
     kind: Literal["open loop"]
@@ -81,10 +78,7 @@ class OpenLoopDescription(TypedDict):
     """Whether every descent ended because it no longer improved."""
 
 
-Description = Annotated[
-    FuzzyDescription | ConstantDescription | SmoothDescription | OpenLoopDescription,
-    Field(discriminator="kind"),
-]
+Description = Annotated[_Fuzzy | _Constant | _Smooth | _OpenLoop, Field(discriminator="kind")]
 
 
 class Contender(NamedTuple):
@@ -93,7 +87,6 @@ class Contender(NamedTuple):
     metrics: Metrics
     bands: Bands
     schedule: Description
-    """What the schedule is, by its own parameters."""
 
 
 class Summary(NamedTuple):

@@ -5,14 +5,7 @@ import numpy as np
 
 from posegsa.judging import trust
 from posegsa.judging.baselines import best_constant
-from posegsa.judging.evaluation import (
-    CONSTANT,
-    TUNED,
-    ConstantDescription,
-    FuzzyDescription,
-    contender,
-    evaluation,
-)
+from posegsa.judging.evaluation import CONSTANT, TUNED, Description, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.judging.trajectory import simulate_scenario
@@ -34,9 +27,9 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     )
     constant_gain = float(constant.gain)
     schedules = {TUNED: tuned, CONSTANT: constant}
-    descriptions = {
-        TUNED: FuzzyDescription(kind="fuzzy", k=parameters.tolist()),
-        CONSTANT: ConstantDescription(kind="constant", gain=constant_gain),
+    descriptions: dict[str, Description] = {
+        TUNED: {"kind": "fuzzy", "k": parameters.tolist()},
+        CONSTANT: {"kind": "constant", "gain": constant_gain},
     }
 
     # Training and held-out scenarios together, so that each kind of schedule compiles once.

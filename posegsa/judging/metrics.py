@@ -55,14 +55,11 @@ class Metrics(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """Quantiles over scenarios of the errors over time, each (3, N): QUANTILES, in this order."""
+    """Quantiles over scenarios of errors [deg], [m] and gain [1/s] over time, each (3, N)."""
 
     attitude: Band
-    """[deg]"""
     position: Band
-    """[m]"""
     gain: Band
-    """[1/s]"""
 
 
 @jax.jit
@@ -130,7 +127,5 @@ def metrics_of(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[Metrics, Bands
 def _settling(time: np.ndarray, error: np.ndarray, threshold: float) -> np.ndarray:
     """First time (S,) from which on the errors (S, N) stay under a threshold; infinite if never."""
     outside = ~(error < threshold)  # NaN is outside
-    last = error.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
-    never, always = outside[:, -1], ~outside.any(axis=1)
-    after = time[np.minimum(last + 1, len(time) - 1)]
-    return np.where(never, np.inf, np.where(always, time[0], after))
+    after_last = len(time) - np.argmax(outside[:, ::-1], axis=1)
+    return np.append(time, np.inf)[np.where(outside.any(axis=1), after_last, 0)]

@@ -1,4 +1,4 @@
-"""The result of a tuning run: what was found, how, and what it is worth."""
+"""The result of a tuning run, or of many: what was found, how, and what it is worth."""
 
 import warnings
 from dataclasses import dataclass
@@ -49,7 +49,6 @@ class TuneResult:
     evaluation: Evaluation
     """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
     trust: Trust
-    """Numerical sensitivity and use of the rules."""
     evaluations: Annotated[int, Field(ge=1)]
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
     as several (`search.gradient_price`)."""
@@ -59,13 +58,11 @@ class TuneResult:
     compile_seconds: NonNegative
     search_seconds: NonNegative
     history: History
-    """Best, mean and worst cost and the number that was not finite, of each iteration."""
     trajectory: Trajectory
     """The tuned filter on the first held-out scenario."""
     environment: dict[str, str]
     """Versions and device."""
     version: str
-    """Version of posegsa."""
 
     @property
     def controller(self) -> FuzzyController:
@@ -172,6 +169,23 @@ class TuneResult:
         if self.non_finite:
             found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
         return found
+
+
+@dataclass(frozen=True)
+class TuneBatch:
+    """Results of a batch, in the order of its experiments and seeds."""
+
+    results: tuple[TuneResult, ...]
+
+    def summary(self) -> str:
+        """Median and range over the batch, of training beside held-out cost."""
+        costs = {f"{TUNED}, training": [float(np.mean(r.training_costs)) for r in self.results]}
+        for name in (TUNED, CONSTANT):
+            costs[f"{name}, held out"] = [r.evaluation.cost(name).mean for r in self.results]
+        rows = [[counted(len(self.results), "search", "searches"), "median", "minimum", "maximum"]]
+        for name, each in costs.items():
+            rows.append([name, *(f"{of(each):.4g}" for of in (np.median, np.min, np.max))])
+        return text_table(rows)
 
 
 @np.errstate(over="ignore")  # a filter may diverge to any number

@@ -112,11 +112,8 @@ class Optimiser(Section):
 
     def evaluations_spent(self) -> np.ndarray:
         """Number of evaluations made after each iteration, (total_iterations,)."""
-        prices = [
-            np.full(phase.iterations, phase.agents * phase.evaluations_per_agent)
-            for phase in self.phases
-        ]
-        return np.cumsum(np.concatenate(prices))
+        prices = [phase.agents * phase.evaluations_per_agent for phase in self.phases]
+        return np.cumsum(np.repeat(prices, [phase.iterations for phase in self.phases]))
 
     def changed(self, **settings: Any) -> Self:
         """A copy with other values for some settings, checked."""
@@ -137,12 +134,8 @@ class Optimiser(Section):
     def resumed(self, asked: "Optimiser") -> Self:
         """The settings with which a search that was begun with these goes on.
 
-        Args:
-            asked: The settings that are asked for now; all but a larger number of iterations must
-                be the same.
-
         Raises:
-            Refused: They are not.
+            Refused: Those that are asked for now differ in more than a larger number of iterations.
         """
         keys = dict(self) if type(asked) is type(self) else ("optimiser",)
         problems = [
@@ -152,10 +145,8 @@ class Optimiser(Section):
         ]
         more = asked.iterations - self.iterations
         if more < 0 or (more > 0 and self.fixed_length):
-            allowed = (
-                f"the same, as {self.fixed_length}" if self.fixed_length else "as many or more"
-            )
-            reason = f"the run has {self.iterations}; allowed: {allowed}"
+            fixed = self.fixed_length and f"the same, as {self.fixed_length}"
+            reason = f"the run has {self.iterations}; allowed: {fixed or 'as many or more'}"
             problems.append(Violation("iterations", reason, asked.iterations))
         if problems:
             raise Refused(*problems)

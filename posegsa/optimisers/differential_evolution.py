@@ -68,15 +68,11 @@ class DifferentialEvolution(Optimiser):
         base = x[others[0]] if self.strategy == "rand/1/bin" else x[jnp.argmin(cost)][None, :]
         mutant = base + self.factor * (x[others[1]] - x[others[2]])  # Eq. 2
         mutant = jnp.where((mutant < 0) | (mutant > 1), uniform(keys[1], x.shape, x.dtype), mutant)
-        trial = jnp.where(self._crossed(keys[2], keys[3], x.shape), mutant, x)  # Eq. 4
+        drawn = uniform(keys[2], x.shape, jnp.float32) < self.crossover
+        sure = random.randint(keys[3], (self.agents, 1), 0, x.shape[1])  # at least one of each
+        crossed = drawn | (jnp.arange(x.shape[1])[None, :] == sure)
+        trial = jnp.where(crossed, mutant, x)  # Eq. 4
         return DifferentialEvolutionState(position=x, cost=cost, trial=trial, key=key)
-
-    def _crossed(self, key: Array, key_sure: Array, shape: tuple[int, ...]) -> Array:
-        """Return which coordinates come from the mutant: at least one of each agent's."""
-        agents, dimensions = shape
-        sure = random.randint(key_sure, (agents, 1), 0, dimensions)
-        drawn = uniform(key, shape, jnp.float32) < self.crossover
-        return drawn | (jnp.arange(dimensions)[None, :] == sure)
 
 
 def distinct_others(key: Array, agents: int) -> Array:

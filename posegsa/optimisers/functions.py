@@ -98,12 +98,6 @@ MAX_DIMENSIONS = 5000
 class ClassicalFunction:
     """A test function; call it with positions (agents, dimensions) for costs (agents,).
 
-    Attributes:
-        name: One of `FUNCTIONS`.
-        dimensions: d, 2 to MAX_DIMENSIONS.
-        shift: How far the minimum is moved in every coordinate, in half widths of the box.
-        rotation: Seed of a random rotation about the minimum; None for none.
-
     Raises:
         ArgumentError: If an attribute is out of its range, or the minimum would leave the box.
     """
@@ -111,10 +105,11 @@ class ClassicalFunction:
     name: str
     dimensions: int
     shift: float = 0.0
+    """How far the minimum is moved in every coordinate, in half widths of the box."""
     rotation: int | None = None
+    """Seed of a random rotation about the minimum; None for none."""
 
     def __post_init__(self) -> None:
-        """Check the attributes."""
         if self.name not in FUNCTIONS:
             refuse(f"function: name = {self.name!r}", " or ".join(map(repr, FUNCTIONS)))
         check_whole("function: dimensions", self.dimensions, 2, MAX_DIMENSIONS)

@@ -6,7 +6,7 @@ user's box, replaces costs and gradients that are not finite, and keeps the reco
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from posegsa.arguments import check_whole, refuse
 from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
+from posegsa.settings.arrays import Columns
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
 """What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
@@ -27,10 +28,14 @@ with its own gradients; or an ordinary Python function, which runs on the host."
 class History(NamedTuple):
     """What each iteration saw; NaN (0 for the count) from `Search.iteration` on."""
 
-    best: Array  # (iterations,) best cost so far; inf before any finite one
-    mean: Array  # (iterations,) mean of the iteration's finite costs; NaN if there were none
-    worst: Array  # (iterations,) largest of the iteration's finite costs; NaN if there were none
-    non_finite: Array  # (iterations,) int32, number of its evaluations that were not finite
+    best: Annotated[Array, Columns("best", allow="infinite")]
+    """(iterations,) best cost so far; inf before any finite one."""
+    mean: Annotated[Array, Columns("mean", allow="any")]
+    """(iterations,) mean of the iteration's finite costs; NaN if there were none."""
+    worst: Annotated[Array, Columns("worst", allow="any")]
+    """(iterations,) largest of the iteration's finite costs; NaN if there were none."""
+    non_finite: Annotated[Array, Columns("non_finite", dtype=int)]
+    """(iterations,) int32, number of its evaluations that were not finite."""
 
 
 class Search(NamedTuple):
@@ -143,7 +148,7 @@ def advance(
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, _evaluation(phase, objective, on_host), box, in_python),
+            partial(_step, phase, objective, box, on_host, in_python),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -172,21 +177,18 @@ def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Arr
     return more & ~reached & (falls | (done <= patience))
 
 
-def _evaluation(phase: Optimiser, objective: Any, on_host: bool) -> Callable[[Array], Any]:
-    """What maps positions to costs, or to costs and gradients where the phase wants them."""
-    if on_host:
-        return lambda positions: objective(np.asarray(positions))
-    given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
-    return given.costs_and_gradients if phase.wants_gradients else given.costs
-
-
 def _step(
-    phase: Optimiser, evaluate: Callable[[Array], Any], box: Box, in_python: bool, search: Search
+    phase: Optimiser, objective: Any, box: Box, on_host: bool, in_python: bool, search: Search
 ) -> Search:
     """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
     compiled = in_python and not phase.on_host
     asked, told = (_compiled_ask, _compiled_tell) if compiled else (ask, tell)
-    found = evaluate(asked(phase, box, search))
+    positions = asked(phase, box, search)
+    if on_host:
+        found = objective(np.asarray(positions))
+    else:
+        given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
+        found = (given.costs_and_gradients if phase.wants_gradients else given.costs)(positions)
     costs, *gradients = found if isinstance(found, tuple) else (found,)
     return told(phase, box, search, *_numbers(phase, box, costs, *gradients))
 

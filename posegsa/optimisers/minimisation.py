@@ -84,7 +84,15 @@ def minimise(
         ArgumentError: If an argument is not what is said here, or the objective does not return one
             cost per agent.
     """
-    _check_kinds(objective, box, optimiser, key)
+    if not isinstance(objective, Differentiable) and not callable(objective):
+        allowed = "a function that maps positions (agents, dimensions) to costs (agents,)"
+        refuse(f"minimise: objective: a {type(objective).__name__}", allowed)
+    check_type("minimise: box", box, Box, allowed="a Box, as posegsa.box(lower, upper) makes it")
+    allowed = "settings such as posegsa.GSA(agents=50)"
+    check_type("minimise: optimiser", optimiser, Optimiser, allowed=allowed)
+    is_key = hasattr(key, "dtype") and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    if not is_key or key.ndim > 1:
+        refuse(f"minimise: key: a {_kind(key)}", "jax.random.key(seed), or several of them (R,)")
     check_callable("minimise: callback", callback)
     if not any(isinstance(bound, Tracer) for bound in box):
         box = checked_box(*box)
@@ -127,19 +135,15 @@ def minimise(
 def _until(target: float | None, patience: int | None, tolerance: float) -> Until | None:
     """What stops a search inside the compiled loop, if anything does."""
     check_number("minimise: tolerance", tolerance, 0)
-    until = Until(tolerance=tolerance)
-    if target is None and patience is None and tolerance == 0:
-        return None
-    if target is not None:
-        if not isinstance(target, Tracer):
-            check_number("minimise: target", target)
-        until = until._replace(target=target)
+    if target is not None and not isinstance(target, Tracer):
+        check_number("minimise: target", target)
     if patience is not None:
         check_whole("minimise: patience", patience, 1)
-        until = until._replace(patience=patience)
     elif tolerance != 0:
         refuse(f"minimise: tolerance = {tolerance!r}", "with patience")
-    return until
+    stops = {"target": target, "patience": patience}
+    given = {name: value for name, value in stops.items() if value is not None}
+    return Until(tolerance=tolerance, **given) if given else None
 
 
 def _check_structure(search: Search, like: Search) -> None:
@@ -159,17 +163,3 @@ def _kind(leaf: Any) -> str:
     """An array's dtype and shape; the type of anything else, such as the strategy of pycma."""
     dtype = getattr(leaf, "dtype", None)
     return type(leaf).__name__ if dtype is None else f"{dtype} {leaf.shape}"
-
-
-def _check_kinds(objective: Any, box: Any, optimiser: Any, key: Any) -> None:
-    """Refuse arguments that are of another kind than `minimise` takes."""
-    if not isinstance(objective, Differentiable) and not callable(objective):
-        allowed = "a function that maps positions (agents, dimensions) to costs (agents,)"
-        refuse(f"minimise: objective: a {type(objective).__name__}", allowed)
-    check_type("minimise: box", box, Box, allowed="a Box, as posegsa.box(lower, upper) makes it")
-    allowed = "settings such as posegsa.GSA(agents=50)"
-    check_type("minimise: optimiser", optimiser, Optimiser, allowed=allowed)
-    is_key = hasattr(key, "dtype") and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
-    if not is_key or key.ndim > 1:
-        allowed = "jax.random.key(seed), or several of them (R,)"
-        refuse(f"minimise: key: a {_kind(key)}", allowed)

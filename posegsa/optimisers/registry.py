@@ -10,18 +10,18 @@ from posegsa.optimisers.polish import PolishedGSA
 from posegsa.optimisers.pycma import PyCMA
 from posegsa.optimisers.random_search import RandomSearch
 
+_KINDS = (
+    GSA,
+    RandomSearch,
+    ParticleSwarm,
+    DifferentialEvolution,
+    CMAES,
+    Adam,
+    PolishedGSA,
+    Evosax,
+    PyCMA,
+)
 OPTIMISERS: dict[str, type[Optimiser]] = {
-    kind.model_fields["optimiser"].default: kind
-    for kind in (
-        GSA,
-        RandomSearch,
-        ParticleSwarm,
-        DifferentialEvolution,
-        CMAES,
-        Adam,
-        PolishedGSA,
-        Evosax,
-        PyCMA,
-    )
+    kind.model_fields["optimiser"].default: kind for kind in _KINDS
 }
 """By name, the default first."""

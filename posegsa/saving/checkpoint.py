@@ -40,14 +40,13 @@ class Checkpoint(NamedTuple):
     path: Path
     about: dict[str, Any]
     """What was written beside the search."""
-    arrays: dict[str, tuple[str, np.ndarray]]
-    """By their path in the search: the dtype as JAX names it, and the numbers."""
+    arrays: dict[str, tuple[str, str, tuple[int, ...]]]
+    """By their path in the search, as `_described`; what they are is never taken from here."""
+    numbers: memoryview
+    """Their bytes, one after the other."""
 
     def search(self, like: Search) -> Search:
-        """The search.
-
-        Args:
-            like: A search of the same structure, such as `start` gives; its values don't matter.
+        """The search, of the structure of another, such as `start` gives.
 
         Raises:
             CheckpointError: An array is missing or of another shape or dtype, or `like` holds
@@ -59,21 +58,25 @@ class Checkpoint(NamedTuple):
                 raise CheckpointError(f"{self.path}: has no {name}, which this optimiser needs")
             if name not in wanted:
                 raise CheckpointError(f"{self.path}: has {name}, which this optimiser has not")
-        leaves = [self._leaf(name, leaf) for name, leaf in wanted.items()]
-        return jax.tree.unflatten(jax.tree.structure(like), leaves)
-
-    def _leaf(self, name: str, like: jax.Array) -> jax.Array:
-        (dtype, values), needed = self.arrays[name], _numbers(like)
-        for what, found, right in (
-            ("is", dtype, str(like.dtype)),
-            ("is stored as", values.dtype, needed.dtype),
-            ("has shape", values.shape, needed.shape),
-        ):
-            if found != right:
-                raise CheckpointError(f"{self.path}: {name} {what} {found}; needed: {right}")
-        if _is_key(like):
-            return jax.random.wrap_key_data(jnp.asarray(values), impl=jax.random.key_impl(like))
-        return jnp.asarray(values)
+        found, offset = {}, 0
+        for name, described in self.arrays.items():
+            leaf, numbers = wanted[name], _numbers(wanted[name])
+            words = ("is", "is stored as", "has shape")
+            for what, has, needed in zip(words, described, _described(leaf), strict=True):
+                if has != needed:
+                    raise CheckpointError(f"{self.path}: {name} {what} {has}; needed: {needed}")
+            stored, end = numbers.dtype.newbyteorder("<"), offset + numbers.nbytes
+            if end > len(self.numbers):
+                raise CheckpointError(f"{self.path}: has no bytes for {name}")
+            values = np.frombuffer(self.numbers[offset:end], stored).reshape(numbers.shape)
+            array, offset = jnp.asarray(values.astype(numbers.dtype, copy=False)), end
+            if _is_key(leaf):
+                array = jax.random.wrap_key_data(array, impl=jax.random.key_impl(leaf))
+            found[name] = array
+        if offset != len(self.numbers):
+            extra = len(self.numbers) - offset
+            raise CheckpointError(f"{self.path}: {extra} bytes belong to no array")
+        return jax.tree.unflatten(jax.tree.structure(like), [found[name] for name in wanted])
 
 
 def save_search(path: str | Path, search: Search, about: dict[str, Any] | None = None) -> None:
@@ -91,16 +94,13 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
     arrays = _arrays("search", search)
-    stored = {name: _numbers(array) for name, array in arrays.items()}
     header = {
         "format": FORMAT,
         "about": about or {},
-        "arrays": [
-            [name, str(arrays[name].dtype), numbers.dtype.name, numbers.shape]
-            for name, numbers in stored.items()
-        ],
+        "arrays": [[name, *_described(array)] for name, array in arrays.items()],
     }
-    bytes_of = (a.astype(a.dtype.newbyteorder("<")).tobytes() for a in stored.values())
+    stored = map(_numbers, arrays.values())
+    bytes_of = (a.astype(a.dtype.newbyteorder("<")).tobytes() for a in stored)
     content = json.dumps(header).encode() + b"\n" + b"".join(bytes_of)
     digest = hashlib.sha256(content).hexdigest().encode()
     try:
@@ -150,34 +150,21 @@ def read(path: Path) -> Checkpoint:
     if digest != hashlib.sha256(rest).hexdigest().encode() + b"\n":
         raise DamagedCheckpointError(f"{path}: is damaged: its checksum is wrong")
     try:
-        return _unpacked(path, content, start)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        end = content.index(b"\n", start, start + _MAX_HEADER)
+        header = json.loads(content[start:end])
+        if header["format"] != FORMAT:
+            raise CheckpointError(
+                f"{path}: has format {header['format']}; this version of posegsa reads {FORMAT}"
+            )
+        return Checkpoint(
+            path=path,
+            about=dict(header["about"]),
+            arrays={name: (a, b, tuple(shape)) for name, a, b, shape in header["arrays"]},
+            numbers=memoryview(content)[end + 1 :],
+        )
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         # The checksum is right, so this is no damage.
         raise CheckpointError(f"{path}: is not as posegsa writes it: {error}") from None
-
-
-def _unpacked(path: Path, content: bytes, start: int) -> Checkpoint:
-    """The parts of a checkpoint whose checksum fits."""
-    end = content.index(b"\n", start, start + _MAX_HEADER)
-    header = json.loads(content[start:end])
-    if header["format"] != FORMAT:
-        raise CheckpointError(
-            f"{path}: has format {header['format']}; this version of posegsa reads {FORMAT}"
-        )
-    arrays, offset = {}, end + 1
-    for name, dtype, stored, shape in header["arrays"]:
-        if not stored.isidentifier():  # NumPy would parse it
-            raise ValueError(f"{name} is stored as {stored!r}, which is no dtype's name")
-        numbers = np.dtype(stored).newbyteorder("<")
-        if numbers.hasobject or any(length < 0 for length in shape):
-            raise ValueError(f"{name} does not hold numbers")
-        # A view of what has been read: no shape can ask for more memory than the file has bytes.
-        values = np.ndarray(tuple(shape), numbers, content, offset)
-        arrays[name] = dtype, values.astype(numbers.newbyteorder("="), copy=False)
-        offset += values.nbytes
-    if offset != len(content):
-        raise ValueError(f"{len(content) - offset} bytes belong to no array")
-    return Checkpoint(path, dict(header["about"]), arrays)
 
 
 def _arrays(argument: str, search: Search) -> dict[str, jax.Array]:
@@ -207,6 +194,12 @@ def _is_numeric(leaf: object) -> bool:
 
 def _is_key(leaf: jax.Array) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _described(leaf: jax.Array) -> tuple[str, str, tuple[int, ...]]:
+    """An array's dtype as JAX names it, and dtype and shape of the numbers that are stored."""
+    numbers = _numbers(leaf)
+    return str(leaf.dtype), numbers.dtype.name, numbers.shape
 
 
 def _numbers(leaf: jax.Array) -> np.ndarray:

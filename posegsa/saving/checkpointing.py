@@ -4,6 +4,7 @@ import contextlib
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -42,9 +43,7 @@ class About(NamedTuple):
     search_seconds: NonNegative
     """Time that all processes so far have searched [s]."""
     compile_seconds: NonNegative
-    """Time that they have compiled [s]."""
     environment: dict[str, str]
-    """Where it was made."""
 
 
 class CheckpointedRun(NamedTuple):
@@ -52,12 +51,6 @@ class CheckpointedRun(NamedTuple):
 
     checkpoint: Checkpoint
     about: About
-
-    def search(self, problem: TuningProblem) -> Search:
-        """Its search, with room for as many iterations as a problem asks for."""
-        begun = problem._replace(experiment=self.about.experiment)
-        search = self.checkpoint.search(first_search(begun))
-        return lengthened(search, problem.experiment.search.total_iterations)
 
 
 def search_with_checkpoints(
@@ -83,7 +76,8 @@ def search_with_checkpoints(
                 path.unlink()
         search, before = first_search(problem), (0.0, 0.0)
     else:
-        search = run.search(problem)
+        begun = first_search(problem._replace(experiment=run.about.experiment))
+        search = lengthened(run.checkpoint.search(begun), experiment.search.total_iterations)
         before = run.about.search_seconds, run.about.compile_seconds
     if objects_in(search):
         warnings.warn(
@@ -147,6 +141,7 @@ def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
     return CheckpointedRun(checkpoint, about)
 
 
+@dataclass
 class CheckpointWriter:
     """Writes a run's checkpoints, as a context around its search.
 
@@ -156,19 +151,14 @@ class CheckpointWriter:
     only the very first one must succeed.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        experiment: config.Experiment,
-        request: StopRequest,
-        before: tuple[float, float] = (0.0, 0.0),
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._folder = folder
-        self._experiment = experiment
-        self._request = request
-        self._before = before
-        self._clock = clock
+    folder: Path
+    experiment: config.Experiment
+    request: StopRequest
+    before: tuple[float, float] = (0.0, 0.0)
+    """Seconds that earlier processes have searched and compiled."""
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self._last: tuple[Search, float, float] | None = None
         self._iteration = -1
         self._saved: int | None = None  # iteration of the newest checkpoint
@@ -177,9 +167,9 @@ class CheckpointWriter:
 
     def __enter__(self) -> Self:
         """Remove what earlier processes left half written."""
-        with write_errors(self._folder):
-            (self._folder / CHECKPOINTS).mkdir(exist_ok=True)
-            for path in (self._folder / CHECKPOINTS).glob(f"*{PART}"):
+        with write_errors(self.folder):
+            (self.folder / CHECKPOINTS).mkdir(exist_ok=True)
+            for path in (self.folder / CHECKPOINTS).glob(f"*{PART}"):
                 path.unlink()
         return self
 
@@ -208,36 +198,36 @@ class CheckpointWriter:
 
     def _is_due(self) -> bool:
         """Whether a checkpoint is due: the first, the last, after an interval, before a stop."""
-        intervals = self._experiment.checkpoint
+        intervals = self.experiment.checkpoint
         return (
             self._saved is None
-            or self._request.signal_number is not None
+            or self.request.signal_number is not None
             or self._iteration - self._saved >= intervals.iterations
-            or self._clock() - self._saved_at >= intervals.seconds
-            or self._iteration >= self._experiment.search.total_iterations
+            or self.clock() - self._saved_at >= intervals.seconds
+            or self._iteration >= self.experiment.search.total_iterations
         )
 
     def _stop_if_asked(self) -> None:
-        if self._request.signal_number is not None:
-            raise SearchInterrupted(f"interrupted {self._where()}", self._request.signal_number)
+        if self.request.signal_number is not None:
+            raise SearchInterrupted(f"interrupted {self._where()}", self.request.signal_number)
 
     def _save(self) -> None:
         if self._last is None or self._saved == self._iteration:
             return
         search, search_seconds, compile_seconds = self._last
         about = About(
-            experiment=self._experiment,
-            search_seconds=self._before[0] + search_seconds,
-            compile_seconds=self._before[1] + compile_seconds,
+            experiment=self.experiment,
+            search_seconds=self.before[0] + search_seconds,
+            compile_seconds=self.before[1] + compile_seconds,
             environment=environment(),
         )
-        path = self._folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
+        path = self.folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
         try:
             save_search(path, search, plain(about))
         except CheckpointError as problem:
             if self._saved is None:
                 raise
-            self._saved_at = self._clock()  # try again when the next one is due
+            self._saved_at = self.clock()  # try again when the next one is due
             if not self._warned:
                 self._warned = True
                 warnings.warn(
@@ -247,12 +237,12 @@ class CheckpointWriter:
                     stacklevel=4,
                 )
             return
-        self._saved, self._saved_at, self._warned = self._iteration, self._clock(), False
+        self._saved, self._saved_at, self._warned = self._iteration, self.clock(), False
         # The last few stay. Later ones, which were damaged, go.
         with contextlib.suppress(OSError):
-            numbered = [p for p in checkpoint_paths(self._folder) if p.stem.isdecimal()]
+            numbered = [p for p in checkpoint_paths(self.folder) if p.stem.isdecimal()]
             later = [p for p in numbered if int(p.stem) > self._iteration]
-            kept = len(later) + self._experiment.checkpoint.keep
+            kept = len(later) + self.experiment.checkpoint.keep
             for path in [*later, *numbered[kept:]]:
                 path.unlink()
 
@@ -260,10 +250,10 @@ class CheckpointWriter:
         """Where the search stands, and how to resume it."""
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
         best = float(self._last[0].best_cost) if self._last else float("inf")
-        iterations = self._experiment.search.total_iterations
+        iterations = self.experiment.search.total_iterations
         return (
             f"after iteration {self._iteration} of {iterations}{saved}, "
-            f"best cost {best:.4g}; go on with: posegsa tune --resume {self._folder}"
+            f"best cost {best:.4g}; go on with: posegsa tune --resume {self.folder}"
         )
 
 

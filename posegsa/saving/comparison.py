@@ -15,8 +15,6 @@ from posegsa.saving.records import from_json, to_json
 SCHEMA = 2
 """Number of the layout of comparison.json; it changes with its records."""
 DATA, TABLE, FIGURE = FILES = ("comparison.json", "comparison.txt", "comparison.png")
-MAX_BYTES = 2**27
-"""Size up to which a comparison is read: 128 MiB."""
 
 
 def load_comparison(folder: str | Path) -> OptimiserComparison:
@@ -27,7 +25,7 @@ def load_comparison(folder: str | Path) -> OptimiserComparison:
             and the field.
     """
     folder = as_path("folder", folder)
-    text = read_text(folder, DATA, MAX_BYTES, of="comparison")
+    text = read_text(folder, DATA, of="comparison")
     comparison = from_json(OptimiserComparison, text, SCHEMA, folder / DATA)
     for problem in comparison.disagreements():
         raise RunFolderError(f"{folder / DATA}: {problem}")

@@ -20,6 +20,9 @@ from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synce
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
+MAX_BYTES = 2**27
+"""Size up to which a file is read, but for the largest: 128 MiB."""
+
 _LOCK = ".lock"
 _STAGED, _COMMITTED = ".saving", ".saved"
 
@@ -121,12 +124,9 @@ def write_errors(folder: Path) -> Iterator[None]:
 
 
 def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str]) -> None:
-    """Replace files of a folder, all of them or none.
+    """Replace files of a locked folder, by names such as `figures/gain.png`: all of them or none.
 
-    Args:
-        folder: The folder, locked.
-        files: Contents by name, such as `figures/gain.png`.
-        remove: Names of files to remove; those in `files` stay.
+    Of those to remove, what is in `files` stays.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -171,7 +171,7 @@ def finish_commit(folder: Path) -> None:
 # Reading ------------------------------------------------------------------------------------------
 
 
-def read_text(folder: Path, name: str, limit: int, of: str) -> str:
+def read_text(folder: Path, name: str, of: str, limit: int = MAX_BYTES) -> str:
     """The text of a file, at most `limit` bytes, in a run's folder; a committed one comes first.
 
     Raises:

@@ -125,7 +125,7 @@ def _strict(kind: Any) -> Any:
     """The type by which pydantic reads values of a type from plain data, and nothing else."""
     if kind in _SCALARS:
         return _SCALARS[kind]
-    if _is_record(kind):
+    if is_dataclass(kind) or typing.is_typeddict(kind) or hasattr(kind, "_fields"):
         return _strict_record(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
@@ -146,12 +146,6 @@ def _section(kind: type[BaseModel], data: Any) -> BaseModel:
     return kind(**data)
 
 
-def _is_record(kind: Any) -> bool:
-    if is_dataclass(kind) or typing.is_typeddict(kind):
-        return True
-    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
-
-
 def _strict_record(kind: Any) -> Any:
     hints = typing.get_type_hints(kind, include_extras=True)
     fields: dict[str, Any] = {name: (_strict(hint), ...) for name, hint in hints.items()}
@@ -164,13 +158,18 @@ def _strict_record(kind: Any) -> Any:
 # Tables -------------------------------------------------------------------------------------------
 
 
-def to_csv(record: object) -> str:
-    """A record of columns as CSV, a row for each sample or iteration under the columns' names."""
+def to_csv(record: object, counted: str = "") -> str:
+    """A record of columns as CSV, a row for each sample or iteration under the columns' names.
+
+    `counted` is the name of a first column, if there shall be one, that counts the rows from 1.
+    """
     header, columns = [], []
     for field, names in _columns(type(record)).items():
         array = np.asarray(getattr(record, field))
         header += names
         columns += array.reshape(len(array), -1).T.tolist()
+    if counted:
+        header, columns = [counted, *header], [range(1, len(columns[0]) + 1), *columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -178,14 +177,15 @@ def to_csv(record: object) -> str:
     return text.getvalue()
 
 
-def from_csv(kind: type[Record], text: str, source: Path) -> Record:
+def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> Record:
     """Read what `to_csv` wrote, from the file that errors name.
 
     Raises:
         RunFolderError: It is not such a table.
     """
     columns = _columns(kind)
-    needed = [name for names in columns.values() for name in names]
+    first = [counted] if counted else []
+    needed = first + [name for names in columns.values() for name in names]
     try:
         header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if header != needed:
@@ -194,10 +194,12 @@ def from_csv(kind: type[Record], text: str, source: Path) -> Record:
         for number, row in enumerate(rows, start=1):
             if len(row) != len(needed):
                 raise ValueError(f"row {number} has {len(row)} values; allowed: {len(needed)}")
+            if counted and row[0] != str(number):
+                raise ValueError(f"row {number} has {counted} = {reprlib.repr(row[0])}")
         table = [[_number(cell) for cell in row] for row in rows]
     except (csv.Error, ValueError) as error:
         raise RunFolderError(f"{source}: is not such a table: {error}") from None
-    data, start = {}, 0
+    data, start = {}, len(first)
     for field, names in columns.items():
         end = start + len(names)
         data[field] = [row[start] if len(names) == 1 else row[start:end] for row in table]
@@ -214,7 +216,6 @@ def _number(cell: str) -> int | float | str:
 
 
 def _columns(kind: Any) -> dict[str, tuple[str, ...]]:
-    """The names of the columns of each field of a record."""
     return {
         field: said.names
         for field, hint in typing.get_type_hints(kind, include_extras=True).items()

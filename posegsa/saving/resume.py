@@ -1,8 +1,9 @@
 """What a run may be resumed with: its own folder, and its own experiment or a longer one."""
 
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import jax
 
 from posegsa import config
 from posegsa.errors import ArgumentError, RunFolderError
@@ -48,7 +49,7 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
         ConfigError: They differ in anything else, or fewer iterations are asked for; names it.
     """
     have, want = (
-        dict(_leaves(one.model_dump(mode="json", exclude={"search", "checkpoint"})))
+        _leaves(one.model_dump(mode="json", exclude={"search", "checkpoint"}))
         for one in (stored, asked)
     )
     problems = []
@@ -68,14 +69,7 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
     return stored.model_copy(update={"search": search, "checkpoint": asked.checkpoint})
 
 
-def _leaves(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def _leaves(data: dict[str, Any]) -> dict[str, Any]:
     """Every value of nested plain data, by its dotted path."""
-    if isinstance(data, Mapping):
-        items = data.items()
-    elif isinstance(data, list) and data:
-        items = enumerate(data)
-    else:
-        yield path, data
-        return
-    for key, value in items:
-        yield from _leaves(value, f"{path}.{key}" if path else str(key))
+    leaves = jax.tree_util.tree_leaves_with_path(data)
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}

@@ -3,7 +3,7 @@
 import reprlib
 from dataclasses import fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -18,9 +18,16 @@ from posegsa.judging.result import TuneResult
 from posegsa.judging.trajectory import Trajectory
 from posegsa.optimisers import History
 from posegsa.report import report_html
-from posegsa.saving.folder import FIGURES, RESULT, as_path, locked_folder, read_text, replace_files
+from posegsa.saving.folder import (
+    FIGURES,
+    MAX_BYTES,
+    RESULT,
+    as_path,
+    locked_folder,
+    read_text,
+    replace_files,
+)
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
-from posegsa.settings.arrays import Columns
 
 SCHEMA = 2
 """Number of the layout of result.json and evaluation.json; it changes with their records."""
@@ -28,22 +35,9 @@ SCHEMA = 2
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
-MAX_BYTES = 2**27
-"""Size up to which a file of a run is read: 128 MiB."""
 MAX_ROW = 2**10
 """Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
 numbers of at most 25 characters."""
-
-
-class HistoryTable(NamedTuple):
-    """The history of a search as a table, a row an iteration."""
-
-    iteration: Annotated[np.ndarray, Columns("iteration", dtype=int)]
-    """From 1."""
-    best: Annotated[np.ndarray, Columns("best", allow="infinite")]
-    mean: Annotated[np.ndarray, Columns("mean", allow="any")]
-    worst: Annotated[np.ndarray, Columns("worst", allow="any")]
-    non_finite: Annotated[np.ndarray, Columns("non_finite", dtype=int)]
 
 
 _ELSEWHERE = ("evaluation", "history", "trajectory")
@@ -83,11 +77,9 @@ def write_run(result: TuneResult, folder: Path) -> None:
     """
     pictures = {name: png(figure) for name, figure in draw(result).items()}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
-    columns = {name: np.asarray(values) for name, values in result.history._asdict().items()}
-    history = HistoryTable(iteration=np.arange(1, len(columns["best"]) + 1), **columns)
     evaluation = result.evaluation
     texts = {
-        HISTORY: to_csv(history),
+        HISTORY: to_csv(result.history, counted="iteration"),
         TRAJECTORY: to_csv(result.trajectory),
         EVALUATION: to_json(evaluation, SCHEMA, _evaluation_summary(evaluation)),
         TABLE: evaluation.table() + "\n",
@@ -130,24 +122,21 @@ def load(folder: str | Path) -> TuneResult:
     folder = as_path("folder", folder)
 
     def text(name: str, limit: int = MAX_BYTES) -> str:
-        return read_text(folder, name, limit, of="finished run")
+        return read_text(folder, name, of="finished run", limit=limit)
 
     stored = from_json(_StoredResult, text(RESULT), SCHEMA, folder / RESULT)
     longest = max(MAX_BYTES, MAX_ROW * stored.experiment.scenario.samples)
-    evaluation = from_json(Evaluation, text(EVALUATION), SCHEMA, folder / EVALUATION)
-    history = from_csv(HistoryTable, text(HISTORY), folder / HISTORY)
-    trajectory = from_csv(Trajectory, text(TRAJECTORY, longest), folder / TRAJECTORY)
     result = TuneResult(
         **vars(stored),
-        evaluation=evaluation,
-        history=History(**{name: getattr(history, name) for name in History._fields}),
-        trajectory=trajectory,
+        evaluation=from_json(Evaluation, text(EVALUATION), SCHEMA, folder / EVALUATION),
+        history=from_csv(History, text(HISTORY), folder / HISTORY, counted="iteration"),
+        trajectory=from_csv(Trajectory, text(TRAJECTORY, longest), folder / TRAJECTORY),
     )
-    _refuse_disagreement(folder, result, history.iteration)
+    _refuse_disagreement(folder, result)
     return result
 
 
-def _refuse_disagreement(folder: Path, result: TuneResult, iteration: np.ndarray) -> None:
+def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
     """Raise a RunFolderError where the files of a run do not fit together."""
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
@@ -156,7 +145,6 @@ def _refuse_disagreement(folder: Path, result: TuneResult, iteration: np.ndarray
         for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
     )
     samples, training = experiment.scenario.samples, experiment.run.training_scenarios
-    numbers = list(range(1, len(iteration) + 1))
     for file, field, found, needed in (
         (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
         (EVALUATION, f"contenders.{TUNED}.schedule.k", k, result.parameters.tolist()),
@@ -164,7 +152,6 @@ def _refuse_disagreement(folder: Path, result: TuneResult, iteration: np.ndarray
         (EVALUATION, "number of times", len(evaluation.time), len(band_samples(samples))),
         (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
         (RESULT, "number of training_costs", len(result.training_costs), training),
-        (HISTORY, "iteration", iteration.tolist(), numbers),
         (HISTORY, "last best", float(history.best[-1]), result.best_cost),
         (HISTORY, "sum of non_finite", int(history.non_finite.sum()), result.non_finite),
     ):

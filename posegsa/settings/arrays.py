@@ -52,7 +52,7 @@ class Numbers:
 
         def read(numbers: Any, info: core_schema.ValidationInfo) -> Any:
             array = self._array(numbers, info.context)
-            return array if source is np.ndarray else numbers
+            return array if hasattr(source, "dtype") else numbers
 
         return core_schema.with_info_after_validator_function(read, schema)
 

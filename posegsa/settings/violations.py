@@ -82,7 +82,6 @@ def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> 
 
 
 def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
-    """What is wrong, according to one error of pydantic's."""
     context, value, reason = item.get("ctx", {}), item["input"], item["msg"]
     path, tables = _place(item["loc"], model)
     if isinstance(cause := context.get("error"), Refused):

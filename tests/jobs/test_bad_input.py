@@ -92,7 +92,7 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.tune(seed=-1), "run.seed = -1"),
         (lambda r: posegsa.tune(seed=2**32), "run.seed = 4294967296"),
         (lambda r: posegsa.tune(iterations=-3), "search.iterations = -3"),
-        (lambda r: posegsa.tune(iterations=True), "search.iterations = .True"),
+        (lambda r: posegsa.tune(iterations=True), "search.iterations = true"),
         (lambda r: posegsa.tune_batch(5), "experiments: a int"),
         (lambda r: posegsa.tune_batch([tiny(), 5]), "experiment: a int"),
         (lambda r: posegsa.tune_batch(tiny(), seeds=5), "seeds: a int"),

@@ -14,7 +14,6 @@ from posegsa.errors import RunFolderError
 from posegsa.judging.trajectory import Trajectory
 from posegsa.optimisers import GSA, History
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
-from posegsa.saving.run import HistoryTable
 from posegsa.settings.arrays import Columns, Cost, Numbers
 
 pytestmark = pytest.mark.quick
@@ -225,18 +224,23 @@ def test_a_table_comes_back_bit_for_bit():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_whole_numbers_and_single_precision_come_back_too(dtype):
     seen = History(*(np.asarray(column, dtype) for column in history(5)[:3]), np.arange(5))
-    table = HistoryTable(np.arange(1, 6), *seen)
-    back = from_csv(HistoryTable, to_csv(table), FILE)
+    back = from_csv(History, to_csv(seen), FILE)
     assert back.non_finite.dtype == np.int64
-    for ours, found in zip(table, back, strict=True):
+    for ours, found in zip(seen, back, strict=True):
         np.testing.assert_array_equal(found, ours)
 
 
-def test_the_history_table_has_all_that_a_history_has():
-    assert HistoryTable._fields == ("iteration", *History._fields)
-    header, first, *_ = to_csv(HistoryTable(np.arange(1, 6), *history(5))).splitlines()
-    assert header == "iteration,best,mean,worst,non_finite"
+def test_a_table_may_count_its_rows():
+    text = to_csv(history(5), counted="iteration")
+    header, first, *_ = text.splitlines()
+    assert header == ",".join(["iteration", *History._fields])
     assert first == "1,60.0,65.0,69.0,0"
+    back = from_csv(History, text, FILE, counted="iteration")
+    np.testing.assert_array_equal(back.best, history(5).best)
+    for wrong in ("2", "1.0", "x", ""):
+        altered = text.replace("\n1,", f"\n{wrong},")
+        with pytest.raises(RunFolderError, match=f"row 1 has iteration = '{wrong}'"):
+            from_csv(History, altered, FILE, counted="iteration")
 
 
 def test_a_table_has_a_row_a_sample_under_names_with_units():
