@@ -2,8 +2,8 @@
 
 import gc
 import os
-import shutil
-import tempfile
+import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,10 +18,13 @@ from posegsa.runtime import fast_path_flags
 # Searches as small as most tests' use one of the devices.
 os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices=4)
 
-# Programs that several workers or processes need are compiled once a run, the smallest too: most of
-# the tests' time. Workers inherit the run's name, and so its folder.
-RUN = os.environ.setdefault("POSEGSA_TEST_RUN", str(os.getpid()))
-CACHE = Path(tempfile.gettempdir()) / f"posegsa-tests-{RUN}"
+# Compiled programs are kept, the smallest too: compiling is two thirds of the tests' time, and a
+# program is found again by other workers, processes that tests start, and later runs. One that
+# was compiled for another CPU, whose instructions may differ, is none of these.
+CPU = Path("/proc/cpuinfo").read_text("utf-8") if Path("/proc/cpuinfo").exists() else ""
+INSTRUCTIONS = sorted({line for line in CPU.splitlines() if line.startswith(("flags", "Features"))})
+ROOT = Path(__file__).parents[1]
+CACHE = ROOT / ".pytest_cache" / "compiled" / f"{zlib.crc32(''.join(INSTRUCTIONS).encode()):08x}"
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -65,6 +68,8 @@ def compile_fast() -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", False)
 
 
+WEEK = 7 * 24 * 3600
+"""[s]"""
 HEAVY = ("test_tuning", "test_population", "test_gsa", "test_rollout", "test_filter")
 """Begun first, so that no worker is left with one of them at the end."""
 COMPILED = ("test_cli", "test_evaluate", "test_devices", "test_report", "test_resume")
@@ -82,6 +87,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
-    """Remove the run's compiled programs, once all workers are done."""
+    """Forget compiled programs that no run has used for a week."""
     if not hasattr(config, "workerinput"):
-        shutil.rmtree(CACHE, ignore_errors=True)
+        for program in CACHE.glob("*"):
+            if time.time() - max(program.stat().st_atime, program.stat().st_mtime) > WEEK:
+                program.unlink(missing_ok=True)

@@ -139,7 +139,5 @@ def metrics_of(
 def _settling(time: np.ndarray, error: np.ndarray, threshold: float) -> np.ndarray:
     """First time (S,) from which on the errors (S, N) stay under a threshold; infinite if never."""
     outside = ~(error < threshold)  # NaN is outside
-    last = error.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
-    never, always = outside[:, -1], ~outside.any(axis=1)
-    after = time[np.minimum(last + 1, len(time) - 1)]
-    return np.where(never, np.inf, np.where(always, time[0], after))
+    after_last = len(time) - np.argmax(outside[:, ::-1], axis=1)
+    return np.append(time, np.inf)[np.where(outside.any(axis=1), after_last, 0)]

@@ -36,9 +36,8 @@ def signed_rank(differences: ArrayLike) -> float:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """p-values corrected for their number: below 0.05, each may be believed at that level."""
-    order = np.argsort(p_values, kind="stable")
-    count, corrected, largest = len(p_values), [1.0] * len(p_values), 0.0
-    for place, i in enumerate(order):
-        largest = max(largest, min(1.0, (count - place) * float(p_values[i])))
-        corrected[i] = largest
-    return corrected
+    p = np.asarray(p_values, np.float64)
+    order, corrected = np.argsort(p, kind="stable"), np.empty(len(p))
+    scaled = p[order] * np.arange(len(p), 0, -1)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(scaled))
+    return corrected.tolist()

@@ -134,12 +134,8 @@ class Optimiser(Section):
     def resumed(self, asked: "Optimiser") -> Self:
         """The settings with which a search that was begun with these goes on.
 
-        Args:
-            asked: The settings that are asked for now; all but a larger number of iterations must
-                be the same.
-
         Raises:
-            Refused: They are not.
+            Refused: Those that are asked for now differ in more than a larger number of iterations.
         """
         keys = dict(self) if type(asked) is type(self) else ("optimiser",)
         problems = [

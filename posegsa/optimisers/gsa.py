@@ -164,18 +164,9 @@ def acceleration(
     moves too. The sum runs over the attractors one by one, in order of their mass: that stops at
     K_best, and nothing of size agents x agents x dimensions is ever stored.
 
-    Args:
-        x: Positions (agents, dimensions).
-        mass: M (agents,).
-        gravity: G.
-        k_best: Number of attractors.
-        rand: Maps an attractor's index j to the random weights rand_ij of its pull on all agents,
-            (dimensions, agents) or (1, agents).
-        force_power: p.
-        epsilon: As in `GSA`.
-
-    Returns:
-        Accelerations (agents, dimensions).
+    Positions and accelerations are (agents, dimensions), masses (agents,); p is `force_power`.
+    `rand` maps an attractor's index j to the random weights rand_ij of its pull on all agents,
+    (dimensions, agents) or (1, agents).
     """
     xt = x.T  # agents along the fast axis
     heaviest = jnp.argsort(mass, descending=True)

@@ -148,7 +148,7 @@ def advance(
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, _evaluation(phase, objective, on_host), box, in_python),
+            partial(_step, phase, objective, box, on_host, in_python),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -177,21 +177,18 @@ def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Arr
     return more & ~reached & (falls | (done <= patience))
 
 
-def _evaluation(phase: Optimiser, objective: Any, on_host: bool) -> Callable[[Array], Any]:
-    """What maps positions to costs, or to costs and gradients where the phase wants them."""
-    if on_host:
-        return lambda positions: objective(np.asarray(positions))
-    given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
-    return given.costs_and_gradients if phase.wants_gradients else given.costs
-
-
 def _step(
-    phase: Optimiser, evaluate: Callable[[Array], Any], box: Box, in_python: bool, search: Search
+    phase: Optimiser, objective: Any, box: Box, on_host: bool, in_python: bool, search: Search
 ) -> Search:
     """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
     compiled = in_python and not phase.on_host
     asked, told = (_compiled_ask, _compiled_tell) if compiled else (ask, tell)
-    found = evaluate(asked(phase, box, search))
+    positions = asked(phase, box, search)
+    if on_host:
+        found = objective(np.asarray(positions))
+    else:
+        given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
+        found = (given.costs_and_gradients if phase.wants_gradients else given.costs)(positions)
     costs, *gradients = found if isinstance(found, tuple) else (found,)
     return told(phase, box, search, *_numbers(phase, box, costs, *gradients))
 

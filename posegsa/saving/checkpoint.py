@@ -46,10 +46,7 @@ class Checkpoint(NamedTuple):
     """Their bytes, one after the other."""
 
     def search(self, like: Search) -> Search:
-        """The search.
-
-        Args:
-            like: A search of the same structure, such as `start` gives; its values don't matter.
+        """The search, of the structure of another, such as `start` gives.
 
         Raises:
             CheckpointError: An array is missing or of another shape or dtype, or `like` holds

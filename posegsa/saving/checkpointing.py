@@ -52,12 +52,6 @@ class CheckpointedRun(NamedTuple):
     checkpoint: Checkpoint
     about: About
 
-    def search(self, problem: TuningProblem) -> Search:
-        """Its search, with room for as many iterations as a problem asks for."""
-        begun = problem._replace(experiment=self.about.experiment)
-        search = self.checkpoint.search(first_search(begun))
-        return lengthened(search, problem.experiment.search.total_iterations)
-
 
 def search_with_checkpoints(
     problem: TuningProblem,
@@ -82,7 +76,8 @@ def search_with_checkpoints(
                 path.unlink()
         search, before = first_search(problem), (0.0, 0.0)
     else:
-        search = run.search(problem)
+        begun = first_search(problem._replace(experiment=run.about.experiment))
+        search = lengthened(run.checkpoint.search(begun), experiment.search.total_iterations)
         before = run.about.search_seconds, run.about.compile_seconds
     if objects_in(search):
         warnings.warn(

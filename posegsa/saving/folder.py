@@ -124,12 +124,9 @@ def write_errors(folder: Path) -> Iterator[None]:
 
 
 def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str]) -> None:
-    """Replace files of a folder, all of them or none.
+    """Replace files of a locked folder, by names such as `figures/gain.png`: all of them or none.
 
-    Args:
-        folder: The folder, locked.
-        files: Contents by name, such as `figures/gain.png`.
-        remove: Names of files to remove; those in `files` stay.
+    Of those to remove, what is in `files` stays.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.

@@ -159,9 +159,9 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
     alter(tmp_path / "run" / "result.json", '"duration": 2.0', '"duration": 90000.0')
     limits = {}
 
-    def noted(folder: Path, name: str, limit: int, of: str) -> str:
+    def noted(folder: Path, name: str, of: str, limit: int) -> str:
         limits[name] = limit
-        return read_text(folder, name, limit, of)
+        return read_text(folder, name, of, limit)
 
     monkeypatch.setattr(run_folder, "read_text", noted)
     with pytest.raises(RunFolderError, match="number of times = 200; in result"):

@@ -88,7 +88,7 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         assert stopped.value.signal_number == signal.SIGTERM
         begun = newest_checkpoint(tmp_path)
         # The signal is seen when the running chunk, here an iteration, is done.
-        assert int(begun.checkpoint.arrays[".iteration"][1]) == at + 1
+        assert begun.checkpoint.search(first_search(task)).iteration == at + 1
     assert_same(search_in(tmp_path, task, begun=begun), whole)
 
 
@@ -118,7 +118,7 @@ def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path
         keep(begun.checkpoint.search(first_search(task)), 0.0, 0.0)
     copied.unlink()
     assert names(tmp_path) == [4, 6], "what was just written stays, with the one before"
-    assert int(read(tmp_path / "checkpoints" / "000000006.checkpoint").arrays[".iteration"][1]) == 6
+    assert newest_checkpoint(tmp_path).checkpoint.search(first_search(task)).iteration == 6
 
 
 def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tmp_path):

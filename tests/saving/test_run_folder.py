@@ -84,7 +84,7 @@ def test_ctrl_c_leaves_the_old_result_or_the_new(folder, monkeypatch, when):
             replace_files(folder, NEW, remove=())
     kept = "old" if when == "staging" else "new"
     for name in ("result.json", "figures/a.png"):
-        assert read_text(folder, name, 10, of="run") == kept
+        assert read_text(folder, name, of="run", limit=10) == kept
     with locked_folder(folder, overwrite=True):
         assert content(folder) == (OLD if when == "staging" else OLD | NEW)
     finish_commit(folder)
