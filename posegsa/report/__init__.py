@@ -33,31 +33,28 @@ if TYPE_CHECKING:
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page, with its figures, PNG files by name."""
-    return (
-        templates()
-        .get_template("page.html")
-        .render(
-            result=result,
-            experiment=result.experiment,
-            evaluation=result.evaluation,
-            pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
-            verdict=verdict(result.evaluation),
-            usual_family=list(config.FamilyConfig().described()),
-            angles_differ=evaluation_figures.angles_differ(result.evaluation),
-            evaluation_figures=evaluation_figures.FIGURES,
-            schedule_figures=schedule_figures.FIGURES,
-            trajectory_figures=trajectory_figures.FIGURES,
-            search_figures=search_figures.FIGURES,
-            input_terms=tables.input_terms(result),
-            output_terms=tables.output_terms(result),
-            error_columns=[f"Error {term}" for term in config.TERMS],
-            rules=tables.rules(result),
-            simulations=tables.simulations(result),
-            never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),
-            heaviest=tables.heaviest_rule(result),
-            configuration=config.to_toml(result.experiment),
-            environment={"posegsa": result.version} | result.environment,
-        )
+    page = templates().get_template("page.html")
+    return page.render(
+        result=result,
+        experiment=result.experiment,
+        evaluation=result.evaluation,
+        pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
+        verdict=verdict(result.evaluation),
+        usual_family=list(config.FamilyConfig().described()),
+        angles_differ=evaluation_figures.angles_differ(result.evaluation),
+        evaluation_figures=evaluation_figures.FIGURES,
+        schedule_figures=schedule_figures.FIGURES,
+        trajectory_figures=trajectory_figures.FIGURES,
+        search_figures=search_figures.FIGURES,
+        input_terms=tables.input_terms(result),
+        output_terms=tables.output_terms(result),
+        error_columns=[f"Error {term}" for term in config.TERMS],
+        rules=tables.rules(result),
+        simulations=tables.simulations(result),
+        never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # nor does a NaN
+        heaviest=tables.heaviest_rule(result),
+        configuration=config.to_toml(result.experiment),
+        environment={"posegsa": result.version} | result.environment,
     )
 
 
