@@ -293,10 +293,10 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
     task = tuning_problem(experiment)
     for found in (first, second):
         assert found.evaluations[-1] == 24
-        controller = task.space.controller(task.space.checked(found.position))
-        schedule = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        candidate = task.space.candidate(jnp.asarray(found.position, "float32"))
+        one = jax.tree.map(lambda a: a[None], candidate)
         for cost, part in ((found.cost, slice(2)), (found.held_out, slice(2, None))):
-            costs = costs_by_scenario(schedule, task.everywhere.select(part))
+            costs = costs_by_scenario(one, task.everywhere.select(part))
             assert float(np.mean(costs)) == pytest.approx(cost, rel=1e-4)
 
 
