@@ -2,7 +2,22 @@
 
 from posegsa import config
 
+BASE = [
+    "family.attitude_error=off",
+    "family.position_error=off",
+    "family.random_phase=false",
+    "filter.gamma=[5.0, 10.0]",
+    "filter.gamma_law=fixed",
+    "filter.vector_bias=off",
+    "filter.cross_vector_weight=1.0",
+    "gain.smoothing=2.0",
+    "gain.error_scale=1.0",
+    "parameters.also=[]",
+    "search.optimiser=gsa",
+]
+"""The paper's scenario and filter with two sub-steps and smoothing, searched by GSA."""
 TINY = [
+    *BASE,
     "scenario.duration=2.0",
     "cost.steady_window=[150, 199]",
     "search.agents=6",

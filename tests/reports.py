@@ -121,11 +121,16 @@ class Page(HTMLParser):
 
     @property
     def text(self) -> str:
-        return " ".join(self.texts)
+        return spaced(" ".join(self.texts))
 
     def table(self, caption: str) -> list[list[str]]:
         (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
-        return found
+        return [[spaced(cell) for cell in row] for row in found]
+
+
+def spaced(text: str) -> str:
+    """A text as a browser shows it: spaces and ends of lines in a row are one space."""
+    return re.sub(r"[ \n]+", " ", text).strip(" ")
 
 
 def page(given: TuneResult | None = None, pictures=None) -> Page:

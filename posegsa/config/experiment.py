@@ -9,7 +9,7 @@ from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
 from posegsa.config.tunable import also_conflicts
-from posegsa.optimisers import GSA, OPTIMISERS, Optimiser
+from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (
     Ascending,
@@ -37,7 +37,7 @@ class RunConfig(Section):
     """Seed of everything that is drawn at random: noise, first agents, search."""
     dtype: Literal["float32", "float64"] = "float32"
     """Precision of the simulation."""
-    training_scenarios: Count = 8
+    training_scenarios: Count = 24
     """Number of scenarios that the search sees."""
     held_out_scenarios: Count = 64
     """Number of other scenarios that the result is judged on."""
@@ -49,11 +49,11 @@ class FilterConfig(Section):
     law: Literal["gradient", "printed"] = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
-    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = (5.0, 10.0)
+    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
-    gamma_law: Literal["fixed", "linear", "quadratic"] = "fixed"
+    gamma_law: Literal["fixed", "linear", "quadratic"] = "quadratic"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
@@ -64,17 +64,17 @@ class FilterConfig(Section):
     is taken off)."""
     cross_vector: Flag = True
     """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
-    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 1.0
+    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
     """Weight s^R of that vector, no unit."""
-    vector_bias: Literal["off", "estimated"] = "off"
+    vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated."""
-    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.5
+    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.7
     """Gain gamma_c of their law [1/s]."""
     vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
     """Rate at which an estimate is forgotten [1/s]."""
     vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
     """Largest length of an estimated bias, in its vector's unit."""
-    excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.2
+    excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.3
     """Angular velocity [rad/s] from which on all of vector_bias_gain is used; below it falls with
     the fourth power, as at rest a bias can't be told from an error of the attitude."""
     excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
@@ -92,8 +92,8 @@ class CostConfig(Section):
     """Weight of the position error [m] beside the attitude error (0 to 1, no unit) [1/m]."""
     transient_window: Window = (0, 100)
     """First and last sample of the transient, both included (the paper: 0 to 1 s)."""
-    steady_window: Window = (400, 1400)
-    """First and last sample of the steady state, both included (the paper: 4 to 14 s)."""
+    steady_window: Window = (400, 5900)
+    """First and last sample of the steady state, both included: 4 to 59 s (the paper: to 14 s)."""
 
 
 class ObjectiveConfig(Section):
@@ -143,7 +143,9 @@ class Experiment(Section):
     """What a schedule is judged by."""
     objective: ObjectiveConfig = ObjectiveConfig()
     """What of the costs on several scenarios is minimised."""
-    search: Annotated[Optimiser, ONE_OPTIMISER] = GSA()
+    search: Annotated[Optimiser, ONE_OPTIMISER] = DifferentialEvolution(
+        agents=96, iterations=90, strategy="best/1/bin", factor=0.6
+    )
     """The optimiser, by the name `search.optimiser`, with its size and its settings."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""

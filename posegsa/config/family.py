@@ -37,15 +37,15 @@ class BurstsConfig(Occasions):
 
 
 class FamilyConfig(Section):
-    """[family]: the distribution that scenarios are drawn from; by default only the noise differs.
+    """[family]: the distribution that scenarios are drawn from; by default any start, other phases.
 
     Training and held-out scenarios are drawn from the same family with other keys.
     """
 
-    attitude_error: Angles | Off = "off"
+    attitude_error: Angles | Off = (0.0, 180.0)
     """Angle of the initial attitude error about a random axis [deg], minimum and maximum; "off"
     starts every scenario from scenario.initial_rotation_estimate."""
-    position_error: Range | Off = "off"
+    position_error: Range | Off = (0.0, 10.0)
     """Length of the initial position error P_est - R_err P in a random direction [m], minimum and
     maximum; "off" starts every scenario from scenario.initial_position_estimate."""
     bias_scale: Range | Off = "off"
@@ -77,5 +77,5 @@ class FamilyConfig(Section):
     """Share of the scenarios that begin at rest, no unit."""
     duration: Range | Off = "off"
     """Time after which a scenario does not count any more [s]."""
-    random_phase: Flag = False
+    random_phase: Flag = True
     """Whether the phase of each sine of both velocities is drawn anew, uniformly."""

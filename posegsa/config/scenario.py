@@ -91,7 +91,7 @@ def _profile(*axes: tuple[float, float, float]) -> Profile:
 class ScenarioConfig(Section):
     """[scenario]: truth, sensors and initial estimate."""
 
-    duration: Positive = 15.0
+    duration: Positive = 60.0
     """Length of the run [s]; a whole number of samples, at least two."""
     sampling_time: Positive = 0.01
     """Time from one sample to the next [s]."""

@@ -49,6 +49,21 @@ _PAPER_BOXES = (  # (low, high) of k1..k22, the paper's two constraint equations
     (30.0, 70.0),  # VL
 )
 
+_ALSO = tuple(
+    AlsoTuned(key=key, lower=lower, upper=upper, scale="logarithmic")
+    for key, lower, upper in (
+        ("scenario.vectors.0.weight", 0.2, 2.0),
+        ("scenario.landmarks.0.weight", 0.1, 3.0),
+        ("filter.gamma", 0.2, 20.0),
+        ("filter.cross_vector_weight", 0.003, 2.0),
+        ("filter.vector_bias_gain", 0.05, 5.0),
+        ("filter.excitation", 0.03, 1.0),
+        ("gain.position_weight", 0.01, 1.0),
+        ("gain.smoothing", 0.1, 5.0),
+        ("gain.error_scale", 0.05, 1.0),
+    )
+)
+
 T = TypeVar("T")
 
 
@@ -77,10 +92,10 @@ class GainConfig(Section):
     true errors in attitude and position (an oracle, for simulation only)."""
     position_weight: Annotated[NonNegative, Tunable()] = 0.2
     """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
-    smoothing: Annotated[NonNegative, Tunable()] = 2.0
+    smoothing: Annotated[NonNegative, Tunable()] = 1.5
     """Time constant of the first-order low-pass filter that e passes before all else [s]; 0 is
     none."""
-    error_scale: Annotated[Positive, Tunable()] = 1.0
+    error_scale: Annotated[Positive, Tunable()] = 0.3
     """e is divided by this before it is clipped to [0, 1], in the unit of e."""
     rate: Literal["per_sample", "per_second"] = "per_sample"
     """What the controller's second input is: |e_k - e_(k-1)|, or that over the time between."""
@@ -138,7 +153,7 @@ class ParametersConfig(Section):
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
-    also: tuple[AlsoTuned, ...] = ()
+    also: tuple[AlsoTuned, ...] = _ALSO
     """Further numbers that are searched together with k1..k22."""
 
     def _conflicts(self) -> Iterator[Violation]:

@@ -38,6 +38,10 @@ class Endurance(NamedTuple):
     constant_position: PerWindow
     """[m]"""
 
+    def rows(self) -> list[tuple[float, ...]]:
+        """The windows one by one, in the order of the fields."""
+        return list(zip(*(each.tolist() for each in self), strict=True))
+
     def worse(self) -> list[str]:
         """Where the tuned filter is worse than the constant gain after the first window."""
         found = []

@@ -175,9 +175,31 @@ class TuneResult:
             "On one unseen scenario, second half: attitude error "
             f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
             f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
+            text_table(self._endurance_rows()),
+            f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or more of "
+            "the weight.",
         ]
+        if self.also:
+            tuned = ", ".join(f"{key} = {value:.4g}" for key, value in self.also.items())
+            parts.append(f"Tuned beside k1 to k{len(PARAMETERS)}: {tuned}")
         warned = [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(parts), *warned])
+
+    def _endurance_rows(self) -> list[list[str]]:
+        """Errors by window of time, of both filters, as a table."""
+        rows = [["RMS error", "tuned", "", CONSTANT, ""]]
+        for begin, end, *errors in self.endurance.rows():
+            attitude, position, constant_attitude, constant_position = errors
+            rows.append(
+                [
+                    f"{begin:g} to {end:g} s",
+                    f"{attitude:.2f} deg",
+                    f"{100 * position:.1f} cm",
+                    f"{constant_attitude:.2f} deg",
+                    f"{100 * constant_position:.1f} cm",
+                ]
+            )
+        return rows
 
     def warnings(self) -> list[str]:
         """What a reader of the result must know before trusting it."""
@@ -194,6 +216,11 @@ class TuneResult:
             found.append(f"the tuned filter diverged on {counted(bad, 'held-out scenario')}")
         if t.uncovered > 0:
             found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
+        if worse := self.endurance.worse():
+            found.append(
+                f"past the time that it was tuned for it is worse than constant gains: "
+                f"{', '.join(worse)}"
+            )
         if not np.isfinite(self.best_cost):
             found.append(
                 "no agent had a finite cost: the parameters are the middle of the boxes, no result"

@@ -48,6 +48,11 @@ class Trust:
     """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL; NaN if
     the trajectory diverged to that."""
 
+    @property
+    def used_rules(self) -> int:
+        """Number of rules that carry at least 1 % of all firing strength."""
+        return int(np.count_nonzero(self.rule_weights >= 0.01 * np.nansum(self.rule_weights)))
+
 
 def check(
     problem: TuningProblem, tuned: Candidate, own: ErrorTrack, trajectory: Trajectory

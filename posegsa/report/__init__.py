@@ -1,47 +1,90 @@
-"""One page that shows a result: a single HTML file that needs no network and runs no script."""
+"""One page that shows a result: a single HTML file that needs no network and runs no script.
 
+`page.html` is that page from top to bottom, with its words; `parts.html` is what it repeats. Python
+hands them the result and what a template cannot compute.
+"""
+
+from base64 import b64encode
 from collections.abc import Mapping
-from importlib.resources import files
-from string import Template
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posegsa.figures import search, trajectory
-from posegsa.judging.evaluation import TUNED
+from posegsa import config
+from posegsa.figures import evaluation as evaluation_figures
+from posegsa.figures import schedule as schedule_figures
+from posegsa.figures import search as search_figures
+from posegsa.figures import trajectory as trajectory_figures
+from posegsa.judging import metrics
+from posegsa.judging.evaluation import CONSTANT, SWITCH, TUNED
 from posegsa.judging.result import TuneResult
-from posegsa.report import headline, sections
-from posegsa.report.markup import cost, element, join, paragraph, section, table
-from posegsa.report.words import what_was_run
+from posegsa.judging.trust import SENSITIVE
+from posegsa.report import tables
+from posegsa.report.numbers import cost, interval, number, percent, plus_minus
+from posegsa.report.words import filter_words, verdict
+from posegsa.words import counted, toml
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
+NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", random_phase=False)
+"""Where scenarios differ in their noise alone."""
+
+
+# A filter may diverge to any number, and a cost may be 0.
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page, with its figures, PNG files by name."""
-    here, run = files(__name__), result.experiment.run
-    page = Template((here / "page.html").read_text(encoding="utf-8"))
-    held_out = cost(result.evaluation.cost(TUNED).mean)
-    made = {"posegsa": result.version} | result.environment
-    shown = (
-        headline.warnings(result),
-        headline.headline(result),
-        section(
-            "What was run",
-            table("The run in words", ("Part", "Description"), what_was_run(result), class_="text"),
-        ),
-        sections.contenders(result, pictures),
-        sections.schedule(result, pictures),
-        sections.trust(result),
-        section("One held-out scenario", sections.figures(trajectory.FIGURES, pictures)),
-        section("The search", sections.figures(search.FIGURES, pictures)),
-        sections.configuration(result),
-        section(
-            "Environment",
-            table("Where the run was made", ("Part", "Version"), made.items(), class_="text"),
-        ),
+    page = templates().get_template("page.html")
+    return page.render(
+        result=result,
+        experiment=result.experiment,
+        evaluation=result.evaluation,
+        pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
+        verdict=verdict(result.evaluation),
+        no_family=list(NO_FAMILY.described()),
+        angles_differ=evaluation_figures.angles_differ(result.evaluation),
+        evaluation_figures=evaluation_figures.FIGURES,
+        schedule_figures=schedule_figures.FIGURES,
+        trajectory_figures=trajectory_figures.FIGURES,
+        search_figures=search_figures.FIGURES,
+        input_terms=tables.input_terms(result),
+        output_terms=tables.output_terms(result),
+        error_columns=[f"Error {term}" for term in config.TERMS],
+        rules=tables.rules(result),
+        simulations=tables.simulations(result),
+        never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # nor does a NaN
+        heaviest=tables.heaviest_rule(result),
+        also=[(one, result.also[one.key]) for one in result.experiment.parameters.also],
+        configuration=config.to_toml(result.experiment),
+        environment={"posegsa": result.version} | result.environment,
     )
-    return page.substitute(
-        title=element("title", f"Tuned gain schedule: held-out cost {held_out}"),
-        style=(here / "style.css").read_text(encoding="utf-8"),
-        about=paragraph(f"posegsa {result.version}, seed {run.seed}, {run.dtype}", class_="about"),
-        sections=join(shown, "\n"),
+
+
+@cache
+def templates() -> "Environment":
+    """The templates of this folder; all text is escaped, a name that is not given is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # not by `import posegsa`
+
+    environment = Environment(
+        loader=PackageLoader("posegsa", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
+    as_text = (cost, counted, interval, number, percent, plus_minus, filter_words, toml)
+    environment.filters |= {function.__name__: function for function in as_text}
+    environment.filters["median"] = np.median
+    environment.globals |= {
+        "TUNED": TUNED,
+        "CONSTANT": CONSTANT,
+        "SWITCH": SWITCH,
+        "SENSITIVE": SENSITIVE,
+        "metrics": metrics,
+        "write_cost": cost,
+    }
+    return environment

@@ -1,70 +1,53 @@
-"""What was run, in words."""
+"""Sentences that depend on what was found."""
 
-from collections.abc import Collection, Iterator
+import math
 
-from posegsa.config import Experiment, FamilyConfig
-from posegsa.judging.result import TuneResult
-from posegsa.report.markup import Html, element, join
-from posegsa.settings.fields import Section
-from posegsa.words import counted, toml
+import numpy as np
 
-
-def what_was_run(result: TuneResult) -> Iterator[tuple[str, str]]:
-    """The parts of a run by name, each in a few sentences or as its settings."""
-    experiment = result.experiment
-    yield "Search", _search(result)
-    yield "Objective", join(_settings(experiment.objective), ", ")
-    yield "Scenarios", _scenarios(experiment)
-    yield "Filter", join(_settings(experiment.filter), ", ")
-    yield "Gain", join(_settings(experiment.gain), ", ")
-    yield "Inference", join(_settings(experiment.fuzzy, without=["rules"]), ", ")
-    yield "Judged on", _judged(result)
+from posegsa.judging.evaluation import CONSTANT, TUNED, Description, Evaluation
+from posegsa.report.numbers import cost, interval, number
+from posegsa.words import counted
 
 
-def _search(result: TuneResult) -> str:
-    run, search = result.experiment.run, result.experiment.search
+def verdict(evaluation: Evaluation) -> str:
+    """Whether the tuned schedule beats the best constant gain, in a sentence."""
+    difference = evaluation.difference(CONSTANT)
+    mean, low, high = difference
+    against = f"the best constant gains on {counted(evaluation.scenarios, 'unseen scenario')}"
+    if not (math.isfinite(low) and math.isfinite(high)):
+        own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, CONSTANT))
+        bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
+        if not any(bad):
+            return f"The tuned schedule cannot be compared with {against}: they are too few."
+        return (
+            f"The mean cost of the tuned schedule cannot be compared with that of {against}: "
+            f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
+            f"{cost(float(np.median(own)))} and {cost(float(np.median(other)))}."
+        )
+    if low <= 0 <= high:
+        return (
+            f"The tuned schedule cannot be told apart from {against}: the 95 % interval of their "
+            f"difference, {interval(difference)}, includes 0."
+        )
+    less = high < 0
+    by, minimum, maximum = (-mean, -high, -low) if less else (mean, low, high)
+    constant = evaluation.cost(CONSTANT).mean
+    share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
     return (
-        f"{search.title} with {search.size_in_words(' over ')} minimised "
-        f"the cost on {counted(run.training_scenarios, 'training scenario')}. It made "
-        f"{counted(result.evaluations, 'evaluation')} in {result.search_seconds:.2f} s, after "
-        f"{result.compile_seconds:.2f} s of compiling; {result.non_finite or 'none'} of them had "
-        f"no finite cost. Seed {run.seed}, {run.dtype}."
+        f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
+        f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
 
 
-def _scenarios(experiment: Experiment) -> Html:
-    scenario, family, usual = experiment.scenario, experiment.family, FamilyConfig()
-    cross = " and the cross product of the first two" if experiment.filter.cross_vector else ""
-    same = [name for name, value in family if value == getattr(usual, name)]
-    return join(
-        [
-            f"{scenario.duration:g} s, sampled every {scenario.sampling_time:g} s, with "
-            f"{counted(len(scenario.vectors), 'measured vector')}{cross}, and "
-            f"{counted(len(scenario.landmarks), 'landmark')}. Scenarios differ in ",
-            join(["their noise", *_settings(family, without=same)], ", "),
-            ".",
-        ]
-    )
-
-
-def _settings(section: Section, without: Collection[str] = ()) -> list[Html]:
-    """The settings of a section, with the meaning of each where its name is pointed at."""
-    return [
-        join([element("abbr", name, title=description), f" = {toml(value)}"])
-        for name, value, description in section.described()
-        if name not in without
-    ]
-
-
-def _judged(result: TuneResult) -> str:
-    evaluation = result.evaluation
-    which = (
-        "the run's own held-out set"
-        if evaluation.seed is None
-        else f"held-out set number {evaluation.seed}"
-    )
-    return (
-        f"{counted(evaluation.scenarios, 'scenario')} of the same family, {which}, drawn with keys "
-        "that the search never saw; every contender met the same ones. Intervals of 95 % are "
-        "normal approximations over scenarios, of differences over pairs."
-    )
+def filter_words(found: Description) -> str:
+    """What a contender is, by its own numbers."""
+    match found.kind:
+        case "fuzzy":
+            own = f"fuzzy, k1 to k{len(found.numbers['k'])}"
+        case "open loop":
+            time = found.numbers["time"]
+            own = f"{len(time)} knots of K(t) from {time[0]:.3g} to {time[-1]:.4g} s, open loop"
+        case kind:
+            numbers = found.numbers.items()
+            own = f"{kind}: " + ", ".join(f"{name} = {each[0]:.4g}" for name, each in numbers)
+    return "; ".join([own, *(f"{key} = {value:.4g}" for key, value in found.also.items())])

@@ -66,6 +66,7 @@ from jax._src import xla_bridge
 assert not xla_bridge.backends_are_initialized(), "importing posegsa started JAX"
 import sys
 assert "matplotlib.pyplot" not in sys.modules, "importing posegsa chose a plotting backend"
+assert "jinja2" not in sys.modules, "importing posegsa loaded what only a report needs"
 print("same")
 """
     assert python(code) == "same"

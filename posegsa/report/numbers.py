@@ -1,0 +1,44 @@
+"""Numbers as a person reads them: a true minus, an infinity sign, a dash for what has no value."""
+
+import math
+
+import numpy as np
+
+from posegsa.judging.evaluation import Interval
+
+MINUS, DASH, INFINITE = "\u2212", "\u2013", "\u221e"
+
+
+def number(value: float | np.floating, form: str = ".2f") -> str:
+    """A number in a format of Python's."""
+    value = float(value)
+    if math.isnan(value):
+        return DASH
+    if math.isinf(value):
+        return INFINITE if value > 0 else MINUS + INFINITE
+    text = format(abs(value), form).lstrip("+")
+    if float(text) == 0:
+        return text
+    return (MINUS if value < 0 else "+" if form.startswith("+") else "") + text
+
+
+def percent(share: float | np.floating, form: str = ".1f") -> str:
+    """A share of 1 as a percentage."""
+    return f"{number(100 * share, form)} %"
+
+
+def cost(value: float | np.floating, form: str = ".2f") -> str:
+    """A cost: two decimals, or four digits from 10 000."""
+    large = math.isfinite(value) and abs(value) >= 1e4
+    return number(value, form.replace(".2f", ".4g") if large else form)
+
+
+def interval(of: Interval, form: str = "+.2f") -> str:
+    """Both ends of an interval of costs; a dash where there is none."""
+    return " to ".join(cost(end, form) for end in of.ends)
+
+
+def plus_minus(of: Interval) -> str:
+    """Half the length of an interval of costs; nothing where it is not finite."""
+    half = 0.5 * (of.high - of.low)
+    return f"\u00b1 {cost(half)}" if math.isfinite(half) else ""

@@ -1,0 +1,74 @@
+"""The rows of those tables that show the tuned schedule and how it was simulated."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posegsa import config
+from posegsa.judging.result import TuneResult
+from posegsa.judging.trust import PERTURBATION
+from posegsa.report.numbers import number
+from posegsa.search.build import rule_indices
+
+Noted = tuple[str, list[tuple[str, str]]]
+"""A row: its head, and the text of each cell with a note on it."""
+
+
+def input_terms(result: TuneResult) -> list[Noted]:
+    """The corners of the input terms, VS to VL, each with the parameter that it is."""
+    return _terms(result, slice(11), config.INPUT_RANGE)
+
+
+def output_terms(result: TuneResult) -> list[Noted]:
+    """The corners of the output terms, VS to VL, each with the parameter that it is."""
+    return _terms(result, slice(11, None), result.experiment.parameters.gain_range)
+
+
+def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[Noted]:
+    low, high = (f"{end:g}" for end in ends)
+    corners = config.triangles([number(k, ".5g") for k in result.parameters[part]], low, high)
+    names = config.triangles(config.PARAMETERS[part], "fixed", "fixed")
+    return [
+        (term, list(zip(row, named, strict=True)))
+        for term, row, named in zip(config.TERMS, corners, names, strict=True)
+    ]
+
+
+def rules(result: TuneResult) -> list[Noted]:
+    """The output term of each rule with its weight; a row is a rate, a column an error."""
+    targets, rows = rule_indices(result.experiment.fuzzy.rules), []
+    for rate, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
+        outputs = [config.TERMS[i] for i in row]
+        shown = [number(weight, ".2g") for weight in weights]
+        rows.append((f"Rate {rate}", list(zip(outputs, shown, strict=True))))
+    return rows
+
+
+class Rule(NamedTuple):
+    """A rule by the terms of its inputs, with its mean firing strength."""
+
+    error: str
+    rate: str
+    weight: float
+
+
+def heaviest_rule(result: TuneResult) -> Rule:
+    """The rule that fires most."""
+    weights = result.trust.rule_weights
+    rate, error = np.unravel_index(np.argmax(weights), weights.shape)
+    return Rule(config.TERMS[error], config.TERMS[rate], weights[rate, error])
+
+
+def simulations(result: TuneResult) -> list[tuple[str, float, float]]:
+    """How the training scenarios were simulated, their mean cost, and how far that is away.
+
+    The last is the relative difference from the cost at the run's own precision.
+    """
+    trust, own = result.trust, result.experiment.run.dtype
+    costs = {"float32": trust.cost_float32, "float64": trust.cost_float64}
+    reference = np.float64(costs[own])
+    costs[f"{own}, start changed by {PERTURBATION:g}"] = trust.cost_perturbed
+    return [
+        (f"{name} (the run's own)" if name == own else name, cost, cost / reference - 1)
+        for name, cost in costs.items()
+    ]
