@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from experiments import tiny
@@ -18,7 +19,6 @@ from posegsa.comparing import Status, Subject, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
-from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.saving.comparison import SCHEMA, load_comparison

@@ -21,7 +21,7 @@ from posegsa.judging.evaluation import TUNED
 from posegsa.saving import run as run_folder
 from posegsa.saving.folder import read_text
 from posegsa.saving.records import to_csv
-from posegsa.search.build import scenario, scenario_batch, tuning_problem
+from posegsa.search.build import scenario, scenario_batch, search_space, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import Progress
@@ -45,7 +45,8 @@ def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
         experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 2)
     )
     space = posegsa.parameter_space(experiment)
-    again = evaluate_population(space.checked(result.parameters)[None], training, space)
+    k = space.checked(result.parameters)[None]
+    again = evaluate_population(k, training, search_space(experiment, space))
     # Another batch size and another kernel: float32 rounding over 200 steps, no chaos.
     np.testing.assert_allclose(again[0], result.best_cost, rtol=1e-4)
     np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
