@@ -4,46 +4,66 @@ from dataclasses import replace
 
 import numpy as np
 
+from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import (
     CONSTANT,
-    ORACLE,
+    CONTENDERS,
+    EKF,
+    EKF_VECTORS,
+    OPEN_LOOP,
     RANDOM,
+    REPLAYED,
     SMOOTH,
+    SWITCH,
     TUNED,
     Contender,
+    Description,
     Evaluation,
+    Kind,
 )
+from posegsa.judging.kalman import BOUNDS
 from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.trust import Trust
 
 TIME = np.linspace(0, 15, 61)
 
 
-SCHEDULES = {
-    TUNED: {"kind": "fuzzy", "k": [0.5] * 22},
-    CONSTANT: {"kind": "constant", "gain": 53.5},
-    RANDOM: {"kind": "fuzzy", "k": [0.5] * 22},
-    SMOOTH: {"kind": "smooth", "low": 20.0, "high": 90.0, "half": 0.1},
-    ORACLE: {
-        **{"kind": "open loop", "time": [0.0, 7.5, 15.0], "gain": [90.0, 50.0, 10.0]},
-        **{"cost_fitted": 36.0, "steps": 80, "converged": True},
-    },
+def description(kind: Kind, evaluations: int = 960, **numbers) -> Description:
+    """A filter by its own numbers, each a number or several."""
+    listed = {name: np.ravel(np.float64(value)).tolist() for name, value in numbers.items()}
+    return Description(kind, listed, {}, evaluations)
+
+
+K = [0.5] * 22
+KNOTS = {"time": [0.0, 7.5, 15.0], "log_gain": np.log([90.0, 50.0, 10.0])}
+NOISES = dict.fromkeys(BOUNDS, 0.1)
+FILTERS = {
+    TUNED: description("fuzzy", k=K),
+    CONSTANT: description("constant", gain=53.5),
+    SWITCH: description("switch", before=80.0, after=20.0, time=1.5, learning_time=0.0),
+    REPLAYED: description("open loop", evaluations=0, **KNOTS),
+    RANDOM: description("fuzzy", k=K),
+    SMOOTH: description("smooth", low=20.0, high=90.0, half=0.1),
+    OPEN_LOOP: description("open loop", **KNOTS),
+    EKF: description("Kalman", evaluations=400, **NOISES),
+    EKF_VECTORS: description("Kalman", evaluations=400, **NOISES),
 }
+assert tuple(FILTERS) == CONTENDERS
 
 
-def contender(seed: int, scenarios: int = 40, schedule=None, **metrics) -> Contender:
+def contender(seed: int, scenarios: int = 40, filter=FILTERS[TUNED], **metrics) -> Contender:
     rng = np.random.default_rng(seed)
     drawn = {name: rng.uniform(1, 40, scenarios) for name in Metrics._fields}
     drawn["diverged"] = np.zeros(scenarios, bool)
     drawn["initial_angle"] = np.full(scenarios, 174.8)
     bands = Bands(*np.sort(rng.uniform(0.1, 50, (3, 3, len(TIME))), axis=1))
-    return Contender(Metrics(**{**drawn, **metrics}), bands, schedule or {})
+    return Contender(Metrics(**{**drawn, **metrics}), bands, filter)
 
 
-def evaluation(names=tuple(SCHEDULES), seed=None, **metrics) -> Evaluation:
+def evaluation(names=CONTENDERS, seed=None, **metrics) -> Evaluation:
     """Contenders with random metrics; some fields may be given for all of them."""
     all_of_them = {
-        name: contender(i, schedule=SCHEDULES.get(name), **metrics) for i, name in enumerate(names)
+        name: contender(i, filter=FILTERS[name], **metrics) for i, name in enumerate(names)
     }
     return Evaluation(seed=seed, time=TIME, contenders=all_of_them)
 
@@ -62,6 +82,19 @@ def trust(**values) -> Trust:
         **{
             **{"cost_float32": 44.1, "cost_float64": 44.2, "cost_perturbed": 44.05},
             **{"sensitive": False, "uncovered": 0.0, "rule_weights": weights},
+            **values,
+        }
+    )
+
+
+def endurance(**values) -> Endurance:
+    """Errors over windows of runs of 120 s; the constant gain is worse in all of them."""
+    return Endurance(
+        **{
+            **{"begin": np.array([0.0, 15, 30, 60]), "end": np.array([15.0, 30, 60, 120])},
+            **{"attitude": np.array([40.0, 6, 5, 5.5]), "position": np.array([3.0, 0.2, 0.1, 0.1])},
+            "constant_attitude": np.array([42.0, 9, 8, 8.5]),
+            "constant_position": np.array([3.5, 0.3, 0.2, 0.2]),
             **values,
         }
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
-from evaluations import ANGLES, TIME, evaluation, trust
+from evaluations import ANGLES, TIME, description, endurance, evaluation, trust
 from pictures import history, trajectory
 
 from posegsa import config
@@ -31,10 +31,12 @@ def result(*settings: str, **values) -> TuneResult:
             "experiment": config.override(config.Experiment(), settings),
             "best_cost": 41.25,
             "parameters": PARAMETERS,
+            "also": {},
             "training_costs": np.array([41.0, 41.5]),
             "constant_gain": 53.5,
             "constant_training_costs": np.array([44.0, 46.0]),
             "evaluation": evaluation(),
+            "endurance": endurance(),
             "trust": trust(),
             "evaluations": 960,
             "non_finite": 0,
@@ -62,12 +64,11 @@ def consistent(samples: int = 61, **values) -> TuneResult:
         name: Contender(
             Metrics(*(each[:scenarios] for each in one.metrics)),
             Bands(*(band[:, :samples] for band in one.bands)),
-            one.schedule,
+            one.filter,
         )
         for name, one in given.contenders.items()
     }
-    k = {"kind": "fuzzy", "k": PARAMETERS.tolist()}
-    contenders[TUNED] = contenders[TUNED]._replace(schedule=k)
+    contenders[TUNED] = contenders[TUNED]._replace(filter=description("fuzzy", k=PARAMETERS))
     return result(
         *("scenario.sampling_time=0.25", f"scenario.duration={0.25 * samples}"),
         *("cost.transient_window=[0, 1]", f"cost.steady_window=[2, {samples - 1}]"),

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from evaluations import FILTERS, endurance
 from setups import paper, search_vectors
 
 import posegsa
@@ -30,6 +31,7 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
         "experiment": experiment,
         "best_cost": 40.5,
         "parameters": repaired,
+        "also": {},
         "training_costs": np.array([40.0, 41.0]),
         "constant_gain": 27.5,
         "constant_training_costs": np.array([44.0, 45.0]),
@@ -37,10 +39,11 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
             seed=None,
             time=np.zeros(1),
             contenders={
-                n: Contender(Metrics(*[c] * len(Metrics._fields)), nothing, {})
+                n: Contender(Metrics(*[c] * len(Metrics._fields)), nothing, FILTERS[n])
                 for n, c in costs.items()
             },
         ),
+        "endurance": endurance(),
         "trust": Trust(40.5, 40.5, 40.5, False, 0.0, np.zeros((5, 5))),
         "evaluations": 24,
         "non_finite": 0,

@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import ValidationError
 
 from posegsa.settings.fields import Number, Section, Tunable
-from posegsa.settings.violations import Violation
+from posegsa.settings.violations import Violation, violations_of
 
 
 class AlsoTuned(Section):
@@ -46,7 +46,7 @@ class _Place(NamedTuple):
             # Not by calling the section, which would report as if a user had made it.
             type(self.section).model_validate(dict(self.section) | {self.field: given})
         except ValidationError as error:
-            return error.errors(include_url=False)[0]["msg"].removeprefix("Input ")
+            return violations_of(error, type(self.section))[0].reason
         return None
 
 

@@ -51,7 +51,7 @@ def export_c(result: TuneResult) -> str:
     Its head comment says how the inputs are formed, in which units, and what the schedule is worth.
     """
     check_type("result", result, TuneResult)
-    experiment, controller = result.experiment, result.controller
+    experiment, controller = result.tuned, result.controller
     run, search = experiment.run, experiment.search
     low, high = map(float, controller.output_range)
     origin = (

@@ -39,7 +39,7 @@ def export_json(result: TuneResult) -> str:
     in result.json.
     """
     check_type("result", result, TuneResult)
-    experiment = result.experiment
+    experiment = result.tuned
     with jax.enable_x64(experiment.run.dtype == "float64"):
         controller = result.controller
         initial_gain = float(controller.initial_gain())
@@ -64,6 +64,7 @@ def export_json(result: TuneResult) -> str:
         },
         "gain": experiment.gain,
         "filter": experiment.filter,
+        "tuned_too": result.also,
         "parameters": dict(zip(PARAMETERS, result.parameters, strict=True)),
         "costs": {**costs(result), "constant_gain_1_s": result.constant_gain},
         "sensitive": result.trust.sensitive,

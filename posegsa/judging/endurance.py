@@ -69,7 +69,8 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
         warnings.simplefilter("ignore", PosegsaWarning)  # it has been said of the experiment
         one = scenario(longer)
     batch = scenario_batch(longer, one, endurance_keys(experiment.run.seed, SCENARIOS))
-    time = np.asarray(batch.samples.time[0], np.float64)
+    # Half a sample late: rounding puts none into the window before its own.
+    time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
 
     def errors(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
         tracks = error_tracks(candidate, batch)

@@ -1,7 +1,7 @@
 """The result of a tuning run, or of many: what was found, how, and what it is worth."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Annotated
 
@@ -18,7 +18,7 @@ from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
-from posegsa.model.filter import checked_state
+from posegsa.model.filter import FilterSettings, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import Estimates, run_filter
@@ -107,7 +107,9 @@ class TuneResult:
         """Run the tuned filter on measurements of one's own, with the experiment's settings.
 
         Args:
-            measurements: N samples (`Measurements.from_arrays`), brought to its precision.
+            measurements: N samples (`Measurements.from_arrays`), brought to its precision. If there
+                are as many vectors, or landmarks, as in the experiment, they have the weights of
+                those, else 1 each.
             rotation: (3, 3) R_est at the first sample, body to inertial.
             position: (3,) P_est there [m], inertial frame.
             bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
@@ -119,12 +121,14 @@ class TuneResult:
         check_type("measurements", measurements, Measurements)
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
-            start = checked_state(rotation, position, bias, dtype)
+            settings = self._settings_for(measurements)
+            learnt = 0 if settings.vector_bias is None else np.shape(measurements.vectors)[-2]
+            start = checked_state(rotation, position, bias, dtype, learnt_vectors=learnt)
             estimates = run_filter(
                 self.schedule,
                 jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
                 start,
-                filter_settings(self.tuned),
+                settings,
                 signal_settings(self.tuned.gain, dtype),
             )
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
@@ -137,6 +141,15 @@ class TuneResult:
                 stacklevel=2,
             )
         return estimates
+
+    def _settings_for(self, measurements: Measurements) -> FilterSettings:
+        """The tuned filter, for as many sensors as there are."""
+        settings, scenario = filter_settings(self.tuned), self.experiment.scenario
+        if np.shape(measurements.vectors)[-2] != len(scenario.vectors):
+            settings = replace(settings, vectors=replace(settings.vectors, weights=None))
+        if np.shape(measurements.landmarks)[-2] != len(scenario.landmarks):
+            settings = replace(settings, landmark_weights=None)
+        return settings
 
     def __repr__(self) -> str:
         return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"

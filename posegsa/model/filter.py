@@ -265,7 +265,11 @@ def _floating(*values: ArrayLike) -> DTypeLike:
 
 
 def checked_state(
-    rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None, dtype: DTypeLike
+    rotation: ArrayLike,
+    position: ArrayLike,
+    bias: ArrayLike | None,
+    dtype: DTypeLike,
+    learnt_vectors: int = 0,
 ) -> FilterState:
     """One filter state from a user's arrays, checked (on the host, not inside jit).
 
@@ -274,6 +278,7 @@ def checked_state(
         position: (3,) P_est [m], inertial frame.
         bias: (6,) b_est [rad/s, m/s], angular first; None for zeros.
         dtype: floating type of the state.
+        learnt_vectors: as `initial_state`'s.
 
     Raises:
         MeasurementError: wrong shape, not finite, or not a rotation; names the argument.
@@ -285,7 +290,8 @@ def checked_state(
         )
     P = finite_array("position", position, (3,))
     b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
-    return initial_state(*(jnp.asarray(a, dtype) for a in (R, P, b)))
+    arrays = (jnp.asarray(a, dtype) for a in (R, P, b))
+    return initial_state(*arrays, learnt_vectors=learnt_vectors)
 
 
 def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:

@@ -69,6 +69,11 @@ def report(title: str, violations: Iterable[Violation]) -> ConfigError:
 
 def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> ConfigError:
     """The error that says under a title what pydantic found where it was to make a model."""
+    return report(title, violations_of(error, model))
+
+
+def violations_of(error: ValidationError, model: type[BaseModel]) -> list[Violation]:
+    """What pydantic found wrong where it was to make a model."""
     found: dict[tuple[str, int], Violation] = {}
     for item in error.errors(include_url=False):
         for i, violation in enumerate(_violations(item, model.model_fields)):
@@ -77,8 +82,7 @@ def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> 
             found[violation.key, i] = violation
     # A union refuses the whole value beside the part of it that is wrong: the part says more.
     keys = [key for key, _ in found]
-    parts = [v for v in found.values() if not any(k.startswith(f"{v.key}.") for k in keys)]
-    return report(title, parts)
+    return [v for v in found.values() if not any(k.startswith(f"{v.key}.") for k in keys)]
 
 
 def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:

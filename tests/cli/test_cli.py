@@ -18,6 +18,7 @@ import pytest
 from experiments import TINY
 
 from posegsa.cli.command import main
+from posegsa.judging.evaluation import CONTENDERS
 from posegsa.saving.run import load
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
@@ -108,7 +109,7 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
-    long += ["--set", "filter.substeps=1", "--set", "scenario.cross_vector=false"]
+    long += ["--set", "filter.substeps=1", "--set", "filter.cross_vector=false"]
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
@@ -134,10 +135,9 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    """The oracle's descent, cut short; its programs are those of `test_evaluate`."""
-    monkeypatch.setattr("posegsa.judging.baselines.ORACLE_STEPS", 3)
-    monkeypatch.setattr("posegsa.judging.baselines.KNOTS", 6)
-    monkeypatch.setattr("posegsa.judging.baselines.ORACLE_SCENARIOS", 2)
+    """The Kalman filters' searches, cut short; their programs are those of `test_evaluate`."""
+    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 20)
+    monkeypatch.setattr("posegsa.judging.kalman.MOST", 20)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -146,14 +146,14 @@ def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys, few_steps):
     shutil.copytree(finished[0] / "posegsa-run", folder)
     assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
     said = capsys.readouterr()
-    for contender in ("tuned fuzzy gain", "best constant gain", "random search", "oracle"):
+    for contender in CONTENDERS:
         assert contender in said.out
         assert contender in said.err, "long work says what it does"
     evaluation = json.loads((folder / "evaluation.json").read_text())
     assert evaluation["summary"]["scenarios"] == 5
     assert evaluation["seed"] == 2
     assert load(folder).evaluation.scenarios == 5
-    assert "oracle" in (folder / "report.html").read_text()
+    assert "invariant EKF" in (folder / "report.html").read_text()
     assert (folder / "evaluation.txt").read_text().strip() in said.out
 
 

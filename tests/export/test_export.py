@@ -99,6 +99,17 @@ def test_json_says_all_of_the_schedule():
     assert max(map(len, text.splitlines())) < 4000, "rows of numbers on lines of their own"
 
 
+def test_what_was_tuned_too_is_in_json_and_c():
+    also = {"gain.error_scale": 0.75, "scenario.landmarks.0.weight": 0.375}
+    result = tuned(K, also=also)
+    data = json.loads(export_json(result))
+    assert data["tuned_too"] == also
+    assert data["gain"]["error_scale"] == 0.75 != result.experiment.gain.error_scale
+    text = export_c(result)
+    assert "error = e / 0.75\n" in text
+    assert "m, weight 0.375\n" in text
+
+
 def test_csv_is_the_control_surface():
     result = tuned(DRAWN[0], *GAPS)
     header, *rows = csv.reader(io.StringIO(export_csv(result, resolution=21)))

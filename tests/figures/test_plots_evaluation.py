@@ -7,7 +7,7 @@ from functools import partial
 import matplotlib
 import numpy as np
 import pytest
-from evaluations import ANGLES, SCHEDULES, TIME, changed, evaluation, trust
+from evaluations import ANGLES, FILTERS, TIME, changed, evaluation, trust
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from pictures import legend, lines
@@ -17,14 +17,17 @@ from posegsa.figures import schedule
 from posegsa.figures.style import START
 from posegsa.judging.evaluation import (
     CONSTANT,
-    ORACLE,
+    EKF_VECTORS,
     RANDOM,
+    SWITCH,
     TUNED,
 )
 from posegsa.judging.metrics import Bands
 
 pytestmark = pytest.mark.quick
 
+CURVES = (TUNED, CONSTANT, SWITCH, EKF_VECTORS)
+"""The contenders that are drawn over time."""
 SPREAD = evaluation(initial_angle=ANGLES)
 FIGURES = {
     "costs": partial(plots.plot_costs, evaluation()),
@@ -58,11 +61,11 @@ def test_costs_are_every_scenario_of_every_contender():
         np.testing.assert_array_equal(drawn[:, 0], one.metrics.cost)
         assert (np.abs(drawn[:, 1] - row) < 0.5).all()
     means = [x for x, _ in lines(ax) if len(x) == 1]
-    np.testing.assert_array_equal(np.ravel(means), [given.cost(n).mean for n in SCHEDULES])
+    np.testing.assert_array_equal(np.ravel(means), [given.cost(n).mean for n in FILTERS])
     intervals = [x for x, y in lines(ax) if len(x) == 2]
-    np.testing.assert_array_equal(intervals, [given.cost(n)[1:] for n in SCHEDULES])
+    np.testing.assert_array_equal(intervals, [given.cost(n)[1:] for n in FILTERS])
 
-    others = list(SCHEDULES)[1:]
+    others = list(FILTERS)[1:]
     means = [x for x, _ in lines(below) if len(x) == 1]
     np.testing.assert_array_equal(np.ravel(means), [given.difference(n).mean for n in others])
     for text, name in zip(below.texts, others, strict=True):
@@ -78,7 +81,7 @@ def test_infinite_costs_are_counted_and_left_out():
     figure.draw_without_rendering()
     ax, below = figure.axes
     names = [text.get_text() for text in ax.get_yticklabels()]
-    assert names == ["tuned fuzzy gain", "best constant gain\n(3 of 40 infinite)"]
+    assert names == ["tuned fuzzy gain", "best constant\ngains\n(3 of 40 infinite)"]
     sizes = [len(c.get_offsets()) for c in ax.collections]
     assert 37 in sizes
     assert [text.get_text() for text in below.texts] == ["not finite"]
@@ -103,24 +106,24 @@ def test_nothing_finite_and_one_contender_are_drawn():
     assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
 
 
-def test_bands_are_the_quantiles_of_three_contenders():
+def test_bands_are_the_quantiles_of_four_contenders():
     given = evaluation()
     figure = plots.plot_bands(given)
-    assert legend(figure) == [TUNED, CONSTANT, ORACLE]
+    assert legend(figure) == list(CURVES)
     labels = [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
     assert labels == ["Attitude error [deg]", "Position error [m]", "Gain used $K$ [1/s]"]
     start = TIME <= START
     for i, ax in enumerate(figure.axes):
         row, part = i // 2, start if i % 2 == 0 else slice(None)
         assert ax.get_yscale() == ("linear" if row == 2 else "log")
-        for j, name in enumerate((TUNED, CONSTANT, ORACLE)):
+        for j, name in enumerate(CURVES):
             low, middle, high = given.contenders[name].bands[row]
             np.testing.assert_array_equal(lines(ax)[j], (TIME[part], middle[part]))
             drawn = ax.collections[j].get_paths()[0].vertices
             assert set(low[part]) | set(high[part]) <= set(drawn[:, 1])
 
 
-def test_bands_without_an_oracle_and_of_a_short_run_are_drawn():
+def test_bands_without_some_of_them_and_of_a_short_run_are_drawn():
     figure = plots.plot_bands(evaluation((TUNED, CONSTANT, RANDOM)))
     assert legend(figure) == [TUNED, CONSTANT]
     given = evaluation((TUNED, CONSTANT))
@@ -145,7 +148,7 @@ def test_angles_mark_infinite_costs_at_their_angle():
     given = changed(SPREAD, TUNED, cost=cost)
     figure = plots.plot_angles(given)
     figure.draw_without_rendering()
-    assert legend(figure) == [f"{TUNED} (9 infinite)", CONSTANT, ORACLE]
+    assert legend(figure) == [f"{TUNED} (9 infinite)", *CURVES[1:]]
     points, median, marked = lines(figure.axes[0])[:3]
     np.testing.assert_array_equal(np.isnan(points[1]), np.isinf(cost))
     assert np.isnan(median[1][-1]), "where most costs are infinite the line ends"
@@ -162,7 +165,8 @@ def test_a_contender_looks_the_same_in_all_figures():
     ax, _ = plots.plot_costs(SPREAD).axes
     points = [c for c in ax.collections if len(c.get_offsets()) == 40]
     bands = plots.plot_bands(SPREAD).axes[0].lines
-    for of_cost, of_bands in zip((points[0], points[1], points[4]), bands, strict=True):
+    rows = [list(SPREAD.contenders).index(name) for name in CURVES]
+    for of_cost, of_bands in zip((points[i] for i in rows), bands, strict=True):
         assert to_rgba(of_cost.get_facecolor()[0][:3]) == to_rgba(of_bands.get_color())
 
 

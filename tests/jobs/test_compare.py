@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from experiments import tiny
@@ -18,7 +19,6 @@ from posegsa.comparing import Status, Subject, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
-from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.saving.comparison import SCHEMA, load_comparison
@@ -293,10 +293,10 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
     task = tuning_problem(experiment)
     for found in (first, second):
         assert found.evaluations[-1] == 24
-        controller = task.space.controller(task.space.checked(found.position))
-        schedule = FuzzyGain(jax.tree.map(lambda a: a[None], controller))
+        candidate = task.space.candidate(jnp.asarray(found.position, "float32"))
+        one = jax.tree.map(lambda a: a[None], candidate)
         for cost, part in ((found.cost, slice(2)), (found.held_out, slice(2, None))):
-            costs = costs_by_scenario(schedule, task.everywhere.select(part))
+            costs = costs_by_scenario(one, task.everywhere.select(part))
             assert float(np.mean(costs)) == pytest.approx(cost, rel=1e-4)
 
 

@@ -21,7 +21,7 @@ from posegsa.judging.evaluation import TUNED
 from posegsa.saving import run as run_folder
 from posegsa.saving.folder import read_text
 from posegsa.saving.records import to_csv
-from posegsa.search.build import scenario, scenario_batch, tuning_problem
+from posegsa.search.build import scenario, scenario_batch, search_space, tuning_problem
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import Progress
@@ -45,7 +45,8 @@ def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
         experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 2)
     )
     space = posegsa.parameter_space(experiment)
-    again = evaluate_population(space.checked(result.parameters)[None], training, space)
+    k = space.checked(result.parameters)[None]
+    again = evaluate_population(k, training, search_space(experiment, space))
     # Another batch size and another kernel: float32 rounding over 200 steps, no chaos.
     np.testing.assert_allclose(again[0], result.best_cost, rtol=1e-4)
     np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
@@ -92,6 +93,7 @@ def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
 def test_the_best_constant_gain_is_the_best_of_those_tried(run):
     from posegsa.judging.baselines import CONSTANT_GAINS
     from posegsa.model.schedules import ConstantGain
+    from posegsa.search.candidates import Candidate
     from posegsa.search.population import costs_by_scenario
 
     result, _, _ = run
@@ -99,7 +101,8 @@ def test_the_best_constant_gain_is_the_best_of_those_tried(run):
         result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 2)
     )
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
-    costs = np.mean(costs_by_scenario(ConstantGain(jax.numpy.asarray(gains)), training), axis=0)
+    every = Candidate(ConstantGain(jax.numpy.asarray(gains)))
+    costs = np.mean(costs_by_scenario(every, training), axis=0)
     assert result.constant_gain == gains[np.argmin(costs)]
 
 
@@ -262,7 +265,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
         (
             lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
-            "schema = 1, written by posegsa '0.1'; this version reads schema 2",
+            "schema = 1, written by posegsa '0.1'; this version reads schema 3",
         ),
         (
             lambda f: (f / "history.csv").write_text("a,b\n1,2\n"),
@@ -278,7 +281,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
             lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
             "points",
         ),
-        (lambda f: alter(f / "evaluation.json", '"best constant gain"', '"x"'), "contenders.x"),
+        (lambda f: alter(f / "evaluation.json", '"best constant gains"', '"x"'), "contenders.x"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):

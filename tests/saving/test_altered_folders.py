@@ -212,9 +212,9 @@ def test_every_field_of_a_comparison(comparison):
         ("result.json", ("experiment", "run", "seed"), -1, "run.seed = -1"),
         (
             "evaluation.json",
-            ("contenders", "oracle K(t)", "schedule", "time"),
+            ("contenders", "best open-loop gains", "filter", "numbers", "time"),
             ["a", "b"],
-            "contenders.open_loop K(t).schedule.open loop.time.1 = 'b': ",
+            "contenders.best open-loop gains.filter.numbers.time.1 = 'b': ",
         ),
         (
             "evaluation.json",
@@ -224,9 +224,9 @@ def test_every_field_of_a_comparison(comparison):
         ),
         (
             "evaluation.json",
-            ("contenders", "oracle K(t)", "metrics", "cost"),
+            ("contenders", "best open-loop gains", "metrics", "cost"),
             [1.0],
-            "contenders.open_loop K(t).metrics.cost: shape (1,)",
+            "contenders.best open-loop gains.metrics.cost: shape (1,)",
         ),
     ],
 )
@@ -251,8 +251,8 @@ def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value
     ("values", "said"),
     [
         ({"training_costs": np.ones(3), "constant_training_costs": np.ones(3)}, "training_costs"),
-        ({"constant_gain": 54.0}, "schedule.gain"),
-        ({"parameters": np.full(22, 0.5)}, "schedule.k"),
+        ({"constant_gain": 54.0}, "filter.gain"),
+        ({"parameters": np.full(22, 0.5)}, "filter.k"),
         ({"best_cost": 40.0}, "last best"),
         ({"non_finite": 3}, "non_finite"),
     ],
@@ -287,7 +287,7 @@ def test_a_comparison_whose_parts_do_not_fit_together_is_refused(comparison, cha
         file.write_text(good, encoding="utf-8")
 
 
-@pytest.mark.parametrize("missing", ["tuned fuzzy gain", "best constant gain"])
+@pytest.mark.parametrize("missing", ["tuned fuzzy gain", "best constant gains"])
 def test_a_result_without_its_own_contenders_is_refused(run, missing):
     file = run / "evaluation.json"
     good = file.read_text(encoding="utf-8")

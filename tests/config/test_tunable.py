@@ -1,0 +1,145 @@
+"""[[parameters.also]]: which numbers a search may tune too, and what is refused."""
+
+import tomllib
+
+import pytest
+
+from posegsa import config
+from posegsa.config.tunable import AlsoTuned, tunable
+from posegsa.errors import ConfigError
+
+pytestmark = pytest.mark.quick
+
+LEARNT = {
+    *("filter.vector_bias_gain", "filter.vector_bias_leak", "filter.vector_bias_bound"),
+    *("filter.excitation", "filter.excitation_time"),
+}
+"""Of the law of the vectors' biases."""
+ALWAYS = {
+    *("filter.gamma.0", "filter.gamma.1", "filter.gain_limit"),
+    *("gain.position_weight", "gain.smoothing", "gain.error_scale", "gain.rate_scale"),
+    *("scenario.vectors.0.weight", "scenario.vectors.1.weight", "scenario.landmarks.0.weight"),
+}
+CROSS = {"filter.cross_vector_weight"}
+
+
+def also(*entries: dict) -> list[str]:
+    """The setting that asks for further numbers."""
+    tables = ", ".join(
+        "{" + ", ".join(f"{name} = {value!r}" for name, value in entry.items()) + "}"
+        for entry in entries
+    )
+    return [f"parameters.also=[{tables}]"]
+
+
+def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
+    """What is said of them, on one line."""
+    with pytest.raises(ConfigError) as caught:
+        config.override(base or config.Experiment(), also(*entries))
+    return " ".join(str(caught.value).split())
+
+
+@pytest.mark.parametrize(
+    ("settings", "keys"),
+    [
+        ([], ALWAYS | CROSS),
+        (["filter.vector_bias=estimated"], ALWAYS | CROSS | LEARNT),
+        (["filter.cross_vector=false"], ALWAYS),
+        (["filter.gain_limit=off"], (ALWAYS | CROSS) - {"filter.gain_limit"}),
+        (
+            ["filter.gamma=3.0"],
+            (ALWAYS | CROSS | {"filter.gamma"}) - {"filter.gamma.0", "filter.gamma.1"},
+        ),
+        (
+            ["scenario.landmarks=[{position=[1, 0, 0]}, {position=[0, 1, 0]}]"],
+            ALWAYS | CROSS | {"scenario.landmarks.1.weight"},
+        ),
+    ],
+)
+def test_tunable_is_what_has_an_effect(settings, keys) -> None:
+    assert set(tunable(config.override(config.Experiment(), settings))) == keys
+
+
+def test_every_tunable_key_is_taken_and_written_back() -> None:
+    base = config.override(config.Experiment(), ["filter.vector_bias=estimated"])
+    keys = list(tunable(base))
+    wanted = [{"key": key, "lower": 0.5, "upper": 2.0, "scale": "logarithmic"} for key in keys]
+    experiment = config.override(base, also(*wanted))
+    assert experiment.parameters.also == tuple(AlsoTuned(**one) for one in wanted)
+    assert config.from_dict(tomllib.loads(config.to_toml(experiment))) == experiment
+
+
+def test_an_unknown_key_is_refused_with_those_there_are() -> None:
+    said = refusal({"key": "filter.gama", "lower": 1.0, "upper": 2.0})
+    assert 'parameters.also.0.key = "filter.gama" cannot be tuned' in said
+    for key in tunable(config.Experiment()):
+        assert key in said
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "filter.substeps",  # a whole number, and static
+        "filter.vector_bias_gain",  # no bias is estimated
+        "scenario.vectors.2.weight",  # there are two
+        "scenario.velocity_noise",  # of the world, not of the filter
+        "filter.gamma",  # a pair here: each has its own key
+    ],
+)
+def test_a_number_without_effect_is_refused(key) -> None:
+    good = {"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}
+    said = refusal(good, {"key": key, "lower": 1.0, "upper": 2.0})
+    assert f'parameters.also.1.key = "{key}" cannot be tuned, or has no effect here' in said
+
+
+def test_a_gain_limit_that_is_off_is_no_number() -> None:
+    off = config.override(config.Experiment(), ["filter.gain_limit=off"])
+    said = refusal({"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}, base=off)
+    assert "cannot be tuned" in said
+
+
+def test_a_key_twice_is_refused() -> None:
+    one = {"key": "gain.smoothing", "lower": 1.0, "upper": 2.0}
+    said = refusal(one, one)
+    assert 'parameters.also.1.key = "gain.smoothing" allowed: each key once' in said
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (
+            {"key": "gain.smoothing", "lower": -1.0, "upper": 2.0},
+            "also.0.lower = -1.0 gain.smoothing should be greater than or equal to 0",
+        ),
+        (
+            {"key": "filter.gamma.1", "lower": -1.0, "upper": 2.0},
+            "also.0.lower = -1.0 filter.gamma.1 should be greater than or equal to 0",
+        ),
+        (
+            {"key": "gain.error_scale", "lower": 0.0, "upper": 2.0},
+            "also.0.lower = 0.0 gain.error_scale should be greater than or equal to 1e-09",
+        ),
+        (
+            {"key": "filter.gain_limit", "lower": -3.0, "upper": 0.0},
+            "also.0.upper = 0.0 filter.gain_limit should be",
+        ),
+        (
+            {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 2e9},
+            "also.0.upper = 2000000000.0 should be less than or equal to 1000000000",
+        ),
+        ({"key": "gain.smoothing", "lower": 3.0, "upper": 2.0}, "allowed: at most upper = 2.0"),
+        (
+            {"key": "gain.smoothing", "lower": 0.0, "upper": 2.0, "scale": "logarithmic"},
+            'allowed: above 0, because scale = "logarithmic"',
+        ),
+        ({"key": "gain.smoothing", "lower": 0.0}, "also.0.upper"),
+        ({"key": "gain.smoothing", "lower": 0.0, "upper": 1.0, "scale": "log"}, "'logarithmic'"),
+    ],
+)
+def test_bounds_that_a_number_may_not_have_are_refused(entry, said) -> None:
+    assert said in refusal(entry)
+
+
+def test_a_number_may_be_held_at_one_value() -> None:
+    fixed = {"key": "gain.smoothing", "lower": 0.0, "upper": 0.0}
+    assert config.override(config.Experiment(), also(fixed)).parameters.also[0].upper == 0

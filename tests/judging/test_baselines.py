@@ -1,0 +1,203 @@
+"""What a tuned filter is judged beside: how each is found, stored and read back."""
+
+import dataclasses
+import math
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from experiments import tiny
+
+from posegsa import config
+from posegsa.judging import baselines
+from posegsa.judging.baselines import (
+    SCHEDULES,
+    best_constant,
+    candidate_of,
+    describe,
+    knot_times,
+    random_search,
+    replayed,
+    schedule_baselines,
+    schedule_space,
+    search_baseline,
+)
+from posegsa.judging.evaluation import CONSTANT, CONTENDERS, EKF, EKF_VECTORS, REPLAYED, TUNED
+from posegsa.judging.metrics import error_tracks
+from posegsa.model.schedules import (
+    ConstantGain,
+    FuzzyGain,
+    KnotGain,
+    ScheduleInputs,
+    SmoothGain,
+    SwitchGain,
+)
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.candidates import Candidate
+from posegsa.search.population import costs_by_scenario
+
+pytestmark = [
+    pytest.mark.usefixtures("compile_fast"),
+    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
+]
+
+SHORT = partial(
+    tiny,
+    *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),
+    "filter.vector_bias=estimated",
+)
+ALSO = (
+    'parameters.also=[{key="filter.gamma.0", lower=0.5, upper=50.0, scale="logarithmic"}, '
+    '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}]'
+)
+
+
+@pytest.fixture(scope="module")
+def problem() -> TuningProblem:
+    """Half a second, two numbers tuned too."""
+    return tuning_problem(SHORT(ALSO))
+
+
+@pytest.fixture(scope="module")
+def tuned(problem: TuningProblem) -> Candidate:
+    """A controller as good as any."""
+    return problem.space.candidate((problem.space.box.lower + problem.space.box.upper) / 2)
+
+
+def mean_cost(one: Candidate, problem: TuningProblem) -> float:
+    agent = jax.tree.map(lambda a: a[None], one)
+    return float(jnp.mean(costs_by_scenario(agent, problem.training)))
+
+
+def inputs(error, time=0.0) -> ScheduleInputs:
+    return ScheduleInputs(jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1))
+
+
+def test_each_contender_but_the_tuned_and_the_kalman_filters_is_found_here(problem, tuned) -> None:
+    assert set(schedule_baselines(problem, tuned)) == {*CONTENDERS} - {TUNED, EKF, EKF_VECTORS}
+
+
+def one_of_each(problem: TuningProblem, tuned: Candidate) -> dict[str, Candidate]:
+    f = jnp.float32
+    return {
+        "fuzzy": tuned,
+        "constant": dataclasses.replace(tuned, schedule=ConstantGain(f(20))),
+        "switch": Candidate(SwitchGain(f(80), f(9), f(0.2), f(0.1))),
+        "smooth": dataclasses.replace(tuned, schedule=SmoothGain(f(2), f(50), f(0.3))),
+        "open loop": Candidate(KnotGain(f([0, 0.2, 0.4]), f([4, 3, 2]))),
+    }
+
+
+def test_what_is_stored_gives_each_back(problem, tuned) -> None:
+    every = one_of_each(problem, tuned)
+    assert set(every) == {"fuzzy", *SCHEDULES}
+    for kind, one in every.items():
+        stored = describe(one, problem.space.schedules, 24)
+        assert (stored.kind, stored.evaluations) == (kind, 24)
+        assert tuple(stored.also) == one.keys
+        again = candidate_of(stored, problem.space.schedules)
+        assert jax.tree.structure(again) == jax.tree.structure(one)
+        for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(one), strict=True):
+            assert a.dtype == b.dtype
+            np.testing.assert_allclose(a, b, rtol=1e-6)
+        assert describe(again, problem.space.schedules, 24) == stored
+
+
+@pytest.mark.parametrize("kind", list(SCHEDULES))
+def test_a_search_is_repeated_and_better_than_the_middle_of_its_box(problem, kind) -> None:
+    found, again = (search_baseline(problem, kind) for _ in range(2))
+    assert isinstance(found.schedule, SCHEDULES[kind])
+    assert found.keys == problem.space.keys, "the baselines have the filter that suits them"
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    space = schedule_space(kind, problem.experiment)
+    middle = Candidate(space.schedule((space.lower + space.upper) / 2))
+    assert mean_cost(found, problem) < mean_cost(middle, problem)
+
+
+def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_evolution() -> None:
+    for settings in (["search.optimiser=adam"], ["search.optimiser=gsa+adam"]):
+        one = config.override(SHORT(), settings)
+        assert baselines._searched(one).search.optimiser == "de"
+    assert baselines._searched(SHORT()) == SHORT()
+
+
+def test_learning_begins_later_only_where_biases_are_learnt() -> None:
+    assert float(schedule_space("switch", SHORT()).upper[3]) == 0.25
+    off = config.override(SHORT(), ["filter.vector_bias=off"])
+    assert float(schedule_space("switch", off).upper[3]) == 0
+
+
+def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem, tuned) -> None:
+    times = jnp.asarray([0.0, 0.2, 0.49], "float32")
+    knots = dataclasses.replace(tuned, schedule=KnotGain(times, jnp.float32([3.5, 2.5, 1.0])))
+    again = replayed(problem, knots)
+    assert (again.keys, again.values) == (knots.keys, knots.values)
+    tracks, replay = (error_tracks(one, problem.everywhere) for one in (knots, again))
+    np.testing.assert_allclose(replay.gain, tracks.gain, rtol=1e-4)
+    np.testing.assert_allclose(replay.position, tracks.position, rtol=1e-4)
+
+
+def test_replayed_gains_are_means_over_training_scenarios(problem, tuned) -> None:
+    schedule = replayed(problem, tuned).schedule
+    assert isinstance(schedule, KnotGain)
+    gain = np.asarray(error_tracks(tuned, problem.training).gain)
+    np.testing.assert_allclose(np.exp(schedule.log_gain), np.sqrt(gain[0] * gain[1]), rtol=1e-4)
+    np.testing.assert_allclose(schedule.time, 0.01 * np.arange(50), atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
+def test_random_search_needs_no_library_of_the_runs_own_optimiser(
+    problem, monkeypatch, name, library
+) -> None:
+    found = random_search(problem)
+    assert isinstance(found.schedule, FuzzyGain)
+    for module in [m for m in sys.modules if m.split(".")[0] == library]:
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, library, None)
+    other = config.override(problem.experiment, [f"search.optimiser={name}"])
+    again = random_search(problem._replace(experiment=other))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_grids_constant_is_the_best_of_all_whole_gains(problem) -> None:
+    alone = tuning_problem(SHORT())
+    grid = best_constant(alone)
+    gains = jnp.linspace(1, 101, 41)
+    costs = jnp.mean(costs_by_scenario(Candidate(ConstantGain(gains)), alone.training), axis=0)
+    assert mean_cost(grid, alone) <= float(jnp.min(costs)) * (1 + 1e-4)
+    assert 1 <= float(grid.schedule.gain) <= 101
+
+
+def test_the_smooth_schedule_is_half_way_at_half() -> None:
+    schedule = SmoothGain(jnp.float32(2), jnp.float32(50), jnp.float32(0.3))
+    assert float(schedule(inputs(0.0)).gain) == 2
+    assert float(schedule(inputs(0.3)).gain) == pytest.approx(26)
+    assert float(schedule(inputs(1.0)).gain) < 50
+
+
+def test_the_switch_changes_the_gain_at_one_time_and_learning_at_another() -> None:
+    switch = SwitchGain(*map(jnp.float32, (80, 9, 2, 1)))
+    found = [switch(inputs(0.5, time)) for time in (0, 0.99, 1, 1.99, 2, 9)]
+    assert [float(gains.gain) for gains in found] == [80, 80, 80, 80, 9, 9]
+    assert [float(gains.learning) for gains in found] == [0, 0, 1, 1, 1, 1]
+
+
+def test_the_knot_schedule_passes_its_knots_and_holds_its_ends() -> None:
+    knots = KnotGain(jnp.float32([0, 1, 3]), jnp.log(jnp.float32([100, 10, 1])))
+    for time, gain in ((0, 100), (1, 10), (2, math.sqrt(10)), (3, 1), (9, 1)):
+        assert float(knots(inputs(0.1, time)).gain) == pytest.approx(gain, rel=1e-5)
+
+
+@pytest.mark.parametrize("end", [0.5, 14.99, 60.0])
+def test_open_loop_knots_cover_the_run_and_are_dense_at_the_start(end) -> None:
+    knots = knot_times(end)
+    assert len(knots) == baselines.KNOTS
+    assert (np.diff(knots) > 0).all()
+    assert knots[0] == 0
+    assert knots[-1] == pytest.approx(end)
+    assert np.count_nonzero(knots <= min(2.0, end / 2) * (1 + 1e-9)) == baselines.KNOTS // 2 + 1

@@ -1,0 +1,78 @@
+"""Errors long after the window that a filter was tuned for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from builders import quietly
+from evaluations import endurance as made
+from experiments import tiny
+
+from posegsa import config
+from posegsa.judging.endurance import SCENARIOS, TIMES, endurance
+from posegsa.judging.metrics import error_tracks
+from posegsa.model.schedules import ConstantGain
+from posegsa.search.build import scenario_batch
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+SHORT = tiny(
+    *("scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]")
+)
+
+
+def constant(gain: float) -> Candidate:
+    return Candidate(ConstantGain(jnp.float32(gain)))
+
+
+@pytest.mark.usefixtures("compile_fast")
+def test_windows_double_and_errors_are_root_mean_squares() -> None:
+    found = endurance(SHORT, constant(20), constant(3))
+    np.testing.assert_allclose(found.begin, [0, 0.3, 0.6, 1.2])
+    np.testing.assert_allclose(found.end, [0.3, 0.6, 1.2, 2.4])
+    assert found.end[-1] == TIMES * 0.3
+
+    longer = config.override(SHORT, ["scenario.duration=2.4"])
+    batch = scenario_batch(longer, quietly(longer), endurance_keys(SHORT.run.seed, SCENARIOS))
+    for gain, attitude, position in (
+        (20, found.attitude, found.position),
+        (3, found.constant_attitude, found.constant_position),
+    ):
+        track = error_tracks(constant(gain), batch)
+        assert track.position.shape == (SCENARIOS, 240)
+        angle = np.degrees(np.arccos(1 - 2 * np.asarray(track.attitude, np.float64)))
+        for w, (first, last) in enumerate(((0, 30), (30, 60), (60, 120), (120, 240))):
+            for rms, errors in ((attitude[w], angle), (position[w], track.position)):
+                window = np.asarray(errors, np.float64)[:, first:last]
+                assert rms == pytest.approx(np.sqrt(np.mean(window**2)), rel=1e-5)
+    assert found.position[-1] < 0.5 * found.constant_position[-1], "the gains differ"
+
+
+def test_its_scenarios_are_no_others() -> None:
+    seed = SHORT.run.seed
+    keys = {
+        tuple(key)
+        for some in (
+            endurance_keys(seed, SCENARIOS),
+            training_keys(seed, 100),
+            held_out_keys(seed, 100),
+        )
+        for key in jax.random.key_data(some).tolist()
+    }
+    assert len(keys) == SCENARIOS + 200
+
+
+
+
+def test_worse_names_the_windows_after_the_first() -> None:
+    assert made().worse() == []
+    worse = made(attitude=np.array([99.0, 6, 8.5, 5]), position=np.array([9.0, 0.2, 0.2, 0.3]))
+    # Equal is not worse; the first window is that of the scenarios, which the cost judges.
+    assert worse.worse() == ["attitude from 30 to 60 s", "position from 60 to 120 s"]
+
+
+def test_nan_is_worse() -> None:
+    lost = made(position=np.array([3.0, 0.2, np.nan, np.inf]))
+    assert lost.worse() == ["position from 30 to 60 s", "position from 60 to 120 s"]

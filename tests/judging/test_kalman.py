@@ -1,0 +1,86 @@
+"""The Kalman filter as a baseline: its noises are found, and it does what it does alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from builders import quietly
+from experiments import tiny
+
+from posegsa.judging import kalman
+from posegsa.judging.evaluation import Description
+from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune_kalman
+from posegsa.model.ekf import EkfNoise, ekf_errors
+from posegsa.search.keys import held_out_keys
+
+pytestmark = [
+    pytest.mark.usefixtures("compile_fast"),
+    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
+]
+
+# With one vector and no cross product a filter of 12 states is soon compiled.
+TINY = tiny(
+    *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),
+    *("scenario.vectors=[{direction=[0, 0, 1], noise=0.1}]", "filter.cross_vector=false"),
+)
+NOISES = {name: float(np.sqrt(low * high)) for name, (low, high) in BOUNDS.items()}
+
+
+def described(noises: dict[str, float]) -> Description:
+    return Description("Kalman", {name: [n] for name, n in noises.items()}, {}, 20)
+
+
+def test_the_noises_are_all_that_the_filter_has() -> None:
+    assert set(BOUNDS) == set(EkfNoise._fields)
+    assert all(0 < low < high for low, high in BOUNDS.values())
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Two searches of one generation, on two scenarios."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(kalman, "CHECKED", 20)
+    patch.setattr(kalman, "MOST", 40)
+    one = quietly(TINY)
+    yield [tune_kalman(TINY, one, vector_biases=False) for _ in range(2)]
+    patch.undo()
+
+
+def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
+    first, again = found
+    assert first == again
+    assert first.kind == "Kalman"
+    assert first.also == {}
+    assert first.evaluations in (20, 40)
+    expected = set(BOUNDS) - {"vector_walk", "initial_vector_bias"}
+    assert set(first.numbers) == expected, "there are no such states"
+    for name, (noise,) in first.numbers.items():
+        low, high = BOUNDS[name]
+        assert low * (1 - 1e-6) <= noise <= high * (1 + 1e-6), name
+
+
+def test_tracks_are_those_of_the_filter_one_by_one(monkeypatch) -> None:
+    """Three scenarios, two at a time: the last part is filled up."""
+    monkeypatch.setattr(kalman, "SCENARIOS", 2)
+    noises = NOISES | {"vector": 0.1, "landmark": 0.1}
+    batch = kalman_scenarios(TINY, quietly(TINY), held_out_keys(0, 3), vector_biases=False)
+    tracks = kalman_tracks(described(noises), batch)
+    noise = EkfNoise(**{name: jnp.float32(n) for name, n in noises.items()})
+    alone = jax.jit(ekf_errors)
+    for i in range(3):
+        scenario = jax.tree.map(lambda a, i=i: a[i], (batch.samples, batch.initial))
+        for ours, theirs in zip(
+            jax.tree.map(lambda a, i=i: a[i], tracks), alone(*scenario, noise), strict=True
+        ):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
+    assert tracks.position.shape == (3, 50)
+    assert not np.allclose(tracks.position[0], tracks.position[1])
+
+
+def test_only_with_vector_biases_are_there_such_states() -> None:
+    for vector_biases in (False, True):
+        batch = kalman_scenarios(
+            TINY, quietly(TINY), held_out_keys(0, 3), vector_biases=vector_biases
+        )
+        assert len(batch.initial.vector_biases) == vector_biases
+        assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 50), "each, as measured"
