@@ -60,8 +60,8 @@ def tune(
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
             of the same experiment (`saving.resume.experiment_to_resume`), but for more iterations:
             past those that it began with, G and K_best hold their final values.
-        cost: A cost of a simulation to minimise instead of the configured one, a JAX function of its
-            errors (`ErrorTrack`) and the times (N,) [s].
+        cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
+            its errors (`ErrorTrack`) and the times (N,) [s].
         progress: Called when the search is compiled, and after each chunk of iterations.
 
     Returns:
