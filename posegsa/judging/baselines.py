@@ -174,9 +174,9 @@ def baselines(result: TuneResult, one: Scenario) -> dict[str, Callable[[], Descr
 
     def random() -> Described:
         # By name, because the library of the run's own optimiser may not be installed here.
-        task = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
-        controller = task.space.controller(run_search(task).search.best_position)
-        k = np.asarray(task.space.vector(controller)).tolist()
+        problem = tuning_problem(override(experiment, ["search.optimiser=random_search"]))
+        controller = problem.space.controller(run_search(problem).search.best_position)
+        k = np.asarray(problem.space.vector(controller)).tolist()
         return FuzzyGain(controller), {"kind": "fuzzy", "k": k}
 
     def smooth() -> Described:

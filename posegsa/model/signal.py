@@ -93,7 +93,7 @@ class SignalMemory(NamedTuple):
     """What the error signal and the schedule remember from sample to sample."""
 
     error: Array
-    """The last error signal, smoothed, unscaled; anything before the first sample."""
+    """The last error signal, smoothed, unscaled; not read before the first sample."""
     gain: Array
     """The last gain asked for [1/s]."""
     time_step: Array

@@ -61,6 +61,11 @@ def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
     return scenario_keys(key, count)
 
 
+def repeat_key(seed: int, repeat: int) -> Array:
+    """The key of a search that is repeated under one seed."""
+    return random.fold_in(keys(seed).search, repeat)
+
+
 def oracle_keys(seed: int, count: int) -> Array:
     """Keys (count,) of the scenarios that the open-loop reference is fitted to."""
     return scenario_keys(keys(seed).oracle, count)

@@ -57,7 +57,7 @@ class Refused(ValueError):
         self.violations = violations
 
 
-def refuse(value: object, allowed: str) -> Refused:
+def refusal(value: object, allowed: str) -> Refused:
     """The exception by which the validator of one field refuses its value."""
     return Refused(Violation("", f"allowed: {allowed}", value))
 
@@ -156,7 +156,7 @@ def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:
 def _nearest(word: object, known: Iterable[str]) -> str | None:
     """The known word most like the given one, if any is."""
     lowered = {candidate.lower(): candidate for candidate in known}
-    found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.7)
+    found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.6)
     return lowered[found[0]] if found else None
 
 

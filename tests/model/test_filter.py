@@ -1,6 +1,7 @@
 """The observer: one step against the reference, its state, and under JAX's transformations."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -276,25 +277,30 @@ def test_float32_agrees_with_float64_to_rounding() -> None:
     leaves_close(single, double, rtol=1e-5, atol=1e-5)
 
 
-@jax.jit
-def forward_and_reverse(*inputs: Any) -> tuple[Any, Any]:
+@partial(jax.jit, static_argnums=0)
+def forward_and_reverse(gain_limit: float | None, *inputs: Any) -> tuple[Any, Any]:
     """Derivatives of the sum of all that a step returns, by state, gain and measurements."""
 
     def total(state: FilterState, gain: Array, m: Measurements) -> Array:
-        after, _ = observe(state, prepare(m), gain, settings(np.float32))
+        after, _ = observe(state, prepare(m), gain, settings(np.float32, gain_limit=gain_limit))
         return sum(jax.tree.leaves(after))
 
     ones = jax.tree.map(jnp.ones_like, inputs)
     return jax.jvp(total, inputs, ones), jax.grad(total, argnums=(0, 1, 2))(*inputs)
 
 
+@pytest.mark.parametrize("gain_limit", [1.5, None], ids=["limited", "no limit"])
 @pytest.mark.parametrize("seen", [1.0, 0.0], ids=["all seen", "none seen"])
-def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(seen) -> None:
+def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(
+    seen, gain_limit
+) -> None:
     # Everything that has a square root or a division is at its zero here.
     m = fitting(np.eye(4), np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)))
     m = m._replace(vector_weights=np.full(1, seen), landmark_weights=np.full(1, seen))
     state = jitted_state(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
-    forward, reverse = forward_and_reverse(state, jnp.float32(3), as_arrays(m, np.float32))
+    forward, reverse = forward_and_reverse(
+        gain_limit, state, jnp.float32(3), as_arrays(m, np.float32)
+    )
     assert np.isfinite(forward).all()
     for leaf in jax.tree.leaves(reverse):
         assert np.isfinite(leaf).all()
