@@ -54,14 +54,13 @@ def evaluate(
         one = scenario(experiment)
         k = result.parameters.tolist()
         schedules: dict[str, Described] = {TUNED: (result.schedule, {"kind": "fuzzy", "k": k})}
-        # All are found, the oracle first, before any is judged.
         for name, find in baselines(result, one).items():
             say(f"searching: {name}")
             schedules[name] = find()
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
         held_out = scenario_batch(experiment, one, unseen)
         contenders = {}
-        for name in CONTENDERS:
+        for name in sorted(schedules, key=CONTENDERS.index):
             say(f"judging: {name}")
             schedule, description = schedules[name]
             contenders[name] = contender(error_tracks(schedule, held_out), held_out, description)

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
-from posegsa.judging.evaluation import CONSTANT, ORACLE, RANDOM, SMOOTH, TUNED, Evaluation
+from posegsa.judging.evaluation import CONSTANT, CONTENDERS, ORACLE, TUNED, Evaluation
 from posegsa.judging.metrics import Bands, Metrics
 
 FIGURES: list[ResultFigure] = []
@@ -18,9 +18,7 @@ FIGURES: list[ResultFigure] = []
 ANGLE_SPREAD = 1.0
 """Minimum range of initial angles over which cost is worth drawing [deg]."""
 
-_STYLES: dict[str, Style] = dict(
-    zip((TUNED, SMOOTH, CONSTANT, ORACLE, RANDOM), style.CURVES, strict=False)
-)
+_STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 """Colour and line look of each contender, the same in all figures."""
 _MARKERS = {TUNED: "o", CONSTANT: "s", ORACLE: "D"}
 """Of the contenders that are drawn as curves: more would hide each other."""
