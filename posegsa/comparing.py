@@ -21,7 +21,7 @@ from posegsa.saving.comparison import continued, write_comparison, write_searche
 from posegsa.saving.folder import locked_folder
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
-from posegsa.search.keys import keys
+from posegsa.search.keys import repeat_key
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import Found, Progress, first_search, run_search, run_timed
 from posegsa.settings.fields import MAX_COUNT
@@ -40,7 +40,7 @@ class Status(NamedTuple):
     """Searches of this optimiser that are done."""
     repeats: int
     share: float
-    """Of the search that is running."""
+    """Share of the running search that is done."""
     best_cost: float
 
 
@@ -161,7 +161,7 @@ def compare(
             comparison = continued(comparison, folder, overwrite=overwrite)
         for name, optimiser in made.items():
             for repeat in range(len(comparison.repeats[name]), repeats):
-                key = jax.random.fold_in(keys(one.run.seed).search, repeat)
+                key = repeat_key(one.run.seed, repeat)
                 tell = partial(_tell, progress, name, repeat, repeats)
                 comparison.repeats[name].append(_search(subject, optimiser, key, tell))
                 if folder is not None:

@@ -35,8 +35,8 @@ _EXTRA = "--xla_backend_extra_options="
 # With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
 # many outputs instead of one kernel for each: 3 times faster on 100 agents. The last is LLVM's own:
 # it gives up vectorising a loop that would need more run-time checks for overlapping arrays than
-# this, and kernels that write the state in place need hundreds (its default is 128): 1.3 times
-# faster, and 2 times where the filter learns the vectors' biases.
+# this, and kernels that write the state in place need hundreds (its default is 128): up to 1.3
+# times faster.
 _OPTIONS = {
     "xla_cpu_use_multi_output_fusion": "true",
     "xla_cpu_small_while_loop_byte_threshold": "10000000",

@@ -1,4 +1,4 @@
-"""Words for a person."""
+"""Text for people: counts with nouns, tables, values as TOML."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -15,7 +15,8 @@ def add(commands) -> None:
         "evaluate",
         help="judge a finished run on more unseen scenarios, beside all baselines",
         description="Judges a finished run on unseen scenarios beside the best constant gain, "
-        "random search and a smooth schedule with as many evaluations, and an oracle; minutes. "
+        "a time switch and other schedules searched with as many evaluations, and Kalman filters; "
+        "minutes. "
         "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder.",
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")

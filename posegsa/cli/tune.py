@@ -15,6 +15,7 @@ from posegsa.search.devices import join_processes
 
 OUT = "posegsa-run"
 """Folder that is written to where none is given."""
+FILES = "report.html, result.json, evaluation.json, .txt, history.csv, trajectory.csv, figures/"
 
 
 def add(commands) -> None:
@@ -23,7 +24,7 @@ def add(commands) -> None:
         "tune",
         help="tune a gain schedule and judge it on unseen scenarios",
         description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
-        "report.html, result.json, history.csv, trajectory.csv and figures/ to a folder.",
+        f"{FILES} to a folder.",
     )
     add_search_arguments(
         parser,
@@ -61,8 +62,7 @@ def _tune(options: argparse.Namespace) -> int:
         result = tuning.tune(experiment, **where, progress=show)
     if first:
         print(result.summary())
-        written = "report.html, result.json, history.csv, trajectory.csv, figures/"
-        print(f"\nWritten to {out or options.resume}: {written}")
+        print(f"\nWritten to {out or options.resume}: {FILES}")
     return 0
 
 

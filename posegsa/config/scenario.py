@@ -21,7 +21,7 @@ from posegsa.settings.fields import (
     Vector3,
     Vector6,
 )
-from posegsa.settings.violations import Violation, refuse
+from posegsa.settings.violations import Violation, refusal
 
 _ZERO_LENGTH = 1e-12
 """Length, in its own unit, up to which a direction counts as a zero vector."""
@@ -58,7 +58,7 @@ class Vector(Section):
     @classmethod
     def _not_zero(cls, direction: Vector3) -> Vector3:
         if math.hypot(*direction) <= _ZERO_LENGTH:
-            raise refuse(direction, "a vector that is not zero")
+            raise refusal(direction, "a vector that is not zero")
         return direction
 
 
@@ -158,7 +158,7 @@ class ScenarioConfig(Section):
     def _is_a_rotation(cls, matrix: Matrix3, info: ValidationInfo) -> Matrix3:
         within = _ROTATION_WITHIN[info.field_name or ""]
         if not _near_rotation(np.array(matrix), within):
-            raise refuse(
+            raise refusal(
                 matrix,
                 "a rotation matrix: determinant above 0, all singular values equal to 1 within "
                 f"{within:g}",

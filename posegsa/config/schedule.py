@@ -24,7 +24,7 @@ INPUT_RANGE = (0.0, 1.0)
 PARAMETERS = tuple(f"k{i}" for i in range(1, 23))
 """The names k1..k22: 1 to 11 shape the input terms, 12 to 22 the output terms."""
 
-_PAPER_BOXES = (  # (low, high) of k1..k22, the paper's two constraint equations
+_PAPER_BOXES = (  # (low, high) of k1..k22, the paper's Eqs. 18 and 19
     (0.0, 0.15),  # VS: c
     (0.0, 0.2),  # S: a, b, c
     (0.0, 0.2),

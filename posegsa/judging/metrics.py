@@ -21,7 +21,7 @@ BATCH = 250
 """Scenarios simulated at once, to bound the memory of their error tracks."""
 
 QUANTILES = (0.05, 0.5, 0.95)
-"""Of error bands."""
+"""Quantiles over scenarios that error bands show."""
 
 CostPerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="infinite")]
 PerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="any")]

@@ -393,11 +393,12 @@ def observe(
     for j in range(n):
         U = innovation(state, sample, seen)
         W = correction(state, U, settings.law)
-        # K h L <= c < 2: a gradient step that does not overshoot. L = 0 without measurements,
-        # where there is nothing to limit, nor a derivative of a division by 0.
+        # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
+        # without a limit that is infinite: then neither a value nor a derivative comes from them.
         length = h * U.curvature
-        limit = settings.gain_limit / choose(length > 0, length, 1.0)
-        used = choose(length > 0, minimum(limit, gain), gain)
+        limited = (length > 0) & jnp.isfinite(settings.gain_limit)
+        limit = choose(limited, settings.gain_limit, 1.0) / choose(limited, length, 1.0)
+        used = choose(limited, minimum(limit, gain), gain)
         used_total = used_total + used
         omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
         if j == n - 1:

@@ -197,7 +197,7 @@ class FuzzyController:
 
     Raises:
         FuzzyError: shapes, order, rules or reach do not fit. Checked when made outside jit only;
-            inside, the mapping from a search vector (`parameters`) sees to it.
+            inside, the mapping from a search vector (`search.parameters`) sees to it.
     """
 
     input_terms: Array

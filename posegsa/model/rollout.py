@@ -164,7 +164,7 @@ def _simulate(
     extra: Any = (),
     total: Any = (),
 ) -> tuple[FilterState, Any, Any]:
-    """Run the closed loop over all samples; what is kept of it is for `look` to say.
+    """Run the closed loop over all samples; `look` says what is summed up and stored of each.
 
     Returns:
         The last state, the sum that began as `total`, and what `look` stored, stacked over time.

@@ -117,7 +117,7 @@ class SignalMemory(NamedTuple):
     position: Array
     """The last position part that was measured [m]; 0 before the first."""
     error: Array
-    """The last error signal, smoothed, unscaled; anything before the first sample."""
+    """The last error signal, smoothed, unscaled; not read before the first sample."""
     gain: Array
     """The last gain asked for [1/s]."""
     time_step: Array

@@ -157,7 +157,7 @@ def advance(
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
     """`lax.while_loop`, in Python."""
-    while going(search._replace(state=None)):  # it may hold more than arrays
+    while going(search._replace(state=None)):  # the optimiser's state may hold more than arrays
         search = step(search)
     return search
 

@@ -254,8 +254,10 @@ class CheckpointWriter:
 
     def _where(self) -> str:
         """Where the search stands, and how to resume it."""
+        if self._last is None:
+            return "before its first iteration; nothing is saved"
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
-        best = float(self._last[0].best_cost) if self._last else float("inf")
+        best = float(self._last[0].best_cost)
         iterations = self.experiment.search.total_iterations
         return (
             f"after iteration {self._iteration} of {iterations}{saved}, "

@@ -67,9 +67,10 @@ def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Recor
         raise RunFolderError(f"{source}: {reprlib.repr(data)}; allowed: an object")
     found = data.pop("schema", "none")
     if type(found) is not int or found != schema:
+        writer = data.get("version")
+        writer = f"posegsa {reprlib.repr(writer)}" if writer else "a version that it does not name"
         raise RunFolderError(
-            f"{source}: schema = {reprlib.repr(found)}, written by posegsa "
-            f"{reprlib.repr(data.get('version', 'of an unknown version'))}; this version reads "
+            f"{source}: schema = {reprlib.repr(found)}, written by {writer}; this version reads "
             f"schema {schema}: run it again, or read it with the version that wrote it"
         )
     data.pop("summary", None)

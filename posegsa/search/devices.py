@@ -18,7 +18,7 @@ from posegsa.errors import PosegsaError
 
 AXIS = "devices"
 """Name of the mesh's only axis."""
-WORTH = 32
+SIMULATIONS_PER_DEVICE = 32
 """Simulations that are worth a CPU device of their own: two full vectors."""
 MAX_PROCESSES = 10**6
 
@@ -65,7 +65,7 @@ def mesh_for(simulations: int) -> Mesh | None:
     """
     devices = jax.devices()
     if jax.process_count() == 1 and devices[0].platform == "cpu":
-        devices = devices[: max(1, simulations // WORTH)]
+        devices = devices[: max(1, simulations // SIMULATIONS_PER_DEVICE)]
     return mesh_of(devices)
 
 

@@ -22,7 +22,7 @@ class Keys(NamedTuple):
     validation: Array
     """Of the scenarios that choices between configurations are made on."""
     open_loop: Array
-    """Of the scenarios that the best open-loop gains are fitted to."""
+    """Not used any more; it keeps the numbers of those after it."""
     baselines: Array
     """Of the searches for the baselines."""
     endurance: Array
@@ -63,11 +63,11 @@ def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
     return scenario_keys(key, count)
 
 
-def open_loop_keys(seed: int, count: int) -> Array:
-    """Keys (count,) of the scenarios that the best open-loop gains are fitted to."""
-    return scenario_keys(keys(seed).open_loop, count)
-
-
 def endurance_keys(seed: int, count: int) -> Array:
     """Keys (count,) of the long scenarios that show what holds past the tuned window."""
     return scenario_keys(keys(seed).endurance, count)
+
+
+def repeat_key(seed: int, repeat: int) -> Array:
+    """The key of a search that is repeated under one seed."""
+    return random.fold_in(keys(seed).search, repeat)

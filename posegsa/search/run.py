@@ -106,41 +106,41 @@ def run_timed(
     return Found(here, compiled - begun, time.monotonic() - compiled)
 
 
-def first_search(task: TuningProblem, key: Array | None = None) -> Search:
-    """A task's search before its first iteration; by default with the key of its seed."""
-    key = keys(task.experiment.run.seed).search if key is None else key
-    return start(task.experiment.search, task.space.box, key)
+def first_search(problem: TuningProblem, key: Array | None = None) -> Search:
+    """A problem's search before its first iteration; by default with the key of its seed."""
+    key = keys(problem.experiment.run.seed).search if key is None else key
+    return start(problem.experiment.search, problem.space.box, key)
 
 
 def run_search(
-    task: TuningProblem,
+    problem: TuningProblem,
     progress: Callable[[Progress], object] | None = None,
     *,
     search: Search | None = None,
     keep: Keep | None = None,
 ) -> Found:
-    """Search a task's parameter space; nothing held out is looked at.
+    """Search a problem's parameter space; nothing held out is looked at.
 
     Args:
-        task: What to search.
+        problem: What to search.
         progress: As `tune`'s.
-        search: A search of this task to go on with; by default a new one.
+        search: A search of this problem to go on with; by default a new one.
         keep: As `run_timed`'s.
     """
-    optimiser, search = task.experiment.search, search or first_search(task)
+    optimiser, search = problem.experiment.search, search or first_search(problem)
     if not optimiser.on_host:
-        return _run_on_devices(task, search, progress, keep)
-    run = runner(optimiser, on_all_devices(task), task.space.box, on_host=True)
+        return _run_on_devices(problem, search, progress, keep)
+    run = runner(optimiser, on_all_devices(problem), problem.space.box, on_host=True)
     return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
 
 def search_batch(
-    tasks: Sequence[TuningProblem], progress: Callable[[Progress], object] | None
+    problems: Sequence[TuningProblem], progress: Callable[[Progress], object] | None
 ) -> list[Found]:
-    """Search all tasks in one compiled call."""
-    first = tasks[0].experiment
+    """Search all problems in one compiled call."""
+    first = problems[0].experiment
     for name in ("search", "objective"):
-        if any(getattr(task.experiment, name) != getattr(first, name) for task in tasks):
+        if any(getattr(problem.experiment, name) != getattr(first, name) for problem in problems):
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
     optimiser = first.search
     if optimiser.on_host:
@@ -149,21 +149,23 @@ def search_batch(
             "batch"
         )
     try:
-        reach = max(task.space.schedules.reach for task in tasks)  # more changes no bit of any
+        reach = max(
+            problem.space.schedules.reach for problem in problems
+        )  # more changes no bit of any
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves),
-            *((task.training, _with_reach(task.space, reach)) for task in tasks),
+            *((problem.training, _with_reach(problem.space, reach)) for problem in problems),
         )
     except (ValueError, TypeError) as error:
         raise ConfigError(
             "the experiments of a batch differ in structure; allowed: differences in traced values "
             f"only, such as noise, gamma, weights, boxes and initial errors ({error})"
         ) from None
-    search_keys = jnp.stack([keys(task.experiment.run.seed).search for task in tasks])
+    search_keys = jnp.stack([keys(problem.experiment.run.seed).search for problem in problems])
     searches = jax.vmap(partial(start, optimiser))(space.box, search_keys)
-    together = tasks[0]._replace(training=training, space=space)
+    together = problems[0]._replace(training=training, space=space)
     found = _run_on_devices(together, searches, progress)
-    share = len(tasks)
+    share = len(problems)
     return [
         Found(
             jax.tree.map(lambda a, i=i: a[i], found.search),
@@ -179,14 +181,14 @@ def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[P
 
 
 def _run_on_devices(
-    task: TuningProblem,
+    problem: TuningProblem,
     search: Search,
     progress: Callable[[Progress], object] | None,
     keep: Keep | None = None,
 ) -> Found:
-    """Run one compiled search, or R of them: then the task's arrays have leaves (R, ...)."""
-    optimiser, objective, mesh = task.experiment.search, *_objective(task)
-    search, box, *data = spread((search, task.space.box, task.training, task.space), mesh)
+    """Run one compiled search, or R of them: then the problem's arrays have leaves (R, ...)."""
+    optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
+    search, box, *data = spread((search, problem.space.box, problem.training, problem.space), mesh)
     run = runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
     return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
@@ -209,18 +211,18 @@ class _Objective(NamedTuple):
         )
 
 
-def _objective(task: TuningProblem) -> tuple[_Objective, Mesh | None]:
-    """The objective of a task, and the devices over which its simulations are divided."""
-    experiment = task.experiment
+def _objective(problem: TuningProblem) -> tuple[_Objective, Mesh | None]:
+    """The objective of a problem, and the devices over which its simulations are divided."""
+    experiment = problem.experiment
     mesh = mesh_for(experiment.search.agents * experiment.run.training_scenarios)
     axis = None if mesh is None else AXIS
-    return _Objective(experiment.objective, axis, task.cost), mesh
+    return _Objective(experiment.objective, axis, problem.cost), mesh
 
 
-def on_all_devices(task: TuningProblem) -> Callable[[ArrayLike], Array]:
-    """The objective of a task by itself: parameter vectors (A, 22) to costs (A,)."""
-    objective, mesh = _objective(task)
-    training, space = spread((task.training, task.space), mesh)
+def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
+    """The objective of a problem by itself: parameter vectors (A, 22) to costs (A,)."""
+    objective, mesh = _objective(problem)
+    training, space = spread((problem.training, problem.space), mesh)
     costs = _costs(objective, mesh)
     return lambda vectors: collect(costs(spread(vectors, mesh), training, space))
 

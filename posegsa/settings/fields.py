@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from posegsa.settings.violations import Refused, Violation, config_error, refuse
+from posegsa.settings.violations import Refused, Violation, config_error, refusal
 
 MAX_NUMBER, MIN_POSITIVE = 1e9, 1e-9
 """Bounds of numbers: float32 holds these, and products of some of them, with room."""
@@ -43,7 +43,7 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
     if ends[0] > ends[1]:
-        raise refuse(ends, "a first value that is not above the second")
+        raise refusal(ends, "a first value that is not above the second")
     return ends
 
 

@@ -57,7 +57,7 @@ class Refused(ValueError):
         self.violations = violations
 
 
-def refuse(value: object, allowed: str) -> Refused:
+def refusal(value: object, allowed: str) -> Refused:
     """The exception by which the validator of one field refuses its value."""
     return Refused(Violation("", f"allowed: {allowed}", value))
 
@@ -93,7 +93,7 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
     match item["type"]:
         case "extra_forbidden":
             path = (*path, item["loc"][-1])
-            value, reason = ABSENT, _unknown_key(path, tables, model)
+            value, reason = ABSENT, _unknown_key(path, item["input"], tables, model)
         case "missing":
             value, reason = ABSENT, "missing"
         case "tuple_type":
@@ -146,21 +146,23 @@ def _tables(annotation: Any) -> list[_Table]:
     return [table for part in get_args(annotation) for table in _tables(part)]
 
 
-def _unknown_key(path: _Path, tables: list[_Table], model: _Table) -> str:
+def _unknown_key(path: _Path, value: object, tables: list[_Table], model: _Table) -> str:
     """Why a key is refused: with the nearest key beside it, or its like elsewhere, or all keys."""
     *above, key = path
     if nearest := _nearest(key, [known for table in tables for known in table]):
         return f"unknown key; did you mean {_dotted((*above, nearest))}?"
-    for section, field in model.items():
-        if section not in above and any(key in table for table in _tables_of(field)):
-            return f"unknown key; did you mean {section}.{key}?"
+    inside = list(value) if isinstance(value, Mapping) else []  # of a section of earlier versions
+    for each in (key, *inside):
+        for section, field in model.items():
+            if section not in above and any(each in table for table in _tables_of(field)):
+                return f"unknown key; did you mean {section}.{each}?"
     return f"unknown key; known here: {_listed(tables)}"
 
 
 def _nearest(word: object, known: Iterable[str]) -> str | None:
     """The known word most like the given one, if any is."""
     lowered = {candidate.lower(): candidate for candidate in known}
-    found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.7)
+    found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.6)
     return lowered[found[0]] if found else None
 
 

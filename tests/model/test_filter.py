@@ -416,6 +416,7 @@ def forward_and_reverse(chosen: FilterSettings, *inputs: Any) -> tuple[Any, Any]
     return jax.jvp(total, inputs, ones), jax.grad(total, argnums=(0, 1, 2))(*inputs)
 
 
+@pytest.mark.parametrize("gain_limit", [1.5, None], ids=["limited", "no limit"])
 @pytest.mark.parametrize("seen", [1.0, 0.0], ids=["all seen", "none seen"])
 @pytest.mark.parametrize("learns", [False, True], ids=["", "biases learnt"])
 def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(learns, seen) -> None:

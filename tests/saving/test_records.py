@@ -191,7 +191,7 @@ def test_missing_and_unknown_fields_are_refused(name):
         ('{"schema": 5, "finite": -Infinity}', "is not JSON: -Infinity"),
         ('{"schema": 5, "count": ' + "9" * 5000 + "}", "is not JSON"),
         ("[]", r"\[\]; allowed: an object"),
-        ("{}", r"schema = 'none', written by posegsa 'of an unknown version'; this version reads"),
+        ("{}", r"schema = 'none', written by a version that it does not name; this version reads"),
         (
             '{"schema": 4, "version": "0.1"}',
             r"schema = 4, written by posegsa '0\.1'; .* reads schema 5",

@@ -53,9 +53,9 @@ def test_a_search_is_the_same_on_any_number_of_devices(task, alone, count, monke
 
 
 def test_small_searches_stay_on_one_device_and_large_ones_use_all():
-    assert devices.mesh_for(devices.WORTH - 1) is None
+    assert devices.mesh_for(devices.SIMULATIONS_PER_DEVICE - 1) is None
     assert devices.mesh_for(10**6).devices.size == len(jax.devices()) == 4
-    assert devices.mesh_for(2 * devices.WORTH).devices.size == 2
+    assert devices.mesh_for(2 * devices.SIMULATIONS_PER_DEVICE).devices.size == 2
 
 
 @given(
