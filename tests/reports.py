@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 from evaluations import ANGLES, TIME, description, endurance, evaluation, trust
+from experiments import BASE
 from pictures import history, trajectory
 
 from posegsa import config
@@ -70,6 +71,7 @@ def consistent(samples: int = 61, **values) -> TuneResult:
     }
     contenders[TUNED] = contenders[TUNED]._replace(filter=description("fuzzy", k=PARAMETERS))
     return result(
+        *BASE,
         *("scenario.sampling_time=0.25", f"scenario.duration={0.25 * samples}"),
         *("cost.transient_window=[0, 1]", f"cost.steady_window=[2, {samples - 1}]"),
         "run.training_scenarios=2",
