@@ -24,7 +24,7 @@ from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import held_out_keys
 from posegsa.search.parameters import ParameterSpace
-from posegsa.search.population import TrackCost
+from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.settings.fields import MAX_COUNT
 
 
@@ -54,7 +54,7 @@ def evaluate(
         The result with its evaluation replaced.
 
     Raises:
-        ArgumentError: Fewer than 2 scenarios, or an argument of another type.
+        ArgumentError: Fewer than 2 scenarios, an argument of another type, or another cost.
         MemoryLimitError: So many scenarios would need more memory than there is.
     """
     check_type("result", result, TuneResult)
@@ -62,6 +62,8 @@ def evaluate(
     if seed is not None:
         check_whole("seed", seed, 0, 2**31 - 1)
     check_callable("progress", progress)
+    check_callable("cost", cost)
+    check_same_cost(cost, result.cost)
     experiment = result.experiment
     memory.check([experiment], held_out=scenarios)
     say = progress if progress is not None else lambda _: None

@@ -21,6 +21,7 @@ from posegsa.saving.resume import experiment_to_resume, finished_result, folder_
 from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
+from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.run import Progress, run_search, search_batch
 from posegsa.words import toml
 
@@ -38,6 +39,7 @@ def tune(
     out: str | Path | None = None,
     overwrite: bool = False,
     resume: str | Path | None = None,
+    cost: TrackCost | None = None,
     progress: Tell = None,
 ) -> TuneResult:
     """Tune a fuzzy gain schedule.
@@ -58,6 +60,8 @@ def tune(
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
             of the same experiment (`saving.resume.experiment_to_resume`), but for more iterations:
             past those that it began with, G and K_best hold their final values.
+        cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
+            its errors (`ErrorTrack`) and the times (N,) [s].
         progress: Called when the search is compiled, and after each chunk of iterations.
 
     Returns:
@@ -72,15 +76,16 @@ def tune(
         SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
+    check_callable("cost", cost)
     if resume is not None:
         folder = folder_to_resume(resume, out, overwrite)
-        return _resume(folder, experiment, seed, iterations, progress)
+        return _resume(folder, experiment, seed, iterations, cost, progress)
     chosen = _chosen(experiment, seed, iterations)
     if out is not None and jax.process_index() == 0:  # of processes that have joined, one writes
         with locked_folder(out, overwrite=overwrite) as folder:
-            return _tune_in_folder(chosen, folder, None, progress)
+            return _tune_in_folder(chosen, folder, None, cost, progress)
     with jax.enable_x64(chosen.run.dtype == "float64"):
-        problem = tuning_problem(chosen)
+        problem = tuning_problem(chosen, cost)
         return judge(problem, run_search(problem, progress))
 
 
@@ -117,11 +122,15 @@ def tune_batch(
 
 
 def _tune_in_folder(
-    experiment: config.Experiment, folder: Path, run: CheckpointedRun | None, progress: Tell
+    experiment: config.Experiment,
+    folder: Path,
+    run: CheckpointedRun | None,
+    cost: TrackCost | None,
+    progress: Tell,
 ) -> TuneResult:
     """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        problem = tuning_problem(experiment)
+        problem = tuning_problem(experiment, cost)
         result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
     try:
         write_run(result, folder)
@@ -131,7 +140,12 @@ def _tune_in_folder(
 
 
 def _resume(
-    folder: Path, experiment: Given, seed: int | None, iterations: int | None, progress: Tell
+    folder: Path,
+    experiment: Given,
+    seed: int | None,
+    iterations: int | None,
+    cost: TrackCost | None,
+    progress: Tell,
 ) -> TuneResult:
     """Go on with the run in a folder, or read its result if it is finished."""
     if jax.process_count() > 1:
@@ -141,11 +155,12 @@ def _resume(
         )
     with locked_folder(folder, overwrite=True):
         run = newest_checkpoint(folder)
+        check_same_cost(cost, run.about.cost)
         stored = run.about.experiment
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)
         agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed)
-        return finished or _tune_in_folder(agreed, folder, run, progress)
+        return finished or _tune_in_folder(agreed, folder, run, cost, progress)
 
 
 def _all_chosen(

@@ -126,7 +126,8 @@ def some_result() -> posegsa.TuneResult:
     parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
     unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
     return posegsa.TuneResult(
-        **unknown | {"experiment": experiment, "parameters": parameters, "also": {}, "constant_gain": 5.0}
+        **unknown
+        | {"experiment": experiment, "parameters": parameters, "also": {}, "constant_gain": 5.0}
     )
 
 

@@ -62,8 +62,9 @@ SCHEDULES: dict[Kind, type] = {
 
 def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> Description:
     """A candidate as it is stored."""
-    schedule, kinds = candidate.schedule, {type_: kind for kind, type_ in SCHEDULES.items()}
-    kind: Kind = kinds.get(type(schedule), "fuzzy")
+    schedule = candidate.schedule
+    kinds: dict[type, Kind] = {type_: kind for kind, type_ in SCHEDULES.items()}
+    kind = kinds.get(type(schedule), "fuzzy")
     arrays = vars(schedule)
     if isinstance(schedule, FuzzyGain):
         arrays = {"k": space.vector(schedule.controller)}

@@ -13,6 +13,7 @@ from posegsa.judging.trajectory import simulate_scenario
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem, with_values
 from posegsa.search.keys import held_out_keys
+from posegsa.search.population import cost_name
 from posegsa.search.run import Found
 
 
@@ -47,6 +48,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     )
     return TuneResult(
         experiment=experiment,
+        cost=cost_name(problem.cost),
         best_cost=float(search.best_cost),
         parameters=np.array(descriptions[TUNED].numbers["k"]),
         also=descriptions[TUNED].also,

@@ -38,6 +38,8 @@ class TuneResult:
     """A tuned schedule, how it was found, and what it is worth."""
 
     experiment: Experiment
+    cost: str
+    """The name of the cost that was minimised (`search.population.cost_name`)."""
     best_cost: Cost
     """Least cost that the search found on the training scenarios."""
     parameters: Annotated[np.ndarray, Numbers(len(PARAMETERS))]

@@ -23,7 +23,7 @@ from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import Search
 from posegsa.saving.files import read_bounded, write_atomically
 
-FORMAT = 2
+FORMAT = 3
 """Number of the layout of a checkpoint; it changes when old ones can't be read any more."""
 
 MAX_BYTES = 2**31

@@ -27,6 +27,7 @@ from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
 from posegsa.saving.interrupt import StopRequest, deferred_signals
 from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
+from posegsa.search.population import CONFIGURED, cost_name
 from posegsa.search.run import Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
@@ -44,6 +45,8 @@ class About(NamedTuple):
     """Time that all processes so far have searched [s]."""
     compile_seconds: NonNegative
     environment: dict[str, str]
+    cost: str
+    """The name of the cost that is minimised (`search.population.cost_name`)."""
 
 
 class CheckpointedRun(NamedTuple):
@@ -89,7 +92,7 @@ def search_with_checkpoints(
         return run_search(problem, progress, search=search)
     with (
         deferred_signals() as request,
-        CheckpointWriter(folder, experiment, request, before) as writer,
+        CheckpointWriter(folder, experiment, request, before, cost_name(problem.cost)) as writer,
     ):
         found = run_search(problem, progress, search=search, keep=writer)
     return found._replace(
@@ -156,6 +159,8 @@ class CheckpointWriter:
     request: StopRequest
     before: tuple[float, float] = (0.0, 0.0)
     """Seconds that earlier processes have searched and compiled."""
+    cost: str = CONFIGURED
+    """The name of the cost that is minimised."""
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -220,6 +225,7 @@ class CheckpointWriter:
             search_seconds=self.before[0] + search_seconds,
             compile_seconds=self.before[1] + compile_seconds,
             environment=environment(),
+            cost=self.cost,
         )
         path = self.folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
         try:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from posegsa.arguments import refuse
 from posegsa.config import ObjectiveConfig
 from posegsa.model.cost import CostWeights
 from posegsa.model.filter import FilterSettings, FilterState
@@ -29,6 +30,23 @@ LANES = 16
 TrackCost = Callable[[ErrorTrack, Array], Array]
 """A cost of a user's own: maps the errors of a simulation and the times (N,) [s] to one number, to
 be minimised (pure, jittable)."""
+
+
+CONFIGURED = "configured"
+"""The name of the cost that an experiment configures."""
+
+
+def cost_name(cost: TrackCost | None) -> str:
+    """What a cost is called where it is stored."""
+    if cost is None:
+        return CONFIGURED
+    return f"{getattr(cost, '__module__', '')}.{getattr(cost, '__qualname__', type(cost).__name__)}"
+
+
+def check_same_cost(cost: TrackCost | None, stored: str) -> None:
+    """Raise an ArgumentError unless a cost is that by which a run was tuned, by its name."""
+    if cost_name(cost) != stored:
+        refuse(f"cost = {cost_name(cost)}", f"{stored}, by which the run was tuned")
 
 
 class ScenarioBatch(NamedTuple):

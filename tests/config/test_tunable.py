@@ -86,6 +86,7 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
         "filter.vector_bias_gain",  # no bias is estimated
         "scenario.vectors.2.weight",  # there are two
         "scenario.velocity_noise",  # of the world, not of the filter
+        "../scenario",
         "filter.gamma",  # a pair here: each has its own key
     ],
 )

@@ -25,7 +25,7 @@ from posegsa.judging.baselines import (
     schedule_space,
     search_baseline,
 )
-from posegsa.judging.evaluation import CONSTANT, CONTENDERS, EKF, EKF_VECTORS, REPLAYED, TUNED
+from posegsa.judging.evaluation import CONTENDERS, EKF, EKF_VECTORS, TUNED
 from posegsa.judging.metrics import error_tracks
 from posegsa.model.schedules import (
     ConstantGain,

@@ -64,8 +64,6 @@ def test_its_scenarios_are_no_others() -> None:
     assert len(keys) == SCENARIOS + 200
 
 
-
-
 def test_worse_names_the_windows_after_the_first() -> None:
     assert made().worse() == []
     worse = made(attitude=np.array([99.0, 6, 8.5, 5]), position=np.array([9.0, 0.2, 0.2, 0.3]))

@@ -62,7 +62,11 @@ def test_a_number_of_its_own_is_that_of_the_configuration(experiment, key) -> No
     assert changed == config.override(experiment, [f"{key}=0.37"]) != experiment
     ours, configured, before = (
         jax.tree.leaves_with_path(each)
-        for each in (candidate.applied(*settings(experiment)), settings(changed), settings(experiment))
+        for each in (
+            candidate.applied(*settings(experiment)),
+            settings(changed),
+            settings(experiment),
+        )
     )
     assert [path for path, _ in ours] == [path for path, _ in configured]
     for (path, own), (_, wanted) in zip(ours, configured, strict=True):
@@ -93,9 +97,7 @@ def test_costs_of_numbers_that_are_held_are_those_of_the_configuration(vector_bi
         space = search_space(experiment, parameter_space(experiment))
         vectors = jnp.asarray(search_vectors(3))
         also = jnp.broadcast_to(space.also_lower, (3, len(space.keys)))
-        batch = scenario_batch(
-            experiment, quietly(experiment), scenario_keys(jax.random.key(0), 2)
-        )
+        batch = scenario_batch(experiment, quietly(experiment), scenario_keys(jax.random.key(0), 2))
         found.append(evaluate_population(jnp.hstack([vectors, also]), batch, space))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-10)
     assert (np.abs(found[1] - found[2]) > 1e-3).all(), "the numbers matter"
