@@ -14,6 +14,7 @@ from posegsa.judging.evaluation import TUNED, Contender
 from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult
 from posegsa.report import report_html
+from posegsa.search.population import cost_name
 
 # In order and without gaps, so that the repairs leave them as they are.
 PARAMETERS = np.array(
@@ -30,6 +31,7 @@ def result(*settings: str, **values) -> TuneResult:
     return TuneResult(
         **{
             "experiment": config.override(config.Experiment(), settings),
+            "cost": cost_name(None),
             "best_cost": 41.25,
             "parameters": PARAMETERS,
             "also": {},

@@ -241,9 +241,8 @@ def initial_state(
     if bias is None:
         bias = np.zeros((*batch, 6), int)  # so that it leaves the floating type to the others
     numeric_array("bias", bias, (*batch, 6))
-    with np.errstate(over="ignore"):  # what float32 can't hold is infinite
-        dtype = _floating(rotation, position, bias)
-        R, P, b = (jnp.asarray(a).astype(dtype) for a in (rotation, position, bias))
+    dtype = _floating(rotation, position, bias)
+    R, P, b = (jnp.asarray(a).astype(dtype) for a in (rotation, position, bias))
     w, x, y, z = unstack(quaternion(R))
     px, py, pz = unstack(P)
     b0, b1, b2, b3, b4, b5 = unstack(b)

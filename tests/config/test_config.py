@@ -81,11 +81,14 @@ ONE_START = {
 def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     changed = changes("paper")
     search = {key: value for key, value in changed.items() if key.startswith("search.")}
-    assert search.items() >= {
-        "search.optimiser": "gsa",
-        "search.agents": 100,
-        "search.iterations": 250,
-    }.items()
+    assert (
+        search.items()
+        >= {
+            "search.optimiser": "gsa",
+            "search.agents": 100,
+            "search.iterations": 250,
+        }.items()
+    )
     assert {key: value for key, value in changed.items() if key not in search} == {
         **ONE_START,
         "run.training_scenarios": 1,

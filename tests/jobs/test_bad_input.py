@@ -55,7 +55,8 @@ def test_generated_calls_are_answered_or_refused(result):
     for _ in range(600):
         made = call(rng, result)
         try:
-            made.make()
+            with np.errstate(over="ignore"):  # what float32 can't hold is infinite
+                made.make()
         except PosegsaError:
             refused[made.name] = refused.get(made.name, 0) + 1
     assert len(refused) > 30

@@ -82,4 +82,6 @@ def test_only_with_vector_biases_are_there_such_states() -> None:
             TINY, quietly(TINY), held_out_keys(0, 3), vector_biases=vector_biases
         )
         assert len(batch.initial.vector_biases) == 2 * vector_biases
-        assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 50), "each, as measured"
+        assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 50), (
+            "each, as measured"
+        )
