@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 from evaluations import ANGLES, TIME, description, endurance, evaluation, trust
+from experiments import BASE
 from pictures import history, trajectory
 
 from posegsa import config
@@ -13,6 +14,7 @@ from posegsa.judging.evaluation import TUNED, Contender
 from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult
 from posegsa.report import report_html
+from posegsa.search.population import cost_name
 
 # In order and without gaps, so that the repairs leave them as they are.
 PARAMETERS = np.array(
@@ -29,6 +31,7 @@ def result(*settings: str, **values) -> TuneResult:
     return TuneResult(
         **{
             "experiment": config.override(config.Experiment(), settings),
+            "cost": cost_name(None),
             "best_cost": 41.25,
             "parameters": PARAMETERS,
             "also": {},
@@ -70,6 +73,7 @@ def consistent(samples: int = 61, **values) -> TuneResult:
     }
     contenders[TUNED] = contenders[TUNED]._replace(filter=description("fuzzy", k=PARAMETERS))
     return result(
+        *BASE,
         *("scenario.sampling_time=0.25", f"scenario.duration={0.25 * samples}"),
         *("cost.transient_window=[0, 1]", f"cost.steady_window=[2, {samples - 1}]"),
         "run.training_scenarios=2",

@@ -14,6 +14,7 @@ from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
+from posegsa.search.population import cost_name
 
 COUNT = 10_000
 
@@ -29,6 +30,7 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
     nothing = Bands(*[np.zeros((len(Bands._fields), 1))] * len(Bands._fields))
     values: dict[str, Any] = {
         "experiment": experiment,
+        "cost": cost_name(None),
         "best_cost": 40.5,
         "parameters": repaired,
         "also": {},

@@ -141,7 +141,8 @@ def few_steps(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys, few_steps):
+@pytest.mark.usefixtures("few_steps", "compile_fast")
+def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys):
     folder = tmp_path / "run"
     shutil.copytree(finished[0] / "posegsa-run", folder)
     assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0

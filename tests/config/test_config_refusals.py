@@ -2,6 +2,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from experiments import BASE
 
 import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override
@@ -22,7 +23,7 @@ def refusal(function: Any, *arguments: Any, **keywords: Any) -> str:
 
 
 def setting_refusal(*texts: str) -> str:
-    return refusal(override, Experiment(), texts)
+    return refusal(override, override(Experiment(), BASE), texts)
 
 
 # Values: the key, the value, what is allowed -----------------------------------------------------
@@ -195,7 +196,7 @@ def setting_refusal(*texts: str) -> str:
         ),
         (
             "scenario.duration=10",
-            "cost.steady_window = [400, 1400]",
+            "cost.steady_window = [400, 5900]",
             "samples 0 to 999, as scenario.duration = 10.0 and scenario.sampling_time = 0.01 make",
         ),
         ("cost.transient_window=[9, 8]", "cost.transient_window = [9, 8]", "not above the second"),
@@ -276,7 +277,7 @@ def test_sections_made_by_hand_say_the_same() -> None:
     text = refusal(Experiment, filter={"substeps": 0})
     assert "filter.substeps = 0 should be greater than or equal to 1" in text
     short = config.ScenarioConfig(duration=5.0)
-    assert "cost.steady_window = [400, 1400]" in refusal(Experiment, scenario=short)
+    assert "cost.steady_window = [400, 5900]" in refusal(Experiment, scenario=short)
 
 
 def test_a_huge_value_is_cut_short() -> None:
@@ -299,7 +300,8 @@ def points(*positions: tuple[float, float, float]) -> list[dict[str, Any]]:
 
 def sensors(vectors: list[Any], landmarks: list[Any], cross: bool = False) -> dict[str, Any]:
     scenario = {"vectors": vectors, "landmarks": landmarks}
-    return {"scenario": scenario, "filter": {"cross_vector": cross}}
+    also: dict[str, Any] = {"also": []}  # what may be tuned too depends on the sensors
+    return {"scenario": scenario, "filter": {"cross_vector": cross}, "parameters": also}
 
 
 @pytest.mark.parametrize(

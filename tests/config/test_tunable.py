@@ -3,6 +3,7 @@
 import tomllib
 
 import pytest
+from experiments import BASE
 
 from posegsa import config
 from posegsa.config.tunable import AlsoTuned, tunable
@@ -10,6 +11,8 @@ from posegsa.errors import ConfigError
 
 pytestmark = pytest.mark.quick
 
+PLAIN = config.override(config.Experiment(), BASE)
+"""Without learnt biases, and nothing tuned too."""
 LEARNT = {
     *("filter.vector_bias_gain", "filter.vector_bias_leak", "filter.vector_bias_bound"),
     *("filter.excitation", "filter.excitation_time"),
@@ -35,7 +38,7 @@ def also(*entries: dict) -> list[str]:
 def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
     """What is said of them, on one line."""
     with pytest.raises(ConfigError) as caught:
-        config.override(base or config.Experiment(), also(*entries))
+        config.override(base or PLAIN, also(*entries))
     return " ".join(str(caught.value).split())
 
 
@@ -57,11 +60,11 @@ def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
     ],
 )
 def test_tunable_is_what_has_an_effect(settings, keys) -> None:
-    assert set(tunable(config.override(config.Experiment(), settings))) == keys
+    assert set(tunable(config.override(PLAIN, settings))) == keys
 
 
 def test_every_tunable_key_is_taken_and_written_back() -> None:
-    base = config.override(config.Experiment(), ["filter.vector_bias=estimated"])
+    base = config.override(PLAIN, ["filter.vector_bias=estimated"])
     keys = list(tunable(base))
     wanted = [{"key": key, "lower": 0.5, "upper": 2.0, "scale": "logarithmic"} for key in keys]
     experiment = config.override(base, also(*wanted))
@@ -72,7 +75,7 @@ def test_every_tunable_key_is_taken_and_written_back() -> None:
 def test_an_unknown_key_is_refused_with_those_there_are() -> None:
     said = refusal({"key": "filter.gama", "lower": 1.0, "upper": 2.0})
     assert 'parameters.also.0.key = "filter.gama" cannot be tuned' in said
-    for key in tunable(config.Experiment()):
+    for key in tunable(PLAIN):
         assert key in said
 
 
@@ -83,6 +86,7 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
         "filter.vector_bias_gain",  # no bias is estimated
         "scenario.vectors.2.weight",  # there are two
         "scenario.velocity_noise",  # of the world, not of the filter
+        "../scenario",
         "filter.gamma",  # a pair here: each has its own key
     ],
 )
@@ -93,7 +97,7 @@ def test_a_number_without_effect_is_refused(key) -> None:
 
 
 def test_a_gain_limit_that_is_off_is_no_number() -> None:
-    off = config.override(config.Experiment(), ["filter.gain_limit=off"])
+    off = config.override(PLAIN, ["filter.gain_limit=off"])
     said = refusal({"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}, base=off)
     assert "cannot be tuned" in said
 
@@ -142,4 +146,4 @@ def test_bounds_that_a_number_may_not_have_are_refused(entry, said) -> None:
 
 def test_a_number_may_be_held_at_one_value() -> None:
     fixed = {"key": "gain.smoothing", "lower": 0.0, "upper": 0.0}
-    assert config.override(config.Experiment(), also(fixed)).parameters.also[0].upper == 0
+    assert config.override(PLAIN, also(fixed)).parameters.also[0].upper == 0

@@ -334,7 +334,7 @@ def test_the_bar_says_that_it_stopped_unless_nothing_had_begun(begun, said, caps
         (["--optimisers", ","], "optimisers: none"),
         (["--function", "spher"], "name = 'spher'"),
         (["--function", "sphere", "--shift", "2"], "shift = 2.0"),
-        (["--evaluations", "10"], "evaluations = 10; allowed: at least 100, one iteration of gsa"),
+        (["--evaluations", "10"], "evaluations = 10; allowed: at least 96, one iteration of gsa"),
     ],
 )
 def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) -> None:

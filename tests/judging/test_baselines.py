@@ -119,8 +119,9 @@ def test_a_search_is_repeated_and_better_than_the_middle_of_its_box(problem, kin
 
 
 def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_evolution() -> None:
-    for settings in (["search.optimiser=adam"], ["search.optimiser=gsa+adam"]):
-        one = config.override(SHORT(), settings)
+    for name in ("adam", "gsa+adam", "pycma"):
+        enough = ["search.agents=10", "search.iterations=100"]
+        one = config.override(config.override(SHORT(), enough), [f"search.optimiser={name}"])
         assert baselines._searched(one).search.optimiser == "de"
     assert baselines._searched(SHORT()) == SHORT()
 
@@ -133,10 +134,11 @@ def test_learning_begins_later_only_where_biases_are_learnt() -> None:
 
 def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem, tuned) -> None:
     times = jnp.asarray([0.0, 0.2, 0.49], "float32")
-    knots = dataclasses.replace(tuned, schedule=KnotGain(times, jnp.float32([3.5, 2.5, 1.0])))
+    knots = dataclasses.replace(tuned, schedule=KnotGain(times, jnp.float32([2.8, 2.0, 1.0])))
     again = replayed(problem, knots)
     assert (again.keys, again.values) == (knots.keys, knots.values)
     tracks, replay = (error_tracks(one, problem.everywhere) for one in (knots, again))
+    # All below the gain limit, which cuts the gain of each scenario by itself.
     np.testing.assert_allclose(replay.gain, tracks.gain, rtol=1e-4)
     np.testing.assert_allclose(replay.position, tracks.position, rtol=1e-4)
 

@@ -36,14 +36,18 @@ FILE = Path("evaluation.json")
 def evaluated():
     """A tiny run, evaluated against every baseline; the Kalman filters' searches are cut short.
 
-    As many scenarios as `tune` looks at: what has one shape is compiled once.
+    As many scenarios as `tune` looks at: what has one shape is compiled once. Of what else is
+    compiled, most of all the Kalman filters, little is run.
     """
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
     patch.setattr(kalman, "MOST", 20)
     told: list[str] = []
     tuned = posegsa.tune(tiny())
-    yield tuned, evaluate(tuned, scenarios=5, progress=told.append), told
+    jax.config.update("jax_disable_most_optimizations", True)
+    result = evaluate(tuned, scenarios=5, progress=told.append)
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield tuned, result, told
     patch.undo()
 
 

@@ -251,6 +251,7 @@ def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value
     ("values", "said"),
     [
         ({"training_costs": np.ones(3), "constant_training_costs": np.ones(3)}, "training_costs"),
+        ({"also": {"gain.smoothing": 1.0}}, "keys of also"),
         ({"constant_gain": 54.0}, "filter.gain"),
         ({"parameters": np.full(22, 0.5)}, "filter.k"),
         ({"best_cost": 40.0}, "last best"),
