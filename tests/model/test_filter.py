@@ -224,7 +224,7 @@ def configured(dtype: Any, **section: Any) -> FilterSettings:
 
 def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
     chosen = configured(dtype, gamma=4.0, gain_limit=0.5, substeps=3)
-    assert (chosen.law, chosen.gamma_law, chosen.substeps) == ("gradient", "fixed", 3)
+    assert (chosen.law, chosen.gamma_law, chosen.substeps) == ("gradient", "quadratic", 3)
     numbers = (chosen.gamma_angular, chosen.gamma_linear, chosen.gain_limit)
     assert [float(a) for a in numbers] == [4, 4, 0.5]
     assert {a.dtype for a in jax.tree.leaves(chosen)} == {np.dtype(dtype)}
