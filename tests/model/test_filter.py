@@ -31,7 +31,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
-from posegsa.config import Experiment, FilterConfig, GainConfig, RunConfig, override
+from posegsa.config import Experiment, FilterConfig, ParametersConfig, GainConfig, RunConfig, override
 from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
@@ -219,7 +219,10 @@ def test_step_compiles_once_for_all_numbers() -> None:
 def configured(dtype: Any, **section: Any) -> FilterSettings:
     """The filter settings of a [filter] section, with the paper's scenario."""
     run = RunConfig(dtype=np.dtype(dtype).name)
-    return filter_settings(Experiment(run=run, filter=FilterConfig(**section)))
+    parameters = ParametersConfig(also=())  # what may be tuned too depends on the section
+    return filter_settings(
+        Experiment(run=run, filter=FilterConfig(**section), parameters=parameters)
+    )
 
 
 def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
