@@ -31,7 +31,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
-from posegsa.config import Experiment, FilterConfig, ParametersConfig, GainConfig, RunConfig, override
+from posegsa.config import (
+    Experiment,
+    FilterConfig,
+    GainConfig,
+    ParametersConfig,
+    RunConfig,
+    override,
+)
 from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
@@ -237,7 +244,7 @@ def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
     chosen = configured(dtype, gamma_law="quadratic", normalise_vectors=False, cross_vector=False)
     assert chosen.gamma_law == "quadratic"
     assert (chosen.vectors.normalise, chosen.vectors.cross) == (False, False)
-    assert chosen.vector_bias is None
+    assert configured(dtype, vector_bias="off").vector_bias is None
 
 
 def test_weights_and_the_law_of_the_vectors_biases_are_those_of_the_configuration() -> None:
