@@ -31,7 +31,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
 
-from posegsa.config import Experiment, FilterConfig, GainConfig, RunConfig, override
+from posegsa.config import (
+    Experiment,
+    FilterConfig,
+    GainConfig,
+    ParametersConfig,
+    RunConfig,
+    override,
+)
 from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
@@ -219,12 +226,15 @@ def test_step_compiles_once_for_all_numbers() -> None:
 def configured(dtype: Any, **section: Any) -> FilterSettings:
     """The filter settings of a [filter] section, with the paper's scenario."""
     run = RunConfig(dtype=np.dtype(dtype).name)
-    return filter_settings(Experiment(run=run, filter=FilterConfig(**section)))
+    parameters = ParametersConfig(also=())  # what may be tuned too depends on the section
+    return filter_settings(
+        Experiment(run=run, filter=FilterConfig(**section), parameters=parameters)
+    )
 
 
 def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
     chosen = configured(dtype, gamma=4.0, gain_limit=0.5, substeps=3)
-    assert (chosen.law, chosen.gamma_law, chosen.substeps) == ("gradient", "fixed", 3)
+    assert (chosen.law, chosen.gamma_law, chosen.substeps) == ("gradient", "quadratic", 3)
     numbers = (chosen.gamma_angular, chosen.gamma_linear, chosen.gain_limit)
     assert [float(a) for a in numbers] == [4, 4, 0.5]
     assert {a.dtype for a in jax.tree.leaves(chosen)} == {np.dtype(dtype)}
@@ -234,7 +244,7 @@ def test_filter_settings_are_those_of_the_configuration(dtype) -> None:
     chosen = configured(dtype, gamma_law="quadratic", normalise_vectors=False, cross_vector=False)
     assert chosen.gamma_law == "quadratic"
     assert (chosen.vectors.normalise, chosen.vectors.cross) == (False, False)
-    assert chosen.vector_bias is None
+    assert configured(dtype, vector_bias="off").vector_bias is None
 
 
 def test_weights_and_the_law_of_the_vectors_biases_are_those_of_the_configuration() -> None:
