@@ -8,6 +8,7 @@ from pydantic import Field
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.model.filter import Law
 from posegsa.optimisers import GSA, OPTIMISERS, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Ascending, Count, Index, NonNegative, Positive, Section
@@ -35,7 +36,7 @@ class RunConfig(Section):
 class FilterConfig(Section):
     """[filter]: the observer."""
 
-    law: Literal["gradient", "printed"] = "gradient"
+    law: Law = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
     gamma: NonNegative | tuple[NonNegative, NonNegative] = (5.0, 10.0)

@@ -9,7 +9,7 @@ from jax import Array
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
 from posegsa.errors import ConfigError
-from posegsa.model.family import draw, realise
+from posegsa.model.family import draw_scenario, realise
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.search.build import family
 from posegsa.search.keys import Keys, keys, scenario_keys
@@ -19,7 +19,10 @@ SHORT = Experiment(
     cost=config.CostConfig(transient_window=(0, 5), steady_window=(10, 19)),
 )
 
-one_drawn, draw_many = jax.jit(draw), jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
+one_drawn, draw_many = (
+    jax.jit(draw_scenario),
+    jax.jit(jax.vmap(draw_scenario, in_axes=(None, None, 0))),
+)
 realised = jax.jit(realise)
 
 
