@@ -9,6 +9,7 @@ from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
 from posegsa.config.tunable import also_conflicts
+from posegsa.model.filter import GammaLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (
@@ -46,14 +47,14 @@ class RunConfig(Section):
 class FilterConfig(Section):
     """[filter]: the observer."""
 
-    law: Literal["gradient", "printed"] = "gradient"
+    law: Law = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
     gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
-    gamma_law: Literal["fixed", "linear", "quadratic"] = "quadratic"
+    gamma_law: GammaLaw = "quadratic"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5

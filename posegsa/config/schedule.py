@@ -7,6 +7,8 @@ from typing import Annotated, Literal, TypeVar, get_args
 from pydantic import Field
 
 from posegsa.config.tunable import AlsoTuned
+from posegsa.model.fuzzy import Centroid, NoRule, SampledRule
+from posegsa.model.signal import Rate, Signal
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
 from posegsa.settings.violations import Violation
 
@@ -16,7 +18,7 @@ Term = Literal["VS", "S", "M", "L", "VL"]
 TERMS: tuple[Term, ...] = get_args(Term)
 
 Row = tuple[Term, Term, Term, Term, Term]
-Box = Annotated[tuple[Number, ...], Field(min_length=22, max_length=22)]
+Bounds = Annotated[tuple[Number, ...], Field(min_length=22, max_length=22)]
 
 INPUT_RANGE = (0.0, 1.0)
 """Universe of both inputs, no unit: the scaled error and its rate are clipped to it."""
@@ -87,7 +89,7 @@ def triangles(k: Sequence[T], low: T, high: T) -> tuple[tuple[T, T, T], ...]:
 class GainConfig(Section):
     """[gain]: the error signal e that the gain schedule looks at."""
 
-    signal: Literal["measured", "pose"] = "measured"
+    signal: Signal = "measured"
     """What e is made of: "measured", the vectors and landmarks that a vehicle has, or "pose", the
     true errors in attitude and position (an oracle, for simulation only)."""
     position_weight: Annotated[NonNegative, Tunable()] = 0.2
@@ -97,7 +99,7 @@ class GainConfig(Section):
     none."""
     error_scale: Annotated[Positive, Tunable()] = 0.3
     """e is divided by this before it is clipped to [0, 1], in the unit of e."""
-    rate: Literal["per_sample", "per_second"] = "per_sample"
+    rate: Rate = "per_sample"
     """What the controller's second input is: |e_k - e_(k-1)|, or that over the time between."""
     rate_scale: Annotated[NonNegative, Tunable()] = 1.0
     """Factor on it (no unit, or [s]) before it is clipped to [0, 1]."""
@@ -106,15 +108,15 @@ class GainConfig(Section):
 class FuzzyConfig(Section):
     """[fuzzy]: Mamdani inference with min for AND and implication, max for aggregation."""
 
-    centroid: Literal["exact", "sampled"] = "exact"
+    centroid: Centroid = "exact"
     """How the centroid is computed: "exact", in closed form, or "sampled", from samples of the
     output universe."""
     sampled_points: Annotated[int, Field(strict=True, ge=3, le=100_001)] = 101
     """Number of samples of the output universe; only for the sampled centroid."""
-    sampled_rule: Literal["sum", "trapezoid"] = "sum"
+    sampled_rule: SampledRule = "sum"
     """How samples are summed: "sum" weighs them alike, as MATLAB does, "trapezoid" the two at the
     ends by half; only for the sampled centroid."""
-    no_rule: Literal["hold", "midrange"] = "hold"
+    no_rule: NoRule = "hold"
     """The gain where no rule fires: "hold" keeps the last one; "midrange" is 1 + the middle of the
     output universe, as in MATLAB."""
     ordering: Flag = True
@@ -147,9 +149,9 @@ class FuzzyConfig(Section):
 class ParametersConfig(Section):
     """[parameters]: the boxes in which k1..k22 are searched, and the universe of the output."""
 
-    lower: Box = tuple(low for low, _ in _PAPER_BOXES)
+    lower: Bounds = tuple(low for low, _ in _PAPER_BOXES)
     """Lower bounds: k1..k11 in 0 to 1 (inputs, no unit), k12..k22 in the gain range [1/s]."""
-    upper: Box = tuple(high for _, high in _PAPER_BOXES)
+    upper: Bounds = tuple(high for _, high in _PAPER_BOXES)
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""

@@ -95,7 +95,7 @@ class Family:
     """Most outages and bursts in a scenario; those beyond are left out."""
 
 
-def draw(scenario: Scenario, family: Family, key: Array) -> Scenario:
+def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     """One scenario of a family (pure, jittable; vmap it over keys).
 
     What the family does not vary is the given scenario's, bit for bit. Each quantity has a key of
@@ -203,6 +203,6 @@ def _windows(occasions: Occasions, count: int, key: Array) -> Array:
 def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
     """One scenario of a family with its true motion and its measurements (pure, jittable)."""
     of_family, of_noise = random.split(key)
-    drawn = draw(scenario, family, of_family)
+    drawn = draw_scenario(scenario, family, of_family)
     truth = integrate(drawn)
     return drawn, truth, measure(drawn, truth, of_noise)

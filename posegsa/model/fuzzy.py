@@ -245,11 +245,11 @@ class FuzzyController:
             grid = (points, weights, jnp.stack([membership(points, slopes(*t)) for t in triangles]))
         low, high = self.output_range
         return PreparedController(
-            inputs,
-            overlaps,
-            tuple(0.5 * (t[0] + t[2]) for t in triangles),
-            grid,
-            jnp.asarray(0.5 * (low + high), out.dtype),
+            inputs=inputs,
+            overlaps=overlaps,
+            middles=tuple(0.5 * (t[0] + t[2]) for t in triangles),
+            grid=grid,
+            midrange=jnp.asarray(0.5 * (low + high), out.dtype),
         )
 
     def heights(

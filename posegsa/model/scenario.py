@@ -165,7 +165,13 @@ def integrate(scenario: Scenario) -> Truth:
     w, x, y, z = unstack(quaternion(scenario.rotation))
     px, py, pz = unstack(scenario.position)
     _, (attitude, place) = scan(body, ((w, x, y, z), (px, py, pz)), (omega, v))
-    return Truth(time, rotation_matrix(stack(attitude)), stack(place), omega, v)
+    return Truth(
+        time=time,
+        rotation=rotation_matrix(stack(attitude)),
+        position=stack(place),
+        angular_velocity=omega,
+        velocity=v,
+    )
 
 
 def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:

@@ -121,7 +121,7 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
         return _run_of(found)
     none = f"{folder}: holds no checkpoint to go on from"
     if not damaged:
-        none += "; a run with search.optimiser = 'pycma' makes none and can't be resumed"
+        none += "; a run whose optimiser's state can't be saved makes none and can't be resumed"
     raise CheckpointError("\n".join([*damaged, none]))
 
 

@@ -86,7 +86,7 @@ def run_timed(
     compiled = before = time.monotonic()
     here = collect(search)
     done = int(jnp.max(here.iteration))
-    tell(Progress(done, iterations, float(jnp.min(here.best_cost)), 0.0))
+    tell(Progress(done, iterations, best_cost=float(jnp.min(here.best_cost)), seconds=0.0))
     even = -(-iterations // CHUNKS)
     alone = jax.process_count() == 1  # else all must stop at the same iterations
     fits = 1 if alone else even  # one iteration first, to learn the pace
@@ -98,7 +98,8 @@ def run_timed(
         here = collect(jax.block_until_ready(reached))
         now = time.monotonic()
         keep(here, now - compiled, compiled - begun)
-        tell(Progress(stop, iterations, float(jnp.min(here.best_cost)), now - compiled))
+        best = float(jnp.min(here.best_cost))
+        tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
         if alone:
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))

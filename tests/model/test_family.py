@@ -12,7 +12,7 @@ from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
 from posegsa.config.family import BurstsConfig, Outages
 from posegsa.errors import ConfigError
-from posegsa.model.family import Family, draw, realise
+from posegsa.model.family import Family, draw_scenario, realise
 from posegsa.model.scenario import Scenario
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.search.build import family
@@ -23,7 +23,10 @@ SHORT = Experiment(
     cost=config.CostConfig(transient_window=(0, 5), steady_window=(10, 19)),
 )
 
-one_drawn, draw_many = jax.jit(draw), jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
+one_drawn, draw_many = (
+    jax.jit(draw_scenario),
+    jax.jit(jax.vmap(draw_scenario, in_axes=(None, None, 0))),
+)
 realised = jax.jit(realise)
 
 
@@ -149,7 +152,9 @@ def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
     # As many windows as there are with all of them.
     full = varied(**EVERYTHING)
     chosen = {name: replace(f, most_windows=full.most_windows) for name, f in chosen.items()}
-    draws = jax.jit(lambda families, key: {n: draw(base, f, key) for n, f in families.items()})
+    draws = jax.jit(
+        lambda families, key: {n: draw_scenario(base, f, key) for n, f in families.items()}
+    )
     each, together = draws(chosen, jax.random.key(3)), one_drawn(base, full, jax.random.key(3))
     for name, one in each.items():
         for field in (f.name for f in fields(Scenario) if f.name != "samples"):
