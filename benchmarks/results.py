@@ -136,7 +136,7 @@ def seeded(seeds: int) -> str:
         [
             *lines,
             "",
-            f"Median (least to largest) over {seeds} seeds. A search of 25 000 agents, compiled, "
+            f"Median (minimum to maximum) over {seeds} seeds. A search of 25 000 agents, compiled, "
             f"takes: {', '.join(times)} ({machine['device']}, jax {machine['jax']}).",
         ]
     )

@@ -45,7 +45,7 @@ class PyCMA(Optimiser):
     def check_usable(self) -> None:
         """See that pycma is installed."""
         try:
-            import cma  # noqa: F401
+            import cma  # noqa: F401 - only whether it is installed
         except ImportError:
             message = "cma (pycma) is not installed; pip install 'posegsa[compare]'"
             raise ConfigError(message) from None
