@@ -30,7 +30,7 @@ VOID = {"meta", "img", "br"}
 def result(*settings: str, **values) -> TuneResult:
     return TuneResult(
         **{
-            "experiment": config.override(config.Experiment(), settings),
+            "experiment": config.override(config.Experiment(), [*BASE, *settings]),
             "cost": cost_name(None),
             "best_cost": 41.25,
             "parameters": PARAMETERS,
@@ -73,7 +73,6 @@ def consistent(samples: int = 61, **values) -> TuneResult:
     }
     contenders[TUNED] = contenders[TUNED]._replace(filter=description("fuzzy", k=PARAMETERS))
     return result(
-        *BASE,
         *("scenario.sampling_time=0.25", f"scenario.duration={0.25 * samples}"),
         *("cost.transient_window=[0, 1]", f"cost.steady_window=[2, {samples - 1}]"),
         "run.training_scenarios=2",

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
-from posegsa.config.schedule import FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.config.tunable import also_conflicts
+from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.config.tunable import AlsoTuned, also_conflicts, with_effect
 from posegsa.model.filter import GammaLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
@@ -42,6 +42,10 @@ class RunConfig(Section):
     """Number of scenarios that the search sees."""
     held_out_scenarios: Count = 64
     """Number of other scenarios that the result is judged on."""
+    endurance_scenarios: Count = 16
+    """Number of further ones, on which it is judged long after the time that it was tuned for."""
+    endurance_times: Annotated[int, Field(strict=True, ge=1, le=1000)] = 8
+    """How many times as long as the others these are; 1 judges nothing after that time."""
 
 
 class FilterConfig(Section):
@@ -151,6 +155,11 @@ class Experiment(Section):
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
 
+    @property
+    def also(self) -> tuple[AlsoTuned, ...]:
+        """The further numbers that are tuned: those of the default list have an effect here."""
+        return with_effect(self, self.parameters.also, needless=DEFAULT_ALSO)
+
     def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples
         for key, window in self.cost:
@@ -170,7 +179,7 @@ class Experiment(Section):
             )
         weight = self.filter.cross_vector_weight if self.filter.cross_vector else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        yield from also_conflicts(self, self.parameters.also)
+        yield from also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO)
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:

@@ -51,7 +51,7 @@ _PAPER_BOXES = (  # (low, high) of k1..k22, the paper's Eqs. 18 and 19
     (30.0, 70.0),  # VL
 )
 
-_ALSO = tuple(
+DEFAULT_ALSO = tuple(
     AlsoTuned(key=key, lower=lower, upper=upper, scale="logarithmic")
     for key, lower, upper in (
         ("scenario.vectors.0.weight", 0.2, 2.0),
@@ -65,6 +65,7 @@ _ALSO = tuple(
         ("gain.error_scale", 0.05, 1.0),
     )
 )
+"""What the recommended experiment tunes beside k1..k22."""
 
 T = TypeVar("T")
 
@@ -155,8 +156,9 @@ class ParametersConfig(Section):
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
-    also: tuple[AlsoTuned, ...] = _ALSO
-    """Further numbers that are searched together with k1..k22."""
+    also: tuple[AlsoTuned, ...] = DEFAULT_ALSO
+    """Further numbers that are searched together with k1..k22; of the default list, those that are
+    not stated elsewhere in the configuration, and that have an effect."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if self.gain_range[0] >= self.gain_range[1]:

@@ -74,10 +74,25 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
                 yield key, _Place(value, name, None)
 
 
-def also_conflicts(experiment: Section, also: tuple[AlsoTuned, ...]) -> Iterator[Violation]:
-    """What is wrong with the numbers that an experiment wants tuned too."""
+def with_effect(
+    experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
+) -> tuple[AlsoTuned, ...]:
+    """Numbers that an experiment wants tuned too, without those of `needless` that do nothing."""
+    places = tunable(experiment)
+    return tuple(one for one in also if one.key in places or one not in needless)
+
+
+def also_conflicts(
+    experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
+) -> Iterator[Violation]:
+    """What is wrong with the numbers that an experiment wants tuned too.
+
+    Those of `needless` may be without effect: nobody asked for them.
+    """
     places, seen = tunable(experiment), set()
     for i, one in enumerate(also):
+        if one.key not in places and one in needless:
+            continue
         at = f"parameters.also.{i}"
         if one.key not in places:
             reason = f"cannot be tuned, or has no effect here; allowed: {', '.join(places)}"

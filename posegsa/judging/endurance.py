@@ -13,11 +13,7 @@ from posegsa.search.build import scenario, scenario_batch
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
 from posegsa.settings.arrays import Numbers
-
-TIMES = 8
-"""How many times as long as its scenarios a filter is run."""
-SCENARIOS = 16
-"""Unseen scenarios that it is run on."""
+from posegsa.settings.fields import MAX_SAMPLES
 
 PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
@@ -56,19 +52,21 @@ class Endurance(NamedTuple):
 
 
 def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candidate) -> Endurance:
-    """Run both filters TIMES as long as the experiment's scenarios, on unseen ones.
+    """Run both filters on unseen scenarios `run.endurance_times` as long as the experiment's.
 
     The windows double in length: with scenarios of 15 s, 0 to 15, 15 to 30, 30 to 60, 60 to 120 s.
     """
-    duration = experiment.scenario.duration
+    run, duration = experiment.run, experiment.scenario.duration
+    last = min(run.endurance_times * duration, MAX_SAMPLES * experiment.scenario.sampling_time)
     edges = [0.0, duration]
-    while edges[-1] < TIMES * duration:
-        edges.append(min(2 * edges[-1], TIMES * duration))
-    longer = config.override(experiment, [f"scenario.duration={edges[-1]!r}"])
+    while edges[-1] < last:
+        edges.append(min(2 * edges[-1], last))
+    settings = [f"scenario.duration={edges[-1]!r}", "family.duration=off"]
+    longer = config.override(experiment, settings)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # it has been said of the experiment
         one = scenario(longer)
-    batch = scenario_batch(longer, one, endurance_keys(experiment.run.seed, SCENARIOS))
+    batch = scenario_batch(longer, one, endurance_keys(run.seed, run.endurance_scenarios))
     # Half a sample late: rounding puts none into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
 

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from posegsa.config import with_tuned
 from posegsa.judging import trust
 from posegsa.judging.baselines import best_constant, describe, search_baseline
 from posegsa.judging.endurance import endurance
@@ -11,7 +12,7 @@ from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.result import VERSION, TuneResult
 from posegsa.judging.trajectory import simulate_scenario
 from posegsa.runtime import environment
-from posegsa.search.build import TuningProblem, with_values
+from posegsa.search.build import TuningProblem
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import cost_name
 from posegsa.search.run import Found
@@ -44,7 +45,10 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     }
     first_held_out = held_out_keys(experiment.run.seed, 1)[0]
     trajectory = simulate_scenario(
-        tuned.schedule, problem.scenario, with_values(experiment, tuned), first_held_out
+        tuned.schedule,
+        problem.scenario,
+        with_tuned(experiment, tuned.values_by_key()),
+        first_held_out,
     )
     return TuneResult(
         experiment=experiment,

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type
-from posegsa.config import PARAMETERS, Experiment, override
+from posegsa.config import PARAMETERS, Experiment, with_tuned
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
@@ -83,7 +83,7 @@ class TuneResult:
     @property
     def tuned(self) -> Experiment:
         """The experiment with the numbers in it that were tuned beside k1..k22."""
-        return override(self.experiment, [f"{key}={value!r}" for key, value in self.also.items()])
+        return with_tuned(self.experiment, self.also)
 
     @property
     def controller(self) -> FuzzyController:

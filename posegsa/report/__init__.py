@@ -57,7 +57,7 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
         simulations=tables.simulations(result),
         never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # nor does a NaN
         heaviest=tables.heaviest_rule(result),
-        also=[(one, result.also[one.key]) for one in result.experiment.parameters.also],
+        also=[(one, result.also[one.key]) for one in result.experiment.also],
         configuration=config.to_toml(result.experiment),
         environment={"posegsa": result.version} | result.environment,
     )

@@ -143,7 +143,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         evaluation.contenders[name].filter.numbers.get(value) if name in both else None
         for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
     )
-    also = sorted(one.key for one in experiment.parameters.also)
+    also = sorted(one.key for one in experiment.also)
     samples, training = experiment.scenario.samples, experiment.run.training_scenarios
     for file, field, found, needed in (
         (RESULT, "keys of also", sorted(result.also), also),

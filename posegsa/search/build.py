@@ -23,7 +23,7 @@ from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
-from posegsa.search.candidates import Candidate, Schedules, SearchSpace
+from posegsa.search.candidates import Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
@@ -253,7 +253,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             normalise=section.normalise_vectors,
             cross=section.cross_vector,
             # With their own weights, too, candidates make different things of the vectors.
-            each_agent=learnt or any("vector" in one.key for one in experiment.parameters.also),
+            each_agent=learnt or any("vector" in one.key for one in experiment.also),
         ),
         landmark_weights=tuple(number(p.weight) for p in scenario.landmarks),
         vector_bias=VectorBias(
@@ -336,7 +336,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
 
 def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchSpace[Schedules]:
     """Where an experiment searches: the numbers of a schedule, and those that are tuned too."""
-    also, dtype = experiment.parameters.also, jnp.dtype(experiment.run.dtype)
+    also, dtype = experiment.also, jnp.dtype(experiment.run.dtype)
     logarithmic = tuple(one.scale == "logarithmic" for one in also)
 
     def bounds(values: list[float]) -> Array:
@@ -353,12 +353,6 @@ def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchS
         keys=tuple(one.key for one in also),
         logarithmic=logarithmic,
     )
-
-
-def with_values(experiment: config.Experiment, candidate: Candidate) -> config.Experiment:
-    """An experiment with a candidate's own numbers in it."""
-    values = candidate.values_by_key()
-    return config.override(experiment, [f"{key}={value!r}" for key, value in values.items()])
 
 
 def _reach(parameters: config.ParametersConfig) -> int:

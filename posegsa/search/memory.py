@@ -10,6 +10,7 @@ import numpy as np
 
 from posegsa import config
 from posegsa.errors import MemoryLimitError
+from posegsa.settings.fields import MAX_SAMPLES
 from posegsa.settings.violations import Violation, report
 
 COMPILER = 2**29
@@ -39,6 +40,10 @@ def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[st
         "run.held_out_scenarios": held_out * per_scenario * size,
         "run.training_scenarios": training
         * (per_scenario * (size + 8) + samples * prepared * size),
+        "run.endurance_scenarios": run.endurance_scenarios
+        * min(run.endurance_times * samples, MAX_SAMPLES)
+        * (per_scenario // samples)
+        * size,
         "search.agents": search.agents * per_agent * size,
         "search.iterations": search.total_iterations * (3 * size + 4 + 3 * 8),
     }
@@ -67,6 +72,8 @@ def check(experiments: Iterable[config.Experiment], held_out: int | None = None)
             reason = f"takes {_gib(share)}"
             if "scenarios" in key:
                 reason += f", with {many[0].scenario.samples} samples (scenario.duration) in each"
+            if "endurance" in key:
+                reason += f", times {many[0].run.endurance_times} (run.endurance_times)"
             violations.append(Violation(key, reason, value))
     several = f"{len(many)} experiments" if len(many) > 1 else "the experiment"
     title = (

@@ -96,6 +96,57 @@ def test_a_number_without_effect_is_refused(key) -> None:
     assert f'parameters.also.1.key = "{key}" cannot be tuned, or has no effect here' in said
 
 
+RECOMMENDED = {one.key for one in config.Experiment().parameters.also}
+OF_BIAS = {"filter.vector_bias_gain", "filter.excitation"}
+
+
+def keys_of(experiment: config.Experiment) -> set[str]:
+    """What is tuned beside k1..k22, by what the search sees; written out it is the same."""
+    written = config.from_dict(tomllib.loads(config.to_toml(experiment)))
+    assert written == experiment
+    assert written.also == experiment.also
+    return {one.key for one in experiment.also}
+
+
+@pytest.mark.parametrize(
+    ("settings", "gone"),
+    [
+        ([], set()),
+        (["filter.vector_bias=off"], OF_BIAS),
+        (["filter.cross_vector=false"], {"filter.cross_vector_weight"}),
+        (["filter.gamma=3.0"], {"filter.gamma"}),
+        (["filter.gamma=[3.0, 4.0]"], {"filter.gamma"}),
+        (["gain.smoothing=1.0", "filter.vector_bias=off"], {"gain.smoothing"} | OF_BIAS),
+        (["scenario.vectors.0.weight=1.0"], {"scenario.vectors.0.weight"}),
+        (["scenario.vectors.1.weight=1.0"], set()),
+    ],
+)
+def test_of_the_default_list_what_is_stated_or_without_effect_is_not_tuned(settings, gone) -> None:
+    assert keys_of(config.override(config.Experiment(), settings)) == RECOMMENDED - gone
+
+
+def test_so_it_is_of_a_file_and_of_python() -> None:
+    stated = {"filter": {"gamma": 3.0, "vector_bias": "off"}, "scenario": {"duration": 60.0}}
+    assert keys_of(config.from_dict(stated)) == RECOMMENDED - OF_BIAS - {"filter.gamma"}
+    both = stated | {"parameters": {"also": [config.Experiment().parameters.also[2]]}}
+    assert keys_of(config.from_dict(both)) == {"filter.gamma"}, "stated, and asked for"
+    python = config.Experiment(filter=config.FilterConfig(vector_bias="off"))
+    assert keys_of(python) == RECOMMENDED - OF_BIAS
+
+
+def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:
+    own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default's bounds
+    assert "has no effect here" in refusal(own)
+
+
+def test_tuned_numbers_stay_within_their_bounds() -> None:
+    base = config.Experiment()
+    found = config.with_tuned(base, {"filter.gamma": 20.000001, "gain.smoothing": 0.0999999})
+    assert found.filter.gamma == 20.0
+    assert found.gain.smoothing == 0.1
+    assert found.also == base.also
+
+
 def test_a_gain_limit_that_is_off_is_no_number() -> None:
     off = config.override(PLAIN, ["filter.gain_limit=off"])
     said = refusal({"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}, base=off)

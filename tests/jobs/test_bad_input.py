@@ -214,6 +214,14 @@ def test_memory_is_estimated_by_what_takes_it():
     double = memory.needs(tiny("run.held_out_scenarios=6"))
     assert double["run.held_out_scenarios"] == 2 * shares["run.held_out_scenarios"]
     assert memory.available() is None or memory.available() > 0
+    longer = memory.needs(tiny("run.endurance_times=16"))
+    assert longer["run.endurance_scenarios"] == 2 * shares["run.endurance_scenarios"] > 0
+
+
+def test_endurance_that_needs_too_much_memory_is_refused_by_its_name():
+    much = tiny("run.endurance_scenarios=1000000", "run.endurance_times=1000")
+    with pytest.raises(MemoryLimitError, match=r"(?s)run\.endurance_scenarios.*endurance_times"):
+        memory.check([much])
 
 
 def test_files_that_the_system_can_drop_are_free_memory(tmp_path, monkeypatch):

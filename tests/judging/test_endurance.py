@@ -9,7 +9,7 @@ from evaluations import endurance as made
 from experiments import tiny
 
 from posegsa import config
-from posegsa.judging.endurance import SCENARIOS, TIMES, endurance
+from posegsa.judging.endurance import endurance
 from posegsa.judging.metrics import error_tracks
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import scenario_batch
@@ -21,6 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 SHORT = tiny(
     *("scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]")
 )
+COUNT = SHORT.run.endurance_scenarios
 
 
 def constant(gain: float) -> Candidate:
@@ -32,16 +33,15 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
     found = endurance(SHORT, constant(20), constant(3))
     np.testing.assert_allclose(found.begin, [0, 0.3, 0.6, 1.2])
     np.testing.assert_allclose(found.end, [0.3, 0.6, 1.2, 2.4])
-    assert found.end[-1] == TIMES * 0.3
 
     longer = config.override(SHORT, ["scenario.duration=2.4"])
-    batch = scenario_batch(longer, quietly(longer), endurance_keys(SHORT.run.seed, SCENARIOS))
+    batch = scenario_batch(longer, quietly(longer), endurance_keys(SHORT.run.seed, COUNT))
     for gain, attitude, position in (
         (20, found.attitude, found.position),
         (3, found.constant_attitude, found.constant_position),
     ):
         track = error_tracks(constant(gain), batch)
-        assert track.position.shape == (SCENARIOS, 240)
+        assert track.position.shape == (COUNT, 240)
         angle = np.degrees(np.arccos(1 - 2 * np.asarray(track.attitude, np.float64)))
         for w, (first, last) in enumerate(((0, 30), (30, 60), (60, 120), (120, 240))):
             for rms, errors in ((attitude[w], angle), (position[w], track.position)):
@@ -50,18 +50,30 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
     assert found.position[-1] < 0.5 * found.constant_position[-1], "the gains differ"
 
 
+@pytest.mark.usefixtures("compile_fast")
+def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
+    settings = ["run.endurance_times=3", "run.endurance_scenarios=1", "family.duration=[0.1, 0.2]"]
+    found = endurance(config.override(SHORT, settings), constant(20), constant(3))
+    np.testing.assert_allclose(found.begin, [0, 0.3, 0.6])
+    np.testing.assert_allclose(found.end, [0.3, 0.6, 0.9])
+    assert (found.position > 0).all()
+    once = endurance(config.override(SHORT, ["run.endurance_times=1"]), constant(20), constant(3))
+    assert once.end.tolist() == [0.3]
+    assert once.worse() == []
+
+
 def test_its_scenarios_are_no_others() -> None:
     seed = SHORT.run.seed
     keys = {
         tuple(key)
         for some in (
-            endurance_keys(seed, SCENARIOS),
+            endurance_keys(seed, COUNT),
             training_keys(seed, 100),
             held_out_keys(seed, 100),
         )
         for key in jax.random.key_data(some).tolist()
     }
-    assert len(keys) == SCENARIOS + 200
+    assert len(keys) == COUNT + 200
 
 
 def test_worse_names_the_windows_after_the_first() -> None:

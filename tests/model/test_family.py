@@ -15,6 +15,7 @@ from posegsa.errors import ConfigError
 from posegsa.model.family import Family, draw_scenario, realise
 from posegsa.model.scenario import Scenario
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
+from posegsa.report import NO_FAMILY
 from posegsa.search.build import family
 from posegsa.search.keys import Keys, keys, scenario_keys
 
@@ -37,7 +38,9 @@ def base():
 
 def varied(dtype: str = "float32", **settings) -> Family:
     """The family of a [family] section, for the short scenario."""
-    return family(SHORT.model_copy(update={"family": FamilyConfig(**settings)}), dtype)
+    return family(
+        SHORT.model_copy(update={"family": FamilyConfig(**{**dict(NO_FAMILY), **settings})}), dtype
+    )
 
 
 def drawn(base, count: int = 200, **settings):
@@ -51,7 +54,7 @@ def initial_angles(scenarios) -> np.ndarray:
     return np.degrees(rotation_angle(attitude_distance(q_est, q)))
 
 
-def test_by_default_only_the_noise_differs(base):
+def test_where_nothing_varies_only_the_noise_differs(base):
     one = one_drawn(base, varied(), jax.random.key(4))
     for before, after in zip(jax.tree.leaves(base), jax.tree.leaves(one), strict=True):
         np.testing.assert_array_equal(before, after)

@@ -429,7 +429,9 @@ def forward_and_reverse(chosen: FilterSettings, *inputs: Any) -> tuple[Any, Any]
 @pytest.mark.parametrize("gain_limit", [1.5, None], ids=["limited", "no limit"])
 @pytest.mark.parametrize("seen", [1.0, 0.0], ids=["all seen", "none seen"])
 @pytest.mark.parametrize("learns", [False, True], ids=["", "biases learnt"])
-def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(learns, seen) -> None:
+def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(
+    learns, seen, gain_limit
+) -> None:
     # Everything that has a square root or a division is at its zero here.
     m = fitting(np.eye(4), np.array([[0.0, 0.0, 1.0]] * 2), np.zeros((1, 3)))
     m = m._replace(vector_weights=np.full(2, seen), landmark_weights=np.full(1, seen))
@@ -437,6 +439,8 @@ def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(le
         np.eye(3, dtype=np.float32), np.zeros(3, np.float32), learnt_vectors=2 * learns
     )
     chosen = learning(np.float32) if learns else settings(np.float32)
+    limit = np.float32(np.inf if gain_limit is None else gain_limit)
+    chosen = replace(chosen, gain_limit=jnp.asarray(limit))
     forward, reverse = forward_and_reverse(chosen, state, jnp.float32(3), as_arrays(m, np.float32))
     assert np.isfinite(forward).all()
     for leaf in jax.tree.leaves(reverse):

@@ -196,7 +196,8 @@ def test_gradients_of_the_filter_against_central_differences() -> None:
         task = tuning_problem(tiny(*SMALL))
         search = run_search(task).search
         assert search.iteration == 1
-        lower, width = np.asarray(task.space.lower), np.asarray(task.space.upper - task.space.lower)
+        box = task.space.box
+        lower, width = np.asarray(box.lower), np.asarray(box.upper - box.lower)
         first = task.experiment.search.init(keys(0).search, 22, jnp.float64).position
         gradient = np.asarray(search.state.moments.mu) / 0.1
         h = 1e-6

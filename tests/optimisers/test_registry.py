@@ -75,9 +75,11 @@ KEY = jax.random.key(0)
 
 
 def test_another_optimiser_keeps_the_size_or_the_budget_of_the_one_before() -> None:
-    assert switched("de") == DifferentialEvolution()
+    before = config.Experiment().search
+    assert switched("gsa") == GSA(agents=before.agents, iterations=before.iterations)
     of_size = ["search.agents=30", "search.iterations=40"]
-    experiment = config.override(config.Experiment(), [*of_size, "search.g0=3.0"])
+    named = ["search.optimiser=gsa", *of_size, "search.g0=3.0"]
+    experiment = config.override(config.Experiment(), named)
 
     def of(*settings: str) -> Optimiser:
         return config.override(experiment, list(settings)).search

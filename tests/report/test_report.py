@@ -9,7 +9,16 @@ from pathlib import Path
 import jinja2
 import numpy as np
 import pytest
-from evaluations import ANGLES, SCHEDULES, changed, evaluation, trust
+from evaluations import (
+    ANGLES,
+    FILTERS,
+    changed,
+    contender,
+    description,
+    endurance,
+    evaluation,
+    trust,
+)
 from reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
@@ -17,10 +26,10 @@ from posegsa import config
 from posegsa.errors import RunFolderError
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import style as figure_style
-from posegsa.judging.evaluation import CONSTANT, ORACLE, TUNED
+from posegsa.judging.evaluation import CONSTANT, CONTENDERS, EKF, OPEN_LOOP, SWITCH, TUNED
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
-from posegsa.report.words import schedule_words, verdict
+from posegsa.report.words import filter_words, verdict
 
 pytestmark = pytest.mark.quick
 
@@ -71,7 +80,7 @@ def test_the_table_of_costs_is_the_evaluation():
     given = evaluation()
     head, *rows = page(result(evaluation=given)).table("Cost on 40 held-out scenarios")
     assert head[:5] == ["Contender", "Mean", "95 % interval", "Median", "95th percentile"]
-    assert [row[0] for row in rows] == list(SCHEDULES)
+    assert [row[0] for row in rows] == list(CONTENDERS)
     for name, mean, ends, median, high, worst, minus, its_ends, diverged in rows:
         costs = given.contenders[name].metrics.cost
         expected = [
@@ -106,21 +115,19 @@ def test_the_table_of_behaviour_is_the_evaluation():
         assert (np.abs(np.subtract(shown, expected)) <= 0.51 * 10.0**-digits).all()
 
 
-def test_training_stands_beside_held_out_and_the_gap_is_told():
+def test_training_stands_beside_held_out():
     def costs(level):
         return {"cost": np.linspace(level - 1, level + 1, 40)}
 
     given = evaluation()
-    for name, level in ((TUNED, 43.0), (CONSTANT, 45.0), (ORACLE, 37.0)):
+    for name, level in ((TUNED, 43.0), (CONSTANT, 45.0)):
         given = changed(given, name, **costs(level))
     text = page(result(evaluation=given)).text
     assert "43.00" in text
     assert "in training 41.25 on 2 scenarios" in text
     assert "in training 45.00 on 2 scenarios with K = 53.5 1/s" in text
     assert "\u22122.00" in text
-    assert "25 %" in text
     assert "The tuned schedule costs 2.00 less (4.4\u00a0%; 95 % interval 2.00 to 2.00)" in text
-    assert "Gap to the oracle" not in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
 
 
 @pytest.mark.parametrize(
@@ -227,7 +234,7 @@ def test_the_whole_configuration_is_there():
     ("settings", "words"),
     [
         ([], ['law = "gradient"', "gain_limit = 1.5", 'name = "mean"', "differ in their noise."]),
-        (["search.optimiser=random_search"], ["Random search with 100 agents"]),
+        (["search.optimiser=random_search"], ["Random search with 96 agents"]),
         (["objective.name=cvar"], ['name = "cvar", level = 0.75']),
         (["filter.law=printed", "filter.gain_limit=off"], ['"printed"', 'gain_limit = "off"']),
         (["filter.gamma=[1.0, 2.0]"], ["gamma = [1.0, 2.0]"]),
@@ -274,21 +281,50 @@ def test_the_held_out_set_is_named():
 
 def test_what_the_contenders_are():
     rows = dict(page().table("What each contender is")[1:])
-    assert rows[CONSTANT] == "K = 53.5 1/s"
+    assert list(rows) == list(CONTENDERS)
+    assert rows[CONSTANT] == "constant: gain = 53.5"
     assert rows[TUNED] == "fuzzy, k1 to k22"
-    assert rows[ORACLE] == "3 knots of K(t) from 0 to 15 s, open loop"
-    assert schedule_words({"a": 1, "b": "two"}) == "a = 1, b = two"
+    assert rows[SWITCH] == "switch: before = 80, after = 20, time = 1.5, learning_time = 0"
+    assert rows[OPEN_LOOP] == "3 knots of K(t) from 0 to 15 s, open loop"
+    assert rows[EKF].startswith("Kalman: ")
+    also = description("constant", gain=2)._replace(also={"filter.gamma": 2.5})
+    assert filter_words(also) == "constant: gain = 2; filter.gamma = 2.5"
     assert "posegsa evaluate" in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
+
+
+def test_what_was_tuned_too_is_shown_with_its_bounds():
+    lines = '[{key = "filter.gamma", lower = 0.5, upper = 20.0, scale = "logarithmic"}]'
+    settings = ("filter.gamma=5.0", f"parameters.also={lines}")
+    found = page(result(*settings, also={"filter.gamma": 2.345678}))
+    (row,) = found.table("What was tuned beside k1 to k22")[1:]
+    assert row[0] == "filter.gamma"
+    assert values(row[1]) == [pytest.approx(2.345678, rel=1e-3)]
+    assert not any(caption.startswith("What was tuned") for caption in page().tables)
+
+
+def test_endurance_is_shown_by_windows_and_warned_of():
+    given = endurance(attitude=np.array([40.0, 6, 5, 9.5]))
+    found = page(result(endurance=given))
+    head, *rows = found.table("Errors of the tuned filter")
+    assert head[:3] == ["From [s]", "To [s]", "Attitude [deg]"]
+    shown = [[values(cell)[0] for cell in row] for row in rows]
+    np.testing.assert_allclose(
+        shown,
+        [[begin, end, a, ac, p, pc] for begin, end, a, p, ac, pc in given.rows()],
+        atol=0.0051,
+    )
+    assert any(a.get("class") == "warnings" for _, a in found.elements)
+    assert "worse than constant gains: attitude from 60 to 120 s" in found.text
 
 
 def test_every_text_that_comes_from_data_is_escaped():
     evil = '<script>alert("1")</script>&amp;'
-    given = evaluation((TUNED, CONSTANT, evil))
-    given.contenders[evil] = given.contenders[evil]._replace(schedule={evil: evil})
+    given = evaluation((TUNED, CONSTANT))
+    given.contenders[evil] = contender(0, filter=FILTERS[CONSTANT]._replace(also={evil: 1.0}))
     found = page(result(evaluation=given, environment={evil: evil}, version=evil), {evil: PICTURE})
     assert not any(tag == "script" for tag, _ in found.elements)
-    # Version twice, name in three tables, schedule and environment each a key and a value.
-    assert found.text.count(evil) == 2 + 3 + 2 + 2
+    # Version twice, name in three tables, a key of its filter, environment as key and as value.
+    assert found.text.count(evil) == 2 + 3 + 1 + 2
     template = templates().from_string('<p title="{{ evil }}">{{ evil }}</p>')
     assert Page(template.render(evil=evil)).elements == [("p", {"title": evil})]
 

@@ -21,7 +21,6 @@ from posegsa.search.build import (
     search_space,
     signal_settings,
     tuning_problem,
-    with_values,
 )
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import scenario_keys
@@ -58,7 +57,7 @@ def test_a_number_of_its_own_is_that_of_the_configuration(experiment, key) -> No
     def settings(of: config.Experiment):
         return filter_settings(of), signal_settings(of.gain, of.run.dtype)
 
-    changed = with_values(experiment, candidate)
+    changed = config.with_tuned(experiment, candidate.values_by_key())
     assert changed == config.override(experiment, [f"{key}=0.37"]) != experiment
     ours, configured, before = (
         jax.tree.leaves_with_path(each)
@@ -130,7 +129,7 @@ def test_one_compiled_search_finds_them_and_so_does_a_batch() -> None:
     assert 0.5 < gamma < 50
     assert 0.2 < weight < 2
     # The cost is that of the experiment with what was found written into it.
-    written = with_values(problems[0].experiment, candidate)
+    written = config.with_tuned(problems[0].experiment, candidate.values_by_key())
     again = tuning_problem(config.override(written, ["parameters.also=[]"]))
     cost = evaluate_population(alone.best_position[None, :22], again.training, again.space)
     assert float(cost[0]) == pytest.approx(float(alone.best_cost), rel=1e-4)
