@@ -46,10 +46,9 @@ def tuned_too(keys, *more: dict) -> str:
     return f"parameters.also=[{', '.join('{ ' + row + ' }' for row in rows)}]"
 
 
-OF_BIAS = ("filter.vector_bias_gain", "filter.excitation")
 VARIANTS: dict[str, tuple[str, ...]] = {
     "recommended": (),
-    "vectors' biases ignored": ("filter.vector_bias=off", without(*OF_BIAS)),
+    "vectors' biases ignored": ("filter.vector_bias=off", without("filter.vector_bias_gain")),
     "gamma fixed": ("filter.gamma_law=fixed",),
     "gamma linear in K": ("filter.gamma_law=linear",),
     "nothing tuned beside k1 to k22": ("parameters.also=[]",),

@@ -227,7 +227,8 @@ def filter_step(
     """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
-    and its square, and K_used / h at most; gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
+    and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of omega,
+    y the farthest landmark; gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
     of the n inner steps evaluates everything at its own start, the measurement held; the velocity
     (Y_m - b_est) dt enters with the last one only.  The sample's vectors are those that are used.
     """
@@ -244,7 +245,12 @@ def filter_step(
         g = np.repeat(np.array(gamma, np.float64), 3)
         if gamma_law != "fixed":
             power = {"linear": 1, "quadratic": 2}[gamma_law]
-            g = np.minimum(g * (K_used / 10.0) ** power, K_used / h)
+            g = g * (K_used / 10.0) ** power
+            farthest = max(
+                (float(y @ y) for y, w in zip(s.y, s.sL, strict=True) if w > 0), default=0
+            )
+            g[:3] = np.minimum(g[:3], K_used / (2 * s.dt * (1 + farthest)))
+            g[3:] = np.minimum(g[3:], K_used / (2 * s.dt))
         b_dot = -g * (for_b @ U)
         move = K_used * W * h
         if inner == substeps - 1:

@@ -59,7 +59,6 @@ DEFAULT_ALSO = tuple(
         ("filter.gamma", 0.2, 20.0),
         ("filter.cross_vector_weight", 0.003, 2.0),
         ("filter.vector_bias_gain", 0.05, 5.0),
-        ("filter.excitation", 0.03, 1.0),
         ("gain.position_weight", 0.01, 1.0),
         ("gain.smoothing", 0.1, 5.0),
         ("gain.error_scale", 0.05, 1.0),

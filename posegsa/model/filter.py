@@ -37,11 +37,15 @@ gain that is used, after its limit:
     "fixed":      gamma = g
     "linear":     gamma = g (K / 10)
     "quadratic":  gamma = g (K / 10)^2, a constant damping
-with K in 1/s, so that g [1/s^2] is always gamma at K = 10/s; and gamma h <= K in each sub-step h,
-without which the explicit step is unstable. What holds in theory: with f the cost whose gradient U
-is and constant gamma, f + |b_err|^2 / (2 gamma) never rises (without noise). With a changing gamma
-that function serves while gamma rises and gamma f + |b_err|^2 / 2 while it falls; over both it is
-enough that log gamma has bounded variation, which a gain that settles has.
+with K in 1/s, so that g [1/s^2] is always gamma at K = 10/s. A bias of the angular velocity moves a
+landmark by its distance |y_i| times as much, and its residual comes back with the same lever: that
+oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit step is
+unstable; so both laws keep, with y the farthest landmark,
+    gamma dt (1 + |y|^2) <= K / 2  for the angular velocity,   gamma dt <= K / 2  for the linear.
+What holds in theory: with f the cost whose gradient U is and constant gamma, f + |b_err|^2 / (2
+gamma) never rises (without noise). With a changing gamma that function serves while gamma rises and
+gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
+which a gain that settles has.
 
 The vectors' biases. The sensor model has them (Eq. 2); while they are ignored they make nearly all
 of the steady error. With c_i the estimated bias, d_i = v_i^B - c_i,
@@ -352,15 +356,17 @@ def correction(state: FilterState, U: Innovation, law: Law) -> Correction:
     return Correction(*W, *bias)
 
 
-def bias_gains(used: Array, h: Array, settings: FilterSettings) -> tuple[Array, Array]:
-    """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step of h [s]."""
+def bias_gains(used: Array, sample: Sample, settings: FilterSettings) -> tuple[Array, Array]:
+    """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step."""
     gammas = settings.gamma_angular, settings.gamma_linear
     if settings.gamma_law == "fixed":
         return gammas
     relative = used * (1 / REFERENCE_GAIN)
     follow = relative if settings.gamma_law == "linear" else relative * relative
-    stable = used * (1 / h)
-    angular, linear = (minimum(gamma * follow, stable) for gamma in gammas)
+    linear = 0.5 / sample.time_step
+    angular = linear / (1 + sample.reach)
+    largest = used * angular, used * linear
+    angular, linear = (minimum(g * follow, most) for g, most in zip(gammas, largest, strict=True))
     return angular, linear
 
 
@@ -405,7 +411,7 @@ def observe(
             omega = add(omega, scale(dt, subtract(sample.angular_velocity, state.bias_angular)))
             v = add(v, scale(dt, subtract(sample.velocity, state.bias_linear)))
         attitude, place = move(state.attitude, state.place, omega, v)
-        gamma_angular, gamma_linear = bias_gains(used, h, settings)
+        gamma_angular, gamma_linear = bias_gains(used, sample, settings)
         state = state._replace(
             attitude=attitude,
             place=place,

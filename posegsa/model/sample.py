@@ -33,6 +33,8 @@ class Sample(NamedTuple):
     vectors: Wahba | VectorSamples
     """Wahba's sums, or each vector where they are made in the loop."""
     landmarks: tuple[LandmarkSample, ...]
+    reach: Array
+    """Largest |y_i|^2 [m^2] of the landmarks that are there; 0 without any."""
 
 
 def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
@@ -56,6 +58,7 @@ def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
         velocity=_vec3(measurements.velocity),
         vectors=prepare_vectors(measurements, settings),
         landmarks=landmarks,
+        reach=jnp.max(jnp.sum(seen * seen, axis=-1), axis=-1, initial=0.0),
     )
 
 

@@ -97,7 +97,7 @@ def test_a_number_without_effect_is_refused(key) -> None:
 
 
 RECOMMENDED = {one.key for one in config.Experiment().parameters.also}
-OF_BIAS = {"filter.vector_bias_gain", "filter.excitation"}
+OF_BIAS = {"filter.vector_bias_gain"}
 
 
 def keys_of(experiment: config.Experiment) -> set[str]:

@@ -324,15 +324,22 @@ def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(("law", "power"), [("linear", 1), ("quadratic", 2)])
 def test_gamma_follows_the_gain_used_as_far_as_a_step_is_stable(law, power) -> None:
-    K, h = np.meshgrid(np.geomspace(0.01, 1000, 21), np.geomspace(1e-3, 0.5, 11))
+    K, dt, reach = np.meshgrid(
+        np.geomspace(0.01, 1000, 21), np.geomspace(1e-3, 0.5, 11), [0.0, 3.0, 900.0]
+    )
     chosen = settings(gamma_law=law, gamma=(40.0, 700.0))
-    for gamma, g in zip(bias_gains(jnp.asarray(K), jnp.asarray(h), chosen), (40, 700), strict=True):
+    m = as_arrays(random_measurements(np.random.default_rng(0), 1, 2, 1), np.float64)
+    sample = prepare(m, chosen.vectors)
+    sample = sample._replace(time_step=jnp.asarray(dt), reach=jnp.asarray(reach))
+    found = bias_gains(jnp.asarray(K), sample, chosen)
+    for gamma, g, stiffer in zip(found, (40, 700), (1 + reach, np.ones_like(reach)), strict=True):
         gamma, wanted = np.asarray(gamma), g * (K / 10) ** power
-        assert (gamma * h <= K * (1 + 1e-12)).all()
-        free = wanted * h <= K
+        step, bound = gamma * dt * stiffer, K / 2
+        assert (step <= bound * (1 + 1e-12)).all()
+        free = wanted * dt * stiffer <= bound
         assert 0 < free.mean() < 1
         np.testing.assert_allclose(gamma[free], wanted[free], rtol=1e-12)
-        np.testing.assert_allclose((gamma * h)[~free], K[~free], rtol=1e-12)
+        np.testing.assert_allclose(step[~free], bound[~free], rtol=1e-12)
 
 
 # Transformations ---------------------------------------------------------------------------------

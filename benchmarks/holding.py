@@ -1,0 +1,172 @@
+"""Whether the recommended filter holds: long after its window, at rest, and at rest after motion.
+
+Each row is a ratio or an error of one tuned run, measured on scenarios that nobody tuned on:
+
+1. At rest for ten minutes at random attitudes, from 30 degrees and 1 m off: the attitude error over
+   the last minute, beside that of the same gains without the law of the vectors' biases.
+2. Two minutes of rest after one of motion: the last minute of the rest beside the last 20 s of the
+   motion.
+3. Far away: eight times as long as the scenarios that it was tuned on.
+4. What a population's step costs with that law, beside one without.
+
+    python benchmarks/holding.py [--run FOLDER] [--write]
+"""
+
+import argparse
+import time
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from readme import write_block
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa import config
+from posegsa.judging.metrics import error_tracks
+from posegsa.judging.result import TuneResult
+from posegsa.model.rollout import ErrorTrack
+from posegsa.runtime import environment
+from posegsa.search.build import scenario, scenario_batch, tuning_problem
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import endurance_keys
+from posegsa.search.population import evaluate_population
+
+ATTITUDES, EACH = 8, 4
+"""Random attitudes at rest, and scenarios of each."""
+LAW_OFF = ["filter.vector_bias=off", "parameters.also=[]"]
+
+
+def tracks(experiment: config.Experiment, candidate: Candidate, scenarios: int) -> ErrorTrack:
+    """What a candidate does on unseen scenarios of an experiment."""
+    keys = endurance_keys(experiment.run.seed, scenarios)
+    return error_tracks(candidate, scenario_batch(experiment, scenario(experiment), keys))
+
+
+def degrees(track: ErrorTrack) -> np.ndarray:
+    """Attitude errors [deg]."""
+    half = np.sqrt(np.clip(np.asarray(track.attitude, np.float64), 0, 1))
+    return np.degrees(2 * np.arcsin(half))
+
+
+def rms(errors: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(errors, dtype=np.float64))))
+
+
+def lasting(duration: float) -> list[str]:
+    """Settings of scenarios that take so long [s]."""
+    return [f"scenario.duration={duration}"]
+
+
+def rest(result: TuneResult) -> tuple[float, float]:
+    """Attitude RMS [deg] over the last minute of ten at rest, with the law and without."""
+    tuned, gains = result.tuned, Candidate(result.schedule)
+    found = []
+    for law in ([], LAW_OFF):
+        squares = []
+        for i in range(ATTITUDES):
+            rotation = Rotation.random(rng=np.random.default_rng(i)).as_matrix().tolist()
+            settings = [
+                *lasting(600.0),
+                f"run.seed={i}",
+                f"scenario.initial_rotation={rotation}",
+                "scenario.rest=[[0.0, 600.0]]",
+                "family.attitude_error=[30.0, 30.0]",
+                "family.position_error=[1.0, 1.0]",
+                *law,
+            ]
+            track = tracks(config.override(tuned, settings), gains, EACH)
+            squares.append(rms(degrees(track)[:, -6000:]) ** 2)
+        found.append(float(np.sqrt(np.mean(squares))))
+    return found[0], found[1]
+
+
+def rest_after_motion(result: TuneResult) -> tuple[float, float]:
+    """Attitude RMS [deg] over the last minute of two at rest, and over 20 s before the rest."""
+    settings = [*lasting(180.0), "scenario.rest=[[60.0, 180.0]]"]
+    angle = degrees(tracks(config.override(result.tuned, settings), Candidate(result.schedule), 32))
+    return rms(angle[:, 12000:]), rms(angle[:, 4000:6000])
+
+
+def step_ratio(result: TuneResult, repetitions: int = 7) -> tuple[float, float]:
+    """Best time [s] of a population of 100 agents on 8 scenarios of 15 s, with the law and without.
+
+    The same agents, in turns.
+    """
+    experiment = config.override(
+        result.experiment,
+        [*lasting(15.0), "cost.steady_window=[400, 1400]", "run.training_scenarios=8"],
+    )
+    problems = [tuning_problem(experiment), tuning_problem(config.override(experiment, LAW_OFF))]
+    runs = []
+    for problem in problems:
+        box = problem.space.box
+        at = jnp.linspace(0.0, 1.0, 100)[:, None]
+        agents = box.lower + at * (box.upper - box.lower)
+        run = jax.jit(evaluate_population)
+        run(agents, problem.training, problem.space).block_until_ready()
+        runs.append((run, agents, problem))
+    best = [np.inf, np.inf]
+    for _ in range(repetitions):
+        for i, (run, agents, problem) in enumerate(runs):
+            begin = time.perf_counter()
+            run(agents, problem.training, problem.space).block_until_ready()
+            best[i] = min(best[i], time.perf_counter() - begin)
+    return best[0], best[1]
+
+
+def table(result: TuneResult) -> str:
+    """The measurements as a Markdown table."""
+    on, off = rest(result)
+    still, moving = rest_after_motion(result)
+    with_law, without = step_ratio(result)
+    rows = [
+        ("600 s at rest, attitude over the last 60 s: law on, off", on, off, "°"),
+        (
+            "120 s of rest after motion, attitude: last 60 s, last 20 s of the motion",
+            still,
+            moving,
+            "°",
+        ),
+        (
+            "population of 100 agents, 8 scenarios of 15 s: law on, off",
+            1e3 * with_law,
+            1e3 * without,
+            " ms",
+        ),
+    ]
+    lines = ["| | first | second | ratio |", "| --- | --- | --- | --- |"]
+    lines += [
+        f"| {what} | {a:.3g}{unit} | {b:.3g}{unit} | {a / b:.2f} |" for what, a, b, unit in rows
+    ]
+    lines += ["", "| time | tuned filter | best constant gains |", "| --- | --- | --- |"]
+    for begin, end, attitude, position, other_attitude, other_position in result.endurance.rows():
+        lines.append(
+            f"| {begin:g} to {end:g} s | {attitude:.2f}° {100 * position:.1f} cm "
+            f"| {other_attitude:.2f}° {100 * other_position:.1f} cm |"
+        )
+    machine = environment()
+    lines += [
+        "",
+        f"By `python benchmarks/holding.py --write` ({machine['device']}, jax {machine['jax']}).",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Whether the recommended filter holds.")
+    parser.add_argument("--run", help="folder of a tuned run instead of a new one")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/filter.md")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+    posegsa.enable_fast_path()
+    text = table(posegsa.load(options.run) if options.run else posegsa.tune())
+    print(text)
+    if options.write:
+        write_block("holding", text, "docs/filter.md")
+
+
+if __name__ == "__main__":
+    main()
