@@ -1,8 +1,9 @@
 """What tuning gives on unseen scenarios: the result tables of the README.
 
 1. The tuned filter beside every baseline on held-out scenarios, of each kind of scenario.
-2. The same filters long after the time that they were tuned for.
-3. Each configuration over several seeds: training beside held-out cost.
+2. Scenarios as in the field: the tuned filter against each baseline, over seeds of the search.
+3. Tuned filters long after the time that they were tuned for.
+4. Each configuration over several seeds: training beside held-out cost.
 
     python benchmarks/results.py [--scenarios 1000] [--seeds 3] [--only NAME] [--readme]
 
@@ -12,7 +13,7 @@ What has been judged is kept in benchmarks/results.json and used again; --again 
 import argparse
 import json
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from readme import ROOT, write_block
@@ -22,12 +23,30 @@ import posegsa
 from posegsa import config
 from posegsa.evaluating import evaluate
 from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.result import TuneResult
 from posegsa.runtime import environment
 
+
+class Case(NamedTuple):
+    """A kind of scenario that a filter is tuned for and judged on."""
+
+    title: str
+    file: str
+    settings: tuple[str, ...] = ()
+
+
+_MINUTE = ("scenario.duration=60.0", "cost.steady_window=[400, 5900]")
 JUDGED = {
-    "recommended": "any start, 60 s",
-    "paper_start": "the paper's start, 15 s",
-    "field": "as in the field, 60 s",
+    "recommended": Case("any start, 60 s", "recommended"),
+    "paper_start": Case("the paper's start, 15 s", "paper_start"),
+    "paper_start_60": Case("the paper's start, 60 s", "paper_start", _MINUTE),
+    "field": Case("as in the field, 60 s", "field"),
+}
+OVER_SEEDS = "field"
+"""The kind of scenario that is judged for each seed of the search."""
+ENDURANCE_ONLY = {
+    "paper": Case("`paper.toml`, 15 s", "paper"),
+    "paper_literal": Case("`paper_literal.toml`, 15 s", "paper_literal"),
 }
 KEPT = ROOT / "benchmarks" / "results.json"
 HELD_OUT_SEED = 3
@@ -36,46 +55,57 @@ those have been looked at during development."""
 SEEDED = ("recommended", "paper_start", "paper", "paper_literal")
 
 
-def load(name: str) -> config.Experiment:
-    """A configuration of this repository."""
-    return config.load(ROOT / "configs" / f"{name}.toml")
+def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
+    """The experiment of a kind of scenario, with a seed of search and scenarios."""
+    one = config.load(ROOT / "configs" / f"{case.file}.toml")
+    return config.override(one, [*case.settings, f"run.seed={seed}"])
 
 
-def judged(name: str, scenarios: int) -> dict[str, Any]:
-    """The rows of one configuration in the first two tables."""
-    title = JUDGED[name]
-    result = posegsa.tune(load(name))
-    result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED, progress=tqdm.write)
-    evaluation, rows = result.evaluation, []
-    for contender_name, contender in evaluation.contenders.items():
-        m, cost = contender.metrics, evaluation.cost(contender_name)
-        versus = "-"
-        if contender_name != TUNED:
-            d = evaluation.difference(contender_name)
-            versus = f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
-        rows.append(
-            f"| {title} | {contender_name} | {cost.mean:.2f} ± {0.5 * (cost.high - cost.low):.2f} "
-            f"| {np.median(m.cost):.1f} | {np.max(m.cost):.0f} | {versus} "
-            f"| {np.mean(m.rms_attitude):.1f}° {100 * np.mean(m.rms_position):.1f} cm "
-            f"| {100 * np.mean(m.diverged):.1f} % |"
-        )
-    endurance = [
-        f"| {title} | {begin:g} to {end:g} s | {attitude:.1f}° {100 * position:.1f} cm "
+def endurance_rows(case: Case, result: TuneResult) -> list[str]:
+    """The rows of one result in the table of endurance."""
+    return [
+        f"| {case.title} | {begin:g} to {end:g} s | {attitude:.1f}° {100 * position:.1f} cm "
         f"| {constant_attitude:.1f}° {100 * constant_position:.1f} cm |"
         for begin, end, attitude, position, constant_attitude, constant_position in (
             result.endurance.rows()
         )
     ]
+
+
+def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
+    """What is kept of one kind of scenario and one seed."""
+    result = posegsa.tune(experiment_of(case, seed))
+    result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED, progress=tqdm.write)
+    evaluation, rows, differences = result.evaluation, [], {}
+    for name, contender in evaluation.contenders.items():
+        m, cost = contender.metrics, evaluation.cost(name)
+        versus = "-"
+        if name != TUNED:
+            d = evaluation.difference(name)
+            versus = differences[name] = f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
+        rows.append(
+            f"| {case.title} | {name} | {cost.mean:.2f} ± {0.5 * (cost.high - cost.low):.2f} "
+            f"| {np.median(m.cost):.1f} | {np.max(m.cost):.0f} | {versus} "
+            f"| {np.mean(m.rms_attitude):.1f}° {100 * np.mean(m.rms_position):.1f} cm "
+            f"| {100 * np.mean(m.diverged):.1f} % |"
+        )
     trained = float(np.mean(result.training_costs))
-    note = (
-        f"{title}: training cost {trained:.2f}, searched in {result.search_seconds:.1f} s, "
-        f"{result.trust.used_rules} of 25 rules carry 1 % of the weight"
-    )
-    return {"scenarios": scenarios, "rows": rows, "endurance": endurance, "note": note}
+    return {
+        "scenarios": scenarios,
+        "rows": rows,
+        "means": {name: evaluation.cost(name).mean for name in evaluation.contenders},
+        "differences": differences,
+        "endurance": endurance_rows(case, result),
+        "note": (
+            f"{case.title}: training cost {trained:.2f}, searched in {result.search_seconds:.1f} s, "
+            f"{result.trust.used_rules} of 25 rules carry 1 % of the weight"
+        ),
+    }
 
 
-def tables(found: dict[str, dict[str, Any]]) -> str:
-    """The first two tables."""
+def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
+    """The first three tables, of what has been judged."""
+    found = {name: kept[f"{name} 0"] for name in JUDGED if f"{name} 0" in kept}
     lines = [
         "| scenarios | filter | held-out cost, mean ± 95 % | median | worst "
         "| tuned minus this [95 %] | steady RMS error | diverged |",
@@ -87,11 +117,32 @@ def tables(found: dict[str, dict[str, Any]]) -> str:
         "",
         f"{'; '.join(each['note'] for each in found.values())}. "
         f"{next(iter(found.values()))['scenarios']} held-out scenarios each, seed 0.",
+    ]
+    of_seeds = [kept.get(f"{OVER_SEEDS} {seed}") for seed in range(seeds)]
+    there = [each for each in of_seeds if each is not None]
+    if len(there) == seeds > 1:
+        heads = " | ".join(f"seed {seed}" for seed in range(seeds))
+        lines += [
+            "",
+            f"| {JUDGED[OVER_SEEDS].title}: tuned minus this [95 %] | {heads} |",
+            f"| --- |{' --- |' * seeds}",
+            f"| ({TUNED}: mean) | "
+            + " | ".join(f"{each['means'][TUNED]:.1f}" for each in there)
+            + " |",
+        ]
+        for name in there[0]["differences"]:
+            cells = " | ".join(
+                f"{each['differences'][name]} "
+                f"({100 * (each['means'][TUNED] / each['means'][name] - 1):+.0f} %)"
+                for each in there
+            )
+            lines.append(f"| {name} | {cells} |")
+    lines += [
         "",
         "| tuned for | time | tuned filter | best constant gains |",
         "| --- | --- | --- | --- |",
     ]
-    for each in found.values():
+    for each in [*found.values(), *(kept[n] for n in ENDURANCE_ONLY if n in kept)]:
         lines += each["endurance"]
     return "\n".join(lines)
 
@@ -102,7 +153,7 @@ def spread(values: list[float]) -> str:
 
 
 def seeded(seeds: int) -> str:
-    """The second table."""
+    """The last table."""
     lines = [
         "| configuration | schedule | training cost | held-out cost | worst held out |",
         "| --- | --- | --- | --- | --- |",
@@ -110,9 +161,11 @@ def seeded(seeds: int) -> str:
     times = []
     for name in tqdm(SEEDED, desc="configurations"):
         rows: dict[str, list[tuple[float, float, float]]] = {}
-        for search in ("gsa", "random_search"):
-            experiment = config.override(load(name), [f"search.optimiser={search}"])
-            results = posegsa.tune_batch(experiment, seeds=range(seeds)).results
+        own = experiment_of(Case(name, name))
+        for search in (own.search.optimiser, "random_search"):
+            experiment = config.override(own, [f"search.optimiser={search}"])
+            # One by one: a batch would hold the scenarios of all of them.
+            results = [posegsa.tune(experiment, seed=seed) for seed in range(seeds)]
             for result in results:
                 contenders = result.evaluation.contenders
                 for label, training, which in (
@@ -121,10 +174,12 @@ def seeded(seeds: int) -> str:
                 ):
                     cost = contenders[which].metrics.cost
                     row = (training, float(np.mean(cost)), float(np.max(cost)))
-                    if which == TUNED or search == "gsa":
+                    if which == TUNED or search != "random_search":
                         rows.setdefault(label, []).append(row)
-            if search == "gsa":
-                times.append(f"{name} {results[0].search_seconds:.1f} s")
+            if search != "random_search":
+                evaluations = results[0].evaluations
+                seconds = f"{results[0].search_seconds:.1f} s"
+                times.append(f"{name} {seconds} for {evaluations} evaluations")
         for label, each in rows.items():
             training, held_out, worst = zip(*each, strict=True)
             lines.append(
@@ -136,8 +191,8 @@ def seeded(seeds: int) -> str:
         [
             *lines,
             "",
-            f"Median (minimum to maximum) over {seeds} seeds. A search of 25 000 agents, compiled, "
-            f"takes: {', '.join(times)} ({machine['device']}, jax {machine['jax']}).",
+            f"Median (minimum to maximum) over {seeds} seeds. A search, compiled, takes: "
+            f"{', '.join(times)} ({machine['device']}, jax {machine['jax']}).",
         ]
     )
 
@@ -146,23 +201,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Result tables of the README.")
     parser.add_argument("--scenarios", type=int, default=1000, help="held-out scenarios")
     parser.add_argument("--seeds", type=int, default=3, help="searches of each configuration")
-    parser.add_argument("--only", choices=JUDGED, help="judge one configuration")
+    parser.add_argument("--only", choices=JUDGED, help="judge one kind of scenario")
     parser.add_argument("--again", action="store_true", help="judge anew what is kept")
     parser.add_argument("--readme", action="store_true", help="write the tables into README.md")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    found = json.loads(KEPT.read_text("utf-8")) if KEPT.exists() else {}
+    kept = json.loads(KEPT.read_text("utf-8")) if KEPT.exists() else {}
+
+    def keep(name: str, what: dict[str, Any]) -> None:
+        kept[name] = what
+        KEPT.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
     for name in [options.only] if options.only else JUDGED:
-        if options.again or found.get(name, {}).get("scenarios") != options.scenarios:
-            found[name] = judged(name, options.scenarios)
-            KEPT.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
-    found = {name: found[name] for name in JUDGED if name in found}
+        for seed in range(options.seeds if name == OVER_SEEDS else 1):
+            entry = f"{name} {seed}"
+            if options.again or kept.get(entry, {}).get("scenarios") != options.scenarios:
+                keep(entry, judged(JUDGED[name], options.scenarios, seed))
+    if not options.only:
+        for name, case in ENDURANCE_ONLY.items():
+            if options.again or name not in kept:
+                keep(name, {"endurance": endurance_rows(case, posegsa.tune(experiment_of(case)))})
     command = f"`python benchmarks/results.py --scenarios {options.scenarios} --seeds"
     command += f" {options.seeds} --readme`"
-    text = tables(found)
+    text = tables(kept, options.seeds)
     if not options.only:
-        text += f"\n\n{seeded(options.seeds)} All tables: {command}."
+        if options.again or kept.get("seeded", {}).get("seeds") != options.seeds:
+            keep("seeded", {"seeds": options.seeds, "table": seeded(options.seeds)})
+        text += f"\n\n{kept['seeded']['table']} All tables: {command}."
     print(text)
     if options.readme:
         write_block("results", text)

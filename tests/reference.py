@@ -227,8 +227,8 @@ def filter_step(
     """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
-    and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of omega,
-    y the farthest landmark; gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
+    and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of
+    omega, y the farthest landmark.  gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
     of the n inner steps evaluates everything at its own start, the measurement held; the velocity
     (Y_m - b_est) dt enters with the last one only.  The sample's vectors are those that are used.
     """
