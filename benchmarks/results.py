@@ -97,8 +97,9 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
         "differences": differences,
         "endurance": endurance_rows(case, result),
         "note": (
-            f"{case.title}: training cost {trained:.2f}, searched in {result.search_seconds:.1f} s, "
-            f"{result.trust.used_rules} of 25 rules carry 1 % of the weight"
+            f"{case.title}: training cost {trained:.2f}, searched in "
+            f"{result.search_seconds:.1f} s, {result.trust.used_rules} of 25 rules carry 1 % of "
+            "the weight"
         ),
     }
 

@@ -41,8 +41,12 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
             seed=None,
             time=np.zeros(1),
             contenders={
-                n: Contender(Metrics(*[c] * len(Metrics._fields)), nothing, FILTERS[n])
-                for n, c in costs.items()
+                name: Contender(
+                    Metrics(*[cost] * len(Metrics._fields))._replace(diverged=np.zeros(3, bool)),
+                    nothing,
+                    FILTERS[name],
+                )
+                for name, cost in costs.items()
             },
         ),
         "endurance": endurance(),

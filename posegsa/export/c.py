@@ -119,11 +119,8 @@ def _costs(result: TuneResult) -> list[str]:
         f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
         "held-out ones."
     )
-    if result.trust.sensitive:
-        lines += _wrapped(
-            "WARNING: the training cost depends on rounding (float32, float64, a change of 1e-6 of "
-            "the start) by more than 1 %."
-        )
+    for warning in result.warnings():
+        lines += _wrapped(f"WARNING: {warning}.")
     return lines
 
 

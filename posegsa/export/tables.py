@@ -68,6 +68,7 @@ def export_json(result: TuneResult) -> str:
         "parameters": dict(zip(PARAMETERS, result.parameters, strict=True)),
         "costs": {**costs(result), "constant_gain_1_s": result.constant_gain},
         "sensitive": result.trust.sensitive,
+        "warnings": result.warnings(),
         "control_surface": {"error": error, "rate": rate, "gain_1_s": gains},
     }
     return json_text(plain(data)) + "\n"

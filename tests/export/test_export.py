@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evaluations import endurance
 from schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa
@@ -97,6 +98,15 @@ def test_json_says_all_of_the_schedule():
     assert data["costs"]["constant"]["held_out_worst"] == 52.5
     assert data["sensitive"] is False
     assert max(map(len, text.splitlines())) < 4000, "rows of numbers on lines of their own"
+
+
+def test_what_is_worse_past_its_window_is_exported_with_the_warning():
+    assert json.loads(export_json(tuned(K)))["warnings"] == []
+    worse = tuned(K, endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])))
+    (warning,) = json.loads(export_json(worse))["warnings"]
+    assert warning.endswith("worse than constant gains: attitude from 60 to 120 s")
+    written = " ".join(line.removeprefix(" * ") for line in export_c(worse).splitlines())
+    assert f"WARNING: {warning}." in written
 
 
 def test_what_was_tuned_too_is_in_json_and_c():

@@ -232,7 +232,7 @@ def test_the_head_comment_says_what_it_is_worth():
     assert re.search(r"gain 27\.5/s 44\.5 47\.5 \[36\.46, 58\.54\] 52\.5", text)
     assert "WARNING" not in text
     sensitive = Trust(40.5, 44.0, 40.5, True, 0.0, np.zeros((5, 5)))
-    assert "WARNING: the training cost depends on rounding" in head(tuned(K, trust=sensitive))
+    assert "WARNING: SENSITIVE: training cost 40.5 in float32" in head(tuned(K, trust=sensitive))
 
 
 def test_the_head_comment_says_how_the_inputs_are_formed():
