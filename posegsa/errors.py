@@ -67,4 +67,4 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 class PosegsaWarning(UserWarning):
-    """Something that posegsa changed in what it was given, and went on."""
+    """Something that a user should know: an input that was changed, a result that may mislead."""

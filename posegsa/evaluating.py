@@ -6,7 +6,7 @@ from functools import partial
 
 import jax
 
-from posegsa.arguments import check_callable, check_type, check_whole
+from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole
 from posegsa.judging.baselines import candidate_of, describe, schedule_baselines
 from posegsa.judging.evaluation import (
     CONTENDERS,
@@ -60,7 +60,7 @@ def evaluate(
     check_type("result", result, TuneResult)
     check_whole("scenarios", scenarios, 2, MAX_COUNT)
     if seed is not None:
-        check_whole("seed", seed, 0, 2**31 - 1)
+        check_whole("seed", seed, 0, MAX_INTEGER)
     check_callable("progress", progress)
     check_callable("cost", cost)
     check_same_cost(cost, result.cost)

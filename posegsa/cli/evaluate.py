@@ -4,6 +4,7 @@ import argparse
 import sys
 
 from posegsa import evaluating
+from posegsa.arguments import MAX_INTEGER
 from posegsa.cli.arguments import whole_number
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.run import load, write_run
@@ -24,7 +25,7 @@ def add(commands) -> None:
     count = whole_number(2)
     parser.add_argument("--scenarios", type=count, default=1000, metavar="S", help=scenarios)
     seed = "another held-out set than the run's own; any whole number from 0"
-    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), metavar="N", help=seed)
+    parser.add_argument("--seed", type=whole_number(0, MAX_INTEGER), metavar="N", help=seed)
     parser.set_defaults(command=_evaluate)
 
 

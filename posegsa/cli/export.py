@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from posegsa.errors import PosegsaError
@@ -13,14 +14,19 @@ def add(commands) -> None:
     """Add the command to the others."""
     parser = commands.add_parser(
         "export",
-        help="write a tuned schedule as JSON, CSV or C",
-        description="Writes the schedule of a finished run: json holds all of it at full "
-        "precision, csv the control surface, c a C99 file without dependencies for the gain.",
+        help=f"write a tuned schedule as {', '.join(FORMATS)}",
+        description="Writes the schedule of a finished run. "
+        + " ".join(f"{name}: {first_line(write)}" for name, write in FORMATS.items()),
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write; default standard output")
     parser.set_defaults(command=_export)
+
+
+def first_line(function: Callable[..., str]) -> str:
+    """What the docstring of a function begins with."""
+    return (function.__doc__ or "").partition("\n")[0]
 
 
 def _export(options: argparse.Namespace) -> int:

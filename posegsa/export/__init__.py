@@ -1,4 +1,4 @@
-"""A tuned schedule out of Python: JSON, a table as CSV, or a C99 file that computes the gain."""
+"""A tuned schedule out of Python, in one of `FORMATS`."""
 
 from posegsa.errors import PosegsaError
 from posegsa.export.c import export_c

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
+from posegsa.arguments import MAX_INTEGER
 from posegsa.judging.metrics import Bands, Metrics, metrics_of
 from posegsa.model.rollout import ErrorTrack
 from posegsa.search.population import ScenarioBatch, TrackCost
@@ -129,7 +130,7 @@ def _rows(columns: _Columns, of: Mapping[str, object], write: Callable[[float, s
 class Evaluation:
     """Schedules on the same S scenarios."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**31)] | None
+    seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)] | None
     """Which held-out set: None is the experiment's own, a number another one."""
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""

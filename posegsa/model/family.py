@@ -1,7 +1,7 @@
 """Scenario families: one scenario drawn from the distribution that a configuration describes."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -24,29 +24,7 @@ class Occasions(NamedTuple):
     """(2,) least and largest duration [s]."""
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "attitude_error",
-        "position_error",
-        "bias_scale",
-        "noise_scale",
-        "landmark_spread",
-        "motion_scale",
-        "vector_bias",
-        "landmark_bias",
-        "angular_drift",
-        "linear_drift",
-        "outages",
-        "bursts",
-        "burst_size",
-        "landmark_interval",
-        "rest",
-        "rest_share",
-        "duration",
-    ],
-    meta_fields=["random_phase", "outage_of", "most_windows"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Family:
     """Ranges that scenarios are drawn from; the numbers are traced, which ones there are is not.
@@ -89,9 +67,9 @@ class Family:
     """Share of the scenarios that begin at rest."""
     duration: Array | None
     """Range of the time after which nothing counts any more [s]."""
-    random_phase: bool
-    outage_of: Sensors
-    most_windows: int
+    random_phase: bool = field(metadata={"static": True})
+    outage_of: Sensors = field(metadata={"static": True})
+    most_windows: int = field(metadata={"static": True})
     """Most outages and bursts in a scenario; those beyond are left out."""
 
 

@@ -58,8 +58,7 @@ rotating body: df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i) of eith
 and all biases converge without noise is measured (`tests/model/test_filter_convergence.py`).
 """
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
@@ -120,26 +119,15 @@ class VectorBias:
     """Time constant of the low-pass filter of the angular velocity [s]."""
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "gamma_angular",
-        "gamma_linear",
-        "gain_limit",
-        "vectors",
-        "landmark_weights",
-        "vector_bias",
-    ],
-    meta_fields=["law", "gamma_law", "substeps"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FilterSettings:
     """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced."""
 
-    law: Law
-    gamma_law: GammaLaw
+    law: Law = field(metadata={"static": True})
+    gamma_law: GammaLaw = field(metadata={"static": True})
     """How gamma follows the gain."""
-    substeps: int
+    substeps: int = field(metadata={"static": True})
     """n, inner steps per sample."""
     gamma_angular: Array
     """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""

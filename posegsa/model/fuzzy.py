@@ -10,8 +10,8 @@ Terms are ordered from small to large (VS, S, M, L, VL). `rules[r][e]` is the ou
 term r and error term e.
 """
 
-from dataclasses import dataclass
-from functools import partial, reduce
+from dataclasses import dataclass, field
+from functools import reduce
 from numbers import Real
 from typing import Literal, NamedTuple, get_args
 
@@ -171,11 +171,7 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
     return jnp.sum(weighted, axis=-1), jnp.sum(weighted * points, axis=-1)
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["input_terms", "output_terms"],
-    meta_fields=["rules", "output_range", "centroid", "points", "sampled_rule", "no_rule", "reach"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FuzzyController:
     """A Mamdani controller: gain K = 1 + centroid from an error and its rate, both in [0, 1].
@@ -202,13 +198,13 @@ class FuzzyController:
 
     input_terms: Array
     output_terms: Array
-    rules: Rules
-    output_range: tuple[float, float]
-    centroid: Centroid = "exact"
-    points: int = 101
-    sampled_rule: SampledRule = "sum"
-    no_rule: NoRule = "hold"
-    reach: int | None = None
+    rules: Rules = field(metadata={"static": True})
+    output_range: tuple[float, float] = field(metadata={"static": True})
+    centroid: Centroid = field(default="exact", metadata={"static": True})
+    points: int = field(default=101, metadata={"static": True})
+    sampled_rule: SampledRule = field(default="sum", metadata={"static": True})
+    no_rule: NoRule = field(default="hold", metadata={"static": True})
+    reach: int | None = field(default=None, metadata={"static": True})
 
     def __post_init__(self) -> None:
         given = (self.input_terms, self.output_terms)

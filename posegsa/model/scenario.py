@@ -1,7 +1,6 @@
 """Truth and sensor errors: the measurements of a configured scenario for one noise key."""
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -40,41 +39,12 @@ class Bursts(NamedTuple):
     """(w, 3) what is added to it, in its unit."""
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "time_step",
-        "angular_velocity",
-        "velocity",
-        "rest",
-        "bias",
-        "bias_drift",
-        "angular_noise",
-        "linear_noise",
-        "vectors",
-        "vector_bias",
-        "vector_noise",
-        "vector_outages",
-        "bursts",
-        "landmarks",
-        "landmark_bias",
-        "landmark_noise",
-        "landmark_outages",
-        "landmark_period",
-        "rotation",
-        "position",
-        "rotation_estimate",
-        "position_estimate",
-        "bias_estimate",
-        "end",
-    ],
-    meta_fields=["samples"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scenario:
     """One motion and its sensors. Numbers are traced; counts and choices are structure."""
 
-    samples: int
+    samples: int = field(metadata={"static": True})
     """N."""
     time_step: Array
     """[s]"""

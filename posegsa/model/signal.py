@@ -1,7 +1,6 @@
 """The error signal that a gain schedule looks at, and what it remembers from sample to sample."""
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
@@ -37,17 +36,13 @@ class TruePose(NamedTuple):
     """R^T P, so that P_err = P_est - R_est R^T P [m]."""
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["position_weight", "smoothing", "error_scale", "rate_scale"],
-    meta_fields=["signal", "rate"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SignalSettings:
     """How the error signal is made; `signal` and `rate` are structure, the numbers are traced."""
 
-    signal: Signal
-    rate: Rate
+    signal: Signal = field(metadata={"static": True})
+    rate: Rate = field(metadata={"static": True})
     """What the change of the signal is counted over."""
     position_weight: Array
     """Weight of the position part [1/m]."""

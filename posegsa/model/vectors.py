@@ -14,8 +14,7 @@ is made in each step, by components:
 with c_i the estimated bias, and without the divisions where vectors are not normalised.
 """
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -27,11 +26,7 @@ from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import Matrix3, Vec3, add, cross, dot, safe_sqrt, scale, subtract, unstack
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["weights", "cross_weight"],
-    meta_fields=["normalise", "cross", "each_agent"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class VectorSettings:
     """What is made of the vectors; the numbers are traced, the rest is structure."""
@@ -40,11 +35,11 @@ class VectorSettings:
     """s_i^R of each vector; None is 1 for all."""
     cross_weight: Array
     """s^R of the cross product of the first two."""
-    normalise: bool
+    normalise: bool = field(metadata={"static": True})
     """Whether vectors and references are brought to length 1 (Eq. 3)."""
-    cross: bool
+    cross: bool = field(metadata={"static": True})
     """Whether the cross product of the first two is added (Section V of the paper)."""
-    each_agent: bool
+    each_agent: bool = field(metadata={"static": True})
     """Whether what is made of them may differ from agent to agent, and so is made in the loop."""
 
 

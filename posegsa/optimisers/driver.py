@@ -20,13 +20,17 @@ OnDevices = Callable[[Callable[..., Any]], Callable[..., Any]]
 """Makes a function run on several devices, with the same arguments and the same result on each."""
 
 
+CHUNKS = 50
+"""Parts in which a search is run where nothing else is asked for; no result depends on it."""
+
+
 def runner(
     optimiser: Optimiser,
     objective: AnyObjective | Callable[..., AnyObjective],
     box: Box,
     *data: Any,
     until: Until | None = None,
-    on_host: bool = False,
+    python_objective: bool = False,
     on_devices: OnDevices | None = None,
 ) -> Runner:
     """What takes one search on, or R of them: compiled, or on the host what can't be.
@@ -40,20 +44,22 @@ def runner(
         box: Where to search. Of R searches it has leaves (R, ...), and so have the data.
         data: Arrays that the objective depends on; only for what can be compiled.
         until: As in `advance`.
-        on_host: As in `advance`.
+        python_objective: As in `advance`.
         on_devices: The devices that run the search; by default one.
     """
-    if not (on_host or optimiser.on_host):
+    if not (python_objective or optimiser.on_host):
         return lambda search, stop: _advance(
             optimiser, objective, on_devices, data, box, search, stop, until
         )
     costs: Any = objective.costs if isinstance(objective, Differentiable) else objective
-    costs = costs if on_host else jax.jit(costs)
+    costs = costs if python_objective else jax.jit(costs)
 
     def run(search: Search, stop: int) -> Search:
         if stop == 0:  # only to compile
             jax.block_until_ready(costs(jnp.tile(box.lower[None], (optimiser.agents, 1))))
-        return advance(optimiser, costs, box, search, stop, until, on_host=on_host)
+        return advance(
+            optimiser, costs, box, search, stop, until, python_objective=python_objective
+        )
 
     return run
 

@@ -100,7 +100,7 @@ def advance(
     stop: ArrayLike,
     until: Until | None = None,
     *,
-    on_host: bool = False,
+    python_objective: bool = False,
 ) -> Search:
     """Run a search on, from the iteration it has reached to `stop`.
 
@@ -123,8 +123,8 @@ def advance(
         stop: Number of iterations, counted from the start of the search, after which to stop; the
             search ends with those of the optimiser in any case.
         until: When to stop before that; by default never.
-        on_host: The objective is an ordinary Python function of a NumPy array, called once for
-            each iteration. Where gradients are wanted it returns costs and gradients.
+        python_objective: The objective is an ordinary Python function of a NumPy array, called once
+            for each iteration. Where gradients are wanted it returns costs and gradients.
 
     Returns:
         The search with `stop` iterations done, or fewer if it had nothing more to do.
@@ -132,7 +132,7 @@ def advance(
     Raises:
         ArgumentError: If the objective does not return one cost per agent.
     """
-    in_python = on_host or optimiser.on_host
+    in_python = python_objective or optimiser.on_host
     repeat = _while if in_python else lax.while_loop
     phases, begin = optimiser.phases, 0
     states = [search.state] if len(phases) == 1 else list(search.state)
@@ -148,7 +148,7 @@ def advance(
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, objective, box, on_host, in_python),
+            partial(_step, phase, objective, box, python_objective, in_python),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -178,13 +178,18 @@ def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Arr
 
 
 def _step(
-    phase: Optimiser, objective: Any, box: Box, on_host: bool, in_python: bool, search: Search
+    phase: Optimiser,
+    objective: Any,
+    box: Box,
+    python_objective: bool,
+    in_python: bool,
+    search: Search,
 ) -> Search:
     """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
     compiled = in_python and not phase.on_host
     asked, told = (_compiled_ask, _compiled_tell) if compiled else (ask, tell)
     positions = asked(phase, box, search)
-    if on_host:
+    if python_objective:
         found = objective(np.asarray(positions))
     else:
         given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)

@@ -20,14 +20,11 @@ from posegsa.arguments import (
     refuse,
 )
 from posegsa.optimisers.base import Optimiser
-from posegsa.optimisers.driver import in_chunks, runner
+from posegsa.optimisers.driver import CHUNKS, in_chunks, runner
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, start
 from posegsa.optimisers.search_box import Box
 from posegsa.optimisers.search_box import box as checked_box
-
-CHUNKS = 50
-"""How often `minimise` looks at the clock where it has a limit and no chunk."""
 
 
 def minimise(
@@ -43,7 +40,7 @@ def minimise(
     tolerance: float = 0.0,
     evaluations: int | None = None,
     seconds: float | None = None,
-    on_host: bool = False,
+    python_objective: bool = False,
     search: Search | None = None,
 ) -> Search:
     """Minimise a batched function over a box.
@@ -70,9 +67,9 @@ def minimise(
             with its gradient counts as several (`Optimiser.evaluations_per_agent`).
         seconds: Stop after the chunk in which this much time has passed, compiling included; where
             `chunk` is not given, a fiftieth of the iterations.
-        on_host: The objective is an ordinary Python function: it is given a NumPy array, and
-            called once for each iteration between compiled steps. Where gradients are wanted it
-            returns costs and gradients.
+        python_objective: The objective is an ordinary Python function: it is given a NumPy array,
+            and called once for each iteration between compiled steps. Where gradients are wanted
+            it returns costs and gradients.
         search: A search to go on with, such as `posegsa.load_search` or a callback gives; by
             default a new one. It goes on as if it had never stopped, to the last bit, and `key` is
             not used.
@@ -108,11 +105,13 @@ def minimise(
     until = _until(target, patience, tolerance)
     begin = partial(start, optimiser)
     if key.ndim > 0:
-        if on_host or optimiser.on_host:
+        if python_objective or optimiser.on_host:
             refuse(f"minimise: keys of shape {key.shape} on the host", "one key")
         box = jax.tree.map(lambda bound: jnp.broadcast_to(bound, (len(key), *bound.shape)), box)
         begin = jax.vmap(begin)
-    run = made_of_jax()(runner(optimiser, objective, box, until=until, on_host=on_host))
+    run = made_of_jax()(
+        runner(optimiser, objective, box, until=until, python_objective=python_objective)
+    )
 
     begun = time.monotonic()
     new = begin(box, key)

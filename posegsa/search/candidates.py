@@ -1,8 +1,7 @@
 """What a search chooses between: filters that differ in their gain schedule and in some numbers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
 import jax
@@ -15,7 +14,7 @@ from posegsa.model.signal import SignalSettings
 from posegsa.optimisers import Box
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["schedule", "values"], meta_fields=["keys"])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidate:
     """A gain schedule, and what it needs of the filter and its signal that others need not share.
@@ -26,7 +25,7 @@ class Candidate:
     schedule: GainSchedule
     values: tuple[Array, ...] = ()
     """Further numbers that were tuned, each in the unit of its key."""
-    keys: tuple[str, ...] = ()
+    keys: tuple[str, ...] = field(default=(), metadata={"static": True})
     """Their keys in the configuration (`config.tunable`)."""
 
     def values_by_key(self) -> dict[str, float]:
@@ -114,11 +113,7 @@ class ScheduleSpace(Protocol):
 Schedules = TypeVar("Schedules", bound=ScheduleSpace)
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["schedules", "also_lower", "also_upper"],
-    meta_fields=["keys", "logarithmic"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SearchSpace(Generic[Schedules]):
     """Where a search looks for candidates: a schedule's own numbers, then n further ones."""
@@ -128,9 +123,9 @@ class SearchSpace(Generic[Schedules]):
     """(n,) bounds of the further numbers, of their logarithms where these are searched."""
     also_upper: Array
     """(n,)"""
-    keys: tuple[str, ...]
+    keys: tuple[str, ...] = field(metadata={"static": True})
     """Of the further numbers."""
-    logarithmic: tuple[bool, ...]
+    logarithmic: tuple[bool, ...] = field(metadata={"static": True})
     """Whether the logarithm of each is searched."""
 
     @property
@@ -156,7 +151,7 @@ class SearchSpace(Generic[Schedules]):
         return self.schedules.valid(vector[: self.schedules.lower.shape[0]])
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["lower", "upper"], meta_fields=["make"])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SimpleSpace:
     """A kind of schedule with a few numbers, none of which needs a repair."""
@@ -165,7 +160,7 @@ class SimpleSpace:
     """(d,)"""
     upper: Array
     """(d,)"""
-    make: Callable[[Array], GainSchedule]
+    make: Callable[[Array], GainSchedule] = field(metadata={"static": True})
     """Maps a vector (d,) to the schedule."""
 
     def schedule(self, vector: Array) -> GainSchedule:

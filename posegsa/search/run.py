@@ -22,7 +22,7 @@ from posegsa.optimisers import (
     runner,
     start,
 )
-from posegsa.optimisers.driver import Runner
+from posegsa.optimisers.driver import CHUNKS, Runner
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
@@ -30,8 +30,6 @@ from posegsa.search.keys import keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost, population_costs
 
-CHUNKS = 50
-"""Parts in which a search reports its progress; results do not depend on it."""
 LONGEST_CHUNK = 2.0
 """Time after which a search reports all the same, if an iteration does not take longer [s]."""
 
@@ -131,7 +129,7 @@ def run_search(
     optimiser, search = problem.experiment.search, search or first_search(problem)
     if not optimiser.on_host:
         return _run_on_devices(problem, search, progress, keep)
-    run = runner(optimiser, on_all_devices(problem), problem.space.box, on_host=True)
+    run = runner(optimiser, on_all_devices(problem), problem.space.box, python_objective=True)
     return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
 

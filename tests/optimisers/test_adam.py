@@ -141,7 +141,7 @@ def test_polish_on_the_host_is_what_it_is_compiled() -> None:
         return np.asarray(bowl(x)), bowl_gradient(x)
 
     begin = start(polish, TARGET, random.key(5))
-    search = advance(polish, both, TARGET, begin, 100, on_host=True)
+    search = advance(polish, both, TARGET, begin, 100, python_objective=True)
     compiled = minimise(bowl, TARGET, polish, random.key(5))
     assert search.iteration == compiled.iteration == polish.total_iterations == 5
     np.testing.assert_allclose(search.history.best, compiled.history.best, rtol=1e-5)

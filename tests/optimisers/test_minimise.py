@@ -127,7 +127,7 @@ def test_an_ordinary_function_is_minimised_on_the_host(whole: Search) -> None:
         kinds.add(type(x))
         return [float(row @ row) for row in x]
 
-    search = minimise(plain, TARGET, SWARM, KEY, on_host=True, target=1e-3, chunk=10)
+    search = minimise(plain, TARGET, SWARM, KEY, python_objective=True, target=1e-3, chunk=10)
     assert kinds == {np.ndarray}
     assert search.best_cost <= 1e-3
     done = int(search.iteration)
@@ -144,7 +144,7 @@ def test_ask_and_tell_are_the_loop_taken_apart(whole: Search) -> None:
 
 def test_a_gradient_on_the_host() -> None:
     adam = Adam(agents=2, iterations=20, learning_rate=0.1)
-    search = minimise(lambda x: (np.sum(x**2, 1), 2 * x), TARGET, adam, KEY, on_host=True)
+    search = minimise(lambda x: (np.sum(x**2, 1), 2 * x), TARGET, adam, KEY, python_objective=True)
     assert search.best_cost < 0.02
 
 
@@ -163,7 +163,10 @@ def test_a_gradient_on_the_host() -> None:
         ({"patience": 1.5}, "patience = 1.5; allowed: a whole number from 1"),
         ({"tolerance": 0.1}, "tolerance = 0.1; allowed: with patience"),
         ({"tolerance": 0.1, "target": 1.0}, "tolerance = 0.1; allowed: with patience"),
-        ({"on_host": True, "key": jax.random.split(KEY, 2)}, r"keys of shape \(2,\) on the host"),
+        (
+            {"python_objective": True, "key": jax.random.split(KEY, 2)},
+            r"keys of shape \(2,\) on the host",
+        ),
     ],
 )
 def test_bad_arguments_are_refused_by_name(change: dict[str, Any], message: str) -> None:
@@ -183,7 +186,7 @@ def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
             TARGET,
             polish,
             KEY,
-            on_host=True,
+            python_objective=True,
             chunk=1,
             callback=lambda s: seen.append(int(s.iteration)),
         )
@@ -194,4 +197,4 @@ def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
 def test_costs_of_another_form_are_refused(costs: Any) -> None:
     swarm = RandomSearch(agents=6, iterations=2)
     with pytest.raises(ValueError, match=r"objective: costs are .*; allowed: .*numbers \(6,\)"):
-        minimise(lambda x: costs, TARGET, swarm, KEY, on_host=True)
+        minimise(lambda x: costs, TARGET, swarm, KEY, python_objective=True)
