@@ -222,7 +222,7 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
             rules=any_of(controller.rules),
             output_range=any_of((0.0, 100.0), (1.0, 0.0)),
             centroid=any_of("exact", "sampled"),
-            points=any_of(101),
+            sampled_points=any_of(101),
             sampled_rule=any_of("sum"),
             no_rule=any_of("hold"),
         ),

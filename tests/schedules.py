@@ -5,14 +5,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from evaluations import FILTERS, endurance
+from evaluations import FILTERS, endurance, trust
 from setups import paper, search_vectors
 
 import posegsa
 from posegsa.judging.evaluation import CONSTANT, TUNED, Contender, Evaluation
 from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult
-from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.search.population import cost_name
 
@@ -50,7 +49,7 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) 
             },
         ),
         "endurance": endurance(),
-        "trust": Trust(40.5, 40.5, 40.5, False, 0.0, np.zeros((5, 5))),
+        "trust": trust(cost_float32=40.5, cost_float64=40.5, cost_perturbed=40.5),
         "evaluations": 24,
         "non_finite": 0,
         "compile_seconds": 1.0,

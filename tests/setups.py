@@ -207,7 +207,7 @@ def reference_start(c: config.ScenarioConfig) -> np.ndarray:
 def motion(c: config.ScenarioConfig, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """True angular and linear velocity (N, 3), from the configured sines, at times (N,)."""
 
-    def profile(axes: config.Profile) -> np.ndarray:
+    def profile(axes: config.Sines) -> np.ndarray:
         return np.stack(
             [
                 sum((s.amplitude * np.sin(s.frequency * time + s.phase) for s in axis), 0 * time)

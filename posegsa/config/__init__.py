@@ -19,9 +19,9 @@ from posegsa.config.files import override as override
 from posegsa.config.files import to_toml as to_toml
 from posegsa.config.files import with_tuned as with_tuned
 from posegsa.config.scenario import Landmark as Landmark
-from posegsa.config.scenario import Profile as Profile
 from posegsa.config.scenario import ScenarioConfig as ScenarioConfig
 from posegsa.config.scenario import Sine as Sine
+from posegsa.config.scenario import Sines as Sines
 from posegsa.config.scenario import Vector as Vector
 from posegsa.config.schedule import INPUT_RANGE as INPUT_RANGE
 from posegsa.config.schedule import PARAMETERS as PARAMETERS

@@ -15,7 +15,7 @@ from posegsa.config.experiment import Experiment
 from posegsa.config.schedule import DEFAULT_ALSO
 from posegsa.errors import ConfigError
 from posegsa.optimisers import OPTIMISERS, Optimiser
-from posegsa.settings.violations import Violation, config_error, report
+from posegsa.settings.violations import Violation, config_error, violations_error
 
 MAX_BYTES = 2**20
 """Size up to which a configuration file is read: 1 MiB."""
@@ -93,7 +93,7 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     data = experiment.model_dump(mode="json") | {"search": {}}
     violations = [violation for text in settings if (violation := _set(data, text))]
     if violations:
-        raise report("settings that cannot be applied", violations)
+        raise violations_error("settings that cannot be applied", violations)
     data["search"] = _search(experiment.search, data["search"])
     named = [text.partition("=")[0].strip() for text in settings]
     if not any(_overlap(path, "parameters.also") for path in named):

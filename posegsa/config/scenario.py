@@ -78,11 +78,11 @@ class Landmark(Section):
 Interval = tuple[NonNegative, NonNegative]
 """Beginning and end [s]."""
 Axis = Annotated[tuple[Sine, ...], Field(max_length=64)]
-Profile = tuple[Axis, Axis, Axis]
+Sines = tuple[Axis, Axis, Axis]
 """A velocity over time: for each body axis x, y, z a sum of sines (an empty one is zero)."""
 
 
-def _profile(*axes: tuple[float, float, float]) -> Profile:
+def _sines(*axes: tuple[float, float, float]) -> Sines:
     """One sine per axis, each given by amplitude, frequency and phase."""
     x, y, z = ((Sine(amplitude=a, frequency=f, phase=p),) for a, f, p in axes)
     return (x, y, z)
@@ -96,9 +96,7 @@ class ScenarioConfig(Section):
     sampling_time: Positive = 0.01
     """Time from one sample to the next [s]."""
 
-    angular_velocity: Profile = _profile(
-        (1.0, 0.7, 0.0), (0.7, 0.5, math.pi), (0.5, 0.3, math.pi / 3)
-    )
+    angular_velocity: Sines = _sines((1.0, 0.7, 0.0), (0.7, 0.5, math.pi), (0.5, 0.3, math.pi / 3))
     """True angular velocity Omega, body frame [rad/s]: for each axis a sum of sines."""
     angular_velocity_bias: Vector3 = (0.1, -0.1, 0.1)
     """Bias b_Omega of the measured angular velocity, body frame [rad/s]."""
@@ -106,7 +104,7 @@ class ScenarioConfig(Section):
     """Standard deviation of the noise of each component of it, body frame [rad/s]."""
     angular_velocity_drift: NonNegative = 0.0
     """Intensity of the random walk of each component of its bias [rad/s/sqrt(s)]."""
-    velocity: Profile = _profile((0.3, 0.6, 0.0), (0.3, 0.4, 0.0), (0.3, 0.1, 0.0))
+    velocity: Sines = _sines((0.3, 0.6, 0.0), (0.3, 0.4, 0.0), (0.3, 0.1, 0.0))
     """True linear velocity V, body frame [m/s]: for each axis a sum of sines."""
     velocity_bias: Vector3 = (0.2, 0.5, 0.1)
     """Bias b_V of the measured linear velocity, body frame [m/s]."""

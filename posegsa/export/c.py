@@ -69,7 +69,7 @@ def export_c(result: TuneResult) -> str:
         filter=_comment(_settings(experiment.filter)),
         parameters=_comment(_wrapped(", ".join(f"{name}={k!r}" for name, k in parameters))),
         centroid=centroid.substitute(
-            points=controller.points,
+            points=controller.sampled_points,
             end_weight=_END_WEIGHT[controller.sampled_rule],
             low=repr(low),
             high=repr(high),

@@ -57,7 +57,7 @@ def export_json(result: TuneResult) -> str:
             "rule_indices": controller.rules,
             "output_range_1_s": controller.output_range,
             "centroid": controller.centroid,
-            "sampled_points": controller.points,
+            "sampled_points": controller.sampled_points,
             "sampled_rule": controller.sampled_rule,
             "no_rule": controller.no_rule,
             "initial_gain_1_s": initial_gain,

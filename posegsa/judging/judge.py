@@ -32,7 +32,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
 
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
     count = experiment.run.training_scenarios
-    tracks = {name: error_tracks(each, problem.everywhere) for name, each in candidates.items()}
+    tracks = {name: error_tracks(each, problem.scenarios) for name, each in candidates.items()}
     training = {
         name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
         for name, each in tracks.items()

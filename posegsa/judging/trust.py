@@ -61,7 +61,7 @@ def check(
 
     `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
     """
-    experiment, everywhere = problem.experiment, problem.everywhere
+    experiment, scenarios = problem.experiment, problem.scenarios
     training = slice(experiment.run.training_scenarios)
 
     def mean_cost(tracks: ErrorTrack) -> float:
@@ -71,7 +71,7 @@ def check(
     cost = mean_cost(own)
     assert isinstance(tuned.schedule, FuzzyGain)
     controller = tuned.schedule.controller
-    pushed = everywhere._replace(initial=_perturbed(everywhere.initial))
+    pushed = scenarios._replace(initial=_perturbed(scenarios.initial))
     perturbed = mean_cost(error_tracks(tuned, pushed))
     double = experiment.run.dtype == "float64"
     other = _cost_at("float32" if double else "float64", problem, tuned)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, random
 
-from posegsa.model.scenario import Bursts, Profile, Scenario, Sensed, Truth, integrate, measure
+from posegsa.model.scenario import Bursts, Scenario, Sensed, Sines, Truth, integrate, measure
 from posegsa.model.se3 import random_rotation
 
 Sensors = Literal["all", "vectors", "landmarks"]
@@ -121,14 +121,14 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     changed["landmarks"] = scenario.landmarks + family.landmark_spread * shift
     phase_keys = random.split(use["phase"], 2)
     for name, phase_key in zip(("angular_velocity", "velocity"), phase_keys, strict=True):
-        profile: Profile = getattr(scenario, name)
+        sines: Sines = getattr(scenario, name)
         if family.motion_scale is not None:
             factor = between(family.motion_scale, use["motion"])
-            profile = profile._replace(amplitude=factor * profile.amplitude)
+            sines = sines._replace(amplitude=factor * sines.amplitude)
         if family.random_phase:
-            turn = 2 * math.pi * unit(phase_key, *profile.phase.shape)
-            profile = profile._replace(phase=turn)
-        changed[name] = profile
+            turn = 2 * math.pi * unit(phase_key, *sines.phase.shape)
+            sines = sines._replace(phase=turn)
+        changed[name] = sines
     for name in ("vector_bias", "landmark_bias"):
         if (deviation := getattr(family, name)) is not None:
             changed[name] = deviation * normal(use[name], *getattr(scenario, name).shape)

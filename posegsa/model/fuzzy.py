@@ -183,7 +183,7 @@ class FuzzyController:
         output_range: ends of the output universe [1/s], for the sampled centroid's grid and for
             the mid-range.
         centroid: "exact" (closed form; needs ordered terms) or "sampled".
-        points: number of sample points of the sampled centroid, ends included.
+        sampled_points: number of sample points of the sampled centroid, ends included.
         sampled_rule: "sum" (MATLAB's) or "trapezoid".
         no_rule: gain where no rule fires, "hold" the last one or "midrange" of the output
             (MATLAB's).
@@ -201,7 +201,7 @@ class FuzzyController:
     rules: Rules = field(metadata={"static": True})
     output_range: tuple[float, float] = field(metadata={"static": True})
     centroid: Centroid = field(default="exact", metadata={"static": True})
-    points: int = field(default=101, metadata={"static": True})
+    sampled_points: int = field(default=101, metadata={"static": True})
     sampled_rule: SampledRule = field(default="sum", metadata={"static": True})
     no_rule: NoRule = field(default="hold", metadata={"static": True})
     reach: int | None = field(default=None, metadata={"static": True})
@@ -234,7 +234,7 @@ class FuzzyController:
                 for i, (_, bi, ci) in enumerate(triangles)
             )
         else:
-            points = jnp.linspace(*self.output_range, self.points, dtype=out.dtype)
+            points = jnp.linspace(*self.output_range, self.sampled_points, dtype=out.dtype)
             weights = jnp.ones_like(points)
             if self.sampled_rule == "trapezoid":
                 weights = weights.at[jnp.array([0, -1])].set(0.5)
@@ -362,9 +362,9 @@ def _check(controller: FuzzyController) -> None:
         if getattr(controller, name) not in get_args(kind):
             allowed = " or ".join(map(repr, get_args(kind)))
             raise FuzzyError(f"{name}: must be {allowed}, got {getattr(controller, name)!r}")
-    points, ends = controller.points, controller.output_range
+    points, ends = controller.sampled_points, controller.output_range
     if not isinstance(points, int) or points < 2:
-        raise FuzzyError(f"points: must be at least 2, got {points!r}")
+        raise FuzzyError(f"sampled_points: must be at least 2, got {points!r}")
     if not (isinstance(ends, tuple) and len(ends) == 2 and np.isfinite(_float64(ends)).all()):
         raise FuzzyError(f"output_range: must be a tuple of two finite numbers, got {ends!r}")
     if not ends[0] < ends[1]:

@@ -12,7 +12,7 @@ from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import move, quaternion, rotation_matrix, stack, unstack
 
 
-class Profile(NamedTuple):
+class Sines(NamedTuple):
     """A sum of sines for each of three axes, sum_j amplitude_j sin(frequency_j t + phase_j)."""
 
     amplitude: Array
@@ -48,9 +48,9 @@ class Scenario:
     """N."""
     time_step: Array
     """[s]"""
-    angular_velocity: Profile
+    angular_velocity: Sines
     """Omega, body frame [rad/s]."""
-    velocity: Profile
+    velocity: Sines
     """V, body frame [m/s]."""
     rest: Array
     """(r, 2) beginning and end [s] of each time at rest, where both velocities are 0."""

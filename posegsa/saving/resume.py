@@ -10,7 +10,7 @@ from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.judging.result import TuneResult
 from posegsa.saving.folder import as_path
 from posegsa.saving.run import load
-from posegsa.settings.violations import Refused, Violation, report
+from posegsa.settings.violations import Refused, Violation, violations_error
 
 
 def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool) -> Path:
@@ -65,7 +65,7 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
     except Refused as refused:
         problems += [problem.under(("search",)) for problem in refused.violations]
     if problems:
-        raise report("the run to go on with is of another experiment", problems)
+        raise violations_error("the run to go on with is of another experiment", problems)
     return stored.model_copy(update={"search": search, "checkpoint": asked.checkpoint})
 
 

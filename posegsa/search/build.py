@@ -18,7 +18,7 @@ from posegsa.model.family import Family, Occasions, realise
 from posegsa.model.filter import FilterSettings, VectorBias, initial_state
 from posegsa.model.fuzzy import Rules
 from posegsa.model.rollout import samples_of
-from posegsa.model.scenario import Bursts, Profile, Scenario, Truth
+from posegsa.model.scenario import Bursts, Scenario, Sines, Truth
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
@@ -34,7 +34,7 @@ class TuningProblem(NamedTuple):
 
     experiment: config.Experiment
     scenario: Scenario
-    everywhere: ScenarioBatch
+    scenarios: ScenarioBatch
     """Training scenarios, then held-out ones."""
     training: ScenarioBatch
     space: SearchSpace[ParameterSpace]
@@ -44,7 +44,7 @@ class TuningProblem(NamedTuple):
     @property
     def held_out(self) -> ScenarioBatch:
         """The scenarios that only judge."""
-        return self.everywhere.select(slice(self.experiment.run.training_scenarios, None))
+        return self.scenarios.select(slice(self.experiment.run.training_scenarios, None))
 
 
 def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None) -> TuningProblem:
@@ -60,12 +60,12 @@ def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None)
     keys = jnp.concatenate(
         [training_keys(seed, run.training_scenarios), held_out_keys(seed, run.held_out_scenarios)]
     )
-    everywhere = scenario_batch(experiment, one, keys)
+    scenarios = scenario_batch(experiment, one, keys)
     return TuningProblem(
         experiment=experiment,
         scenario=one,
-        everywhere=everywhere,
-        training=everywhere.select(slice(run.training_scenarios)),
+        scenarios=scenarios,
+        training=scenarios.select(slice(run.training_scenarios)),
         space=search_space(experiment, parameter_space(experiment)),
         cost=cost,
     )
@@ -126,21 +126,21 @@ def scenario(experiment: config.Experiment) -> Scenario:
     def array(values: object, *shape: int) -> Array:
         return jnp.asarray(np.asarray(values, dtype).reshape(shape))
 
-    def profile(axes: tuple[tuple[config.Sine, ...], ...]) -> Profile:
+    def sines(axes: tuple[tuple[config.Sine, ...], ...]) -> Sines:
         length = max(1, *(len(axis) for axis in axes))
         table = np.zeros((3, 3, length))
         for i, axis in enumerate(axes):
             for j, sine in enumerate(axis):
                 table[:, i, j] = sine.amplitude, sine.frequency, sine.phase
-        return Profile(*(array(t, 3, length) for t in table))
+        return Sines(*(array(t, 3, length) for t in table))
 
     n, m = len(c.vectors), len(c.landmarks)
     drift = [c.angular_velocity_drift] * 3 + [c.velocity_drift] * 3
     return Scenario(
         samples=c.samples,
         time_step=array(c.sampling_time),
-        angular_velocity=profile(c.angular_velocity),
-        velocity=profile(c.velocity),
+        angular_velocity=sines(c.angular_velocity),
+        velocity=sines(c.velocity),
         rest=array(c.rest, len(c.rest), 2),
         bias=array([*c.angular_velocity_bias, *c.velocity_bias], 6),
         bias_drift=array(drift, 6),
@@ -327,7 +327,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
         rules=rule_indices(fuzzy.rules),
         gain_range=parameters.gain_range,
         centroid=fuzzy.centroid,
-        points=fuzzy.sampled_points,
+        sampled_points=fuzzy.sampled_points,
         sampled_rule=fuzzy.sampled_rule,
         no_rule=fuzzy.no_rule,
         reach=_reach(parameters),

@@ -88,9 +88,9 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
     """Arrays of this process, the same in all of them, as arrays on every device of the mesh."""
     if mesh is None:
         return tree
-    everywhere = NamedSharding(mesh, PartitionSpec())
+    replicated = NamedSharding(mesh, PartitionSpec())
     if jax.process_count() == 1:
-        return jax.device_put(tree, everywhere)
+        return jax.device_put(tree, replicated)
 
     def one(leaf: jax.Array) -> jax.Array:
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
@@ -98,7 +98,7 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
                 one(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf)
             )
         here = np.asarray(leaf)
-        return jax.make_array_from_callback(here.shape, everywhere, lambda index: here[index])
+        return jax.make_array_from_callback(here.shape, replicated, lambda index: here[index])
 
     return jax.tree.map(one, tree)
 

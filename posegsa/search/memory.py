@@ -11,7 +11,7 @@ import numpy as np
 from posegsa import config
 from posegsa.errors import MemoryLimitError
 from posegsa.settings.fields import MAX_SAMPLES
-from posegsa.settings.violations import Violation, report
+from posegsa.settings.violations import Violation, violations_error
 
 COMPILER = 2**29
 """What JAX and its compiler take, whatever the experiment [bytes]."""
@@ -79,7 +79,7 @@ def check(experiments: Iterable[config.Experiment], held_out: int | None = None)
     title = (
         f"{several} would need about {_gib(total)} of memory; allowed: {_gib(there)}, what is free"
     )
-    raise MemoryLimitError(str(report(title, violations)))
+    raise MemoryLimitError(str(violations_error(title, violations)))
 
 
 def available() -> int | None:

@@ -48,7 +48,7 @@ class ParameterSpace:
     gain_range: tuple[float, float] = field(metadata=_STATIC)
     """Ends of the output universe [1/s]."""
     centroid: Centroid = field(metadata=_STATIC)
-    points: int = field(metadata=_STATIC)
+    sampled_points: int = field(metadata=_STATIC)
     sampled_rule: SampledRule = field(metadata=_STATIC)
     no_rule: NoRule = field(metadata=_STATIC)
     reach: int = field(metadata=_STATIC)
@@ -84,7 +84,7 @@ class ParameterSpace:
             rules=self.rules,
             output_range=self.gain_range,
             centroid=self.centroid,
-            points=self.points,
+            sampled_points=self.sampled_points,
             sampled_rule=self.sampled_rule,
             no_rule=self.no_rule,
             reach=self.reach,

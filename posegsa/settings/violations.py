@@ -62,14 +62,14 @@ def refusal(value: object, allowed: str) -> Refused:
     return Refused(Violation("", f"allowed: {allowed}", value))
 
 
-def report(title: str, violations: Iterable[Violation]) -> ConfigError:
+def violations_error(title: str, violations: Iterable[Violation]) -> ConfigError:
     """The error that lists these violations under a title."""
     return ConfigError("\n\n".join([title, *map(str, violations)]))
 
 
 def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> ConfigError:
     """The error that says under a title what pydantic found where it was to make a model."""
-    return report(title, violations_of(error, model))
+    return violations_error(title, violations_of(error, model))
 
 
 def violations_of(error: ValidationError, model: type[BaseModel]) -> list[Violation]:

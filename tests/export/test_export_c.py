@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evaluations import trust
 from schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 from setups import corner_vectors
 
 import posegsa
 from posegsa.export import export_c
 from posegsa.judging.result import TuneResult
-from posegsa.judging.trust import Trust
 from posegsa.words import toml
 
 CC = shutil.which("cc") or shutil.which("gcc")
@@ -231,7 +231,7 @@ def test_the_head_comment_says_what_it_is_worth():
     assert re.search(r"this schedule 40\.5 43\.25 \[37\.944, 48\.556\] 45\.25", text)
     assert re.search(r"gain 27\.5/s 44\.5 47\.5 \[36\.46, 58\.54\] 52\.5", text)
     assert "WARNING" not in text
-    sensitive = Trust(40.5, 44.0, 40.5, True, 0.0, np.zeros((5, 5)))
+    sensitive = trust(cost_float32=40.5, cost_float64=44.0, cost_perturbed=40.5, sensitive=True)
     assert "WARNING: SENSITIVE: training cost 40.5 in float32" in head(tuned(K, trust=sensitive))
 
 

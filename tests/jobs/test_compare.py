@@ -296,7 +296,7 @@ def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
         candidate = task.space.candidate(jnp.asarray(found.position, "float32"))
         one = jax.tree.map(lambda a: a[None], candidate)
         for cost, part in ((found.cost, slice(2)), (found.held_out, slice(2, None))):
-            costs = costs_by_scenario(one, task.everywhere.select(part))
+            costs = costs_by_scenario(one, task.scenarios.select(part))
             assert float(np.mean(costs)) == pytest.approx(cost, rel=1e-4)
 
 

@@ -137,7 +137,7 @@ def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem,
     knots = dataclasses.replace(tuned, schedule=KnotGain(times, jnp.float32([2.8, 2.0, 1.0])))
     again = replayed(problem, knots)
     assert (again.keys, again.values) == (knots.keys, knots.values)
-    tracks, replay = (error_tracks(one, problem.everywhere) for one in (knots, again))
+    tracks, replay = (error_tracks(one, problem.scenarios) for one in (knots, again))
     # All below the gain limit, which cuts the gain of each scenario by itself.
     np.testing.assert_allclose(replay.gain, tracks.gain, rtol=1e-4)
     np.testing.assert_allclose(replay.position, tracks.position, rtol=1e-4)

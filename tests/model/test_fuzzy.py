@@ -227,7 +227,10 @@ REFUSED = {
         {"rules": (*RULES[:4], (0, 0, 0, 0, -1))},
         "rules: entries must be.*0 to 4",
     ),
-    "points": ({"centroid": "sampled", "points": 1}, "points: must be at least 2, got 1"),
+    "sampled_points": (
+        {"centroid": "sampled", "sampled_points": 1},
+        "sampled_points: must be at least 2, got 1",
+    ),
     "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
     "negative reach": ({"reach": -1}, "reach: must be a whole number from 0, or None, got -1"),
     "short reach": ({"reach": 0}, "reach: must not be 0, as output terms 1 apart overlap"),

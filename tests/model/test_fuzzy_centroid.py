@@ -143,7 +143,7 @@ def test_sampled_sum_against_the_reference(points: int) -> None:
         reference.sampled_centroid(h, t, 0.0, 100.0, points)
         for h, t in zip(heights, outputs, strict=True)
     ]
-    gains = defuzzified(outputs, heights, centroid="sampled", points=points)
+    gains = defuzzified(outputs, heights, centroid="sampled", sampled_points=points)
     seen = np.isfinite(expected)  # a narrow term alone may lie between two points
     assert seen.sum() > 30
     # The grid points agree to rounding, and so do the memberships unless an edge is vertical.
@@ -176,7 +176,7 @@ def test_sampled_centroid_tends_to_the_exact_one(rule: str) -> None:
             np.abs(
                 exact
                 - defuzzified(
-                    outputs, heights, centroid="sampled", points=points, sampled_rule=rule
+                    outputs, heights, centroid="sampled", sampled_points=points, sampled_rule=rule
                 )
             )
         )

@@ -236,7 +236,7 @@ def test_a_controller_has_the_configured_choices() -> None:
     changes = ("fuzzy.centroid=sampled", "fuzzy.sampled_points=51", "fuzzy.sampled_rule=trapezoid")
     made = space(*changes, "fuzzy.no_rule=midrange", dtype="float32")
     controller = made.controller(jnp.asarray(search_vectors(1)[0], jnp.float32))
-    assert (controller.centroid, controller.points) == ("sampled", 51)
+    assert (controller.centroid, controller.sampled_points) == ("sampled", 51)
     assert (controller.sampled_rule, controller.no_rule) == ("trapezoid", "midrange")
     assert controller.rules == RULES
     assert controller.output_range == (0, 100)
