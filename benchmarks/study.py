@@ -51,10 +51,15 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "vectors' biases ignored": ("filter.vector_bias=off", without("filter.vector_bias_gain")),
     "gamma fixed": ("filter.gamma_law=fixed",),
     "gamma linear in K": ("filter.gamma_law=linear",),
+    "gain of the vectors' biases fixed": ("filter.vector_bias_law=fixed",),
+    "gain of the vectors' biases quadratic in K": ("filter.vector_bias_law=quadratic",),
     "nothing tuned beside k1 to k22": ("parameters.also=[]",),
     "weights not tuned": (
         without(
-            "scenario.vectors.0.weight", "scenario.landmarks.0.weight", "filter.cross_vector_weight"
+            "scenario.vectors.0.weight",
+            "scenario.vectors.1.weight",
+            "scenario.landmarks.0.weight",
+            "filter.cross_vector_weight",
         ),
     ),
     "smoothing and scales not tuned": (

@@ -13,7 +13,7 @@ from posegsa.model import se3
 from posegsa.model.filter import (
     FilterSettings,
     FilterState,
-    GammaLaw,
+    GainLaw,
     Innovation,
     Law,
     VectorBias,
@@ -56,6 +56,7 @@ def vector_bias(
     bound: float = 0.5,
     excitation: float = 0.2,
     excitation_time: float = 1.0,
+    follows: GainLaw = "fixed",
 ) -> VectorBias:
     """The law of the vectors' biases."""
     return VectorBias(
@@ -64,6 +65,7 @@ def vector_bias(
         per_bound=jnp.asarray(bound**-2, dtype),
         per_turning=jnp.asarray(excitation**-4, dtype),
         excitation_time=jnp.asarray(excitation_time, dtype),
+        law=follows,
     )
 
 
@@ -71,7 +73,7 @@ def settings(
     dtype: Any = np.float64,
     *,
     law: Law = "gradient",
-    gamma_law: GammaLaw = "fixed",
+    gamma_law: GainLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = 1.5,
     gamma: tuple[float, float] = GAMMA,

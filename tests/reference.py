@@ -68,6 +68,7 @@ class VectorBias:
     bound: float  # largest length of an estimate, in the vector's unit
     excitation: float  # w_0, angular velocity from which on all of the gain is used, rad/s
     excitation_time: float  # time constant of the low-pass filter of the angular velocity, s
+    law: GammaLaw = "fixed"  # how gamma_c follows the gain
 
 
 @dataclass(frozen=True)
@@ -189,18 +190,23 @@ def learn_vector_biases(
     sample: Sample,
     learning: float,
     law: VectorBias,
+    used: float,
 ) -> tuple[Array, Array]:
     """Vectors' biases (n, 3), and low-passed angular velocity (3,), at t_{k+1} from those at t_k.
 
     dc/dt = gamma_c (v^B - c - R_est^T v^I) - leak c, by one step of Euler's; gamma_c is multiplied
-    by learning and by min(1, (|w| / w_0)^4), w the low-passed measured angular velocity (backward
-    Euler) less its estimated bias. What is missing stays. Where a bias is longer than the bound, by
+    by learning, by 1, K_used / 10 or its square, and by min(1, (|w| / w_0)^4), w the low-passed
+    measured angular velocity (backward Euler) less its estimated bias; the step is 1 at most. What
+    is missing stays. Where a bias is longer than the bound, by
     a factor x, it is multiplied by max(0, (3 - x^2) / 2).
     """
     dt, R = sample.dt, T_est[:3, :3]
     turning = (law.excitation_time * turning + dt * sample.omega) / (law.excitation_time + dt)
     w = np.linalg.norm(turning - b_est[:3])
-    share = learning * law.gain * min(1.0, float(w / law.excitation) ** 4)
+    power = {"fixed": 0, "linear": 1, "quadratic": 2}[law.law]
+    follow = (used / 10.0) ** power
+    share = learning * law.gain * follow * min(1.0, float(w / law.excitation) ** 4)
+    share = min(share, 1.0 / dt)
     c_new = c_est.copy()
     for i in np.flatnonzero(sample.sR):
         residual = sample.vB[i] - c_est[i] - R.T @ sample.vI[i]
@@ -223,6 +229,7 @@ def filter_step(
     gamma_law: GammaLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = None,
+    gains_used: list[float] | None = None,
 ) -> tuple[Array, Array]:
     """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
@@ -242,6 +249,8 @@ def filter_step(
         K_used, hL = gain, h * curvature(T_est, *measured)
         if gain_limit is not None and hL > 0:
             K_used = min(gain, gain_limit / hL)
+        if gains_used is not None:
+            gains_used.append(K_used)
         g = np.repeat(np.array(gamma, np.float64), 3)
         if gamma_law != "fixed":
             power = {"linear": 1, "quadratic": 2}[gamma_law]
@@ -455,13 +464,20 @@ def run(
         seen = np.clip([e / error_scale, change * rate_scale], 0.0, 1.0)
         last = gain_function(float(seen[0]), float(seen[1]), last)
         rows.append((T_est, b_est, c_est, last, e, change, *true))
-        learnt = c_est, turning
+        gains: list[float] = []
+        stepped = filter_step(T_est, b_est, used, last, gains_used=gains, **step_options)
         if vector_bias is not None:
-            learnt = learn_vector_biases(
-                T_est, b_est, c_est, turning, sample, learning(time), vector_bias
+            c_est, turning = learn_vector_biases(
+                T_est,
+                b_est,
+                c_est,
+                turning,
+                sample,
+                learning(time),
+                vector_bias,
+                float(np.mean(gains)),
             )
-        T_est, b_est = filter_step(T_est, b_est, used, last, **step_options)
-        (c_est, turning), time = learnt, time + sample.dt
+        (T_est, b_est), time = stepped, time + sample.dt
     return Trajectory(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
 

@@ -9,7 +9,7 @@ from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
 from posegsa.config.tunable import AlsoTuned, also_conflicts, with_effect
-from posegsa.model.filter import GammaLaw, Law
+from posegsa.model.filter import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (
@@ -54,11 +54,11 @@ class FilterConfig(Section):
     law: Law = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
-    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
+    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 5.0
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""
-    gamma_law: GammaLaw = "quadratic"
+    gamma_law: GainLaw = "quadratic"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
@@ -69,12 +69,14 @@ class FilterConfig(Section):
     is taken off)."""
     cross_vector: Flag = True
     """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
-    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
+    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.1
     """Weight s^R of that vector, no unit."""
     vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated."""
-    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.7
+    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.2
     """Gain gamma_c of their law [1/s]."""
+    vector_bias_law: GainLaw = "linear"
+    """How gamma_c follows the gain K that is used; vector_bias_gain is what it is at K = 10/s."""
     vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
     """Rate at which an estimate is forgotten [1/s]."""
     vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5

@@ -95,19 +95,20 @@ from posegsa.model.se3 import (
 from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
 Law = Literal["gradient", "printed"]
-GammaLaw = Literal["fixed", "linear", "quadratic"]
+GainLaw = Literal["fixed", "linear", "quadratic"]
+"""How a gain of a bias law follows K: not at all, or with K or its square."""
 
 REFERENCE_GAIN = 10.0
-"""The gain K [1/s] at which gamma is what it is said to be, whatever follows the gain."""
+"""The gain K [1/s] at which gamma and gamma_c are what they are said to be, whatever follows it."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class VectorBias:
-    """How the vectors' biases are learnt; all traced."""
+    """How the vectors' biases are learnt; the numbers are traced."""
 
     gain: Array
-    """gamma_c [1/s]."""
+    """gamma_c at K = 10/s [1/s]."""
     leak: Array
     """Rate at which an estimate is forgotten [1/s]."""
     per_bound: Array
@@ -117,6 +118,8 @@ class VectorBias:
     """1 / w_0^4, w_0 the angular velocity [rad/s] from which on all of the gain is used."""
     excitation_time: Array
     """Time constant of the low-pass filter of the angular velocity [s]."""
+    law: GainLaw = field(metadata={"static": True})
+    """How gamma_c follows the gain."""
 
 
 @jax.tree_util.register_dataclass
@@ -125,7 +128,7 @@ class FilterSettings:
     """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced."""
 
     law: Law = field(metadata={"static": True})
-    gamma_law: GammaLaw = field(metadata={"static": True})
+    gamma_law: GainLaw = field(metadata={"static": True})
     """How gamma follows the gain."""
     substeps: int = field(metadata={"static": True})
     """n, inner steps per sample."""
@@ -349,13 +352,18 @@ def bias_gains(used: Array, sample: Sample, settings: FilterSettings) -> tuple[A
     gammas = settings.gamma_angular, settings.gamma_linear
     if settings.gamma_law == "fixed":
         return gammas
-    relative = used * (1 / REFERENCE_GAIN)
-    follow = relative if settings.gamma_law == "linear" else relative * relative
+    follow = _following(settings.gamma_law, used)
     linear = 0.5 / sample.time_step
     angular = linear / (1 + sample.reach)
     largest = used * angular, used * linear
     angular, linear = (minimum(g * follow, most) for g, most in zip(gammas, largest, strict=True))
     return angular, linear
+
+
+def _following(law: GainLaw, used: Array) -> Array | float:
+    """What a gain of a bias law is multiplied with while the gain K is used."""
+    relative = used * (1 / REFERENCE_GAIN)
+    return {"fixed": 1.0, "linear": relative, "quadratic": relative * relative}[law]
 
 
 def observe(
@@ -383,7 +391,7 @@ def observe(
     # A gain below 0 or NaN is none: it makes the estimate NaN, which everyone sees.
     gain = choose(gains.gain >= 0, gains.gain, jnp.nan)
     used_total = jnp.zeros_like(gain)
-    vector_biases, turning = _learn(state, sample, seen, gains.learning, settings)
+    before = state
     for j in range(n):
         U = innovation(state, sample, seen)
         W = correction(state, U, settings.law)
@@ -406,7 +414,9 @@ def observe(
             bias_angular=add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
             bias_linear=add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
         )
-    return state._replace(vector_biases=vector_biases, turning=turning), used_total / n
+    used = used_total / n
+    vector_biases, turning = _learn(before, sample, seen, gains.learning, used, settings)
+    return state._replace(vector_biases=vector_biases, turning=turning), used
 
 
 def _learn(
@@ -414,6 +424,7 @@ def _learn(
     sample: Sample,
     seen: Seen,
     learning: Array | float,
+    used: Array,
     settings: FilterSettings,
 ) -> tuple[tuple[Vec3, ...], Vec3 | tuple[()]]:
     """One step of the vectors' bias law: c_i, and the low-passed angular velocity, after it."""
@@ -425,7 +436,8 @@ def _learn(
     turning = add(turning, scale(new, subtract(sample.angular_velocity, turning)))
     w = subtract(turning, state.bias_angular)
     w2 = dot(w, w)
-    share = learning * dt * law.gain * minimum(law.per_turning * w2 * w2, 1.0)
+    gain = law.gain * _following(law.law, used)
+    share = minimum(learning * dt * gain * minimum(law.per_turning * w2 * w2, 1.0), 1.0)
     kept = 1 - dt * law.leak
     biases = []
     for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):

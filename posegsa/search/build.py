@@ -262,6 +262,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             per_bound=1 / number(section.vector_bias_bound) ** 2,
             per_turning=1 / number(section.excitation) ** 4,
             excitation_time=number(section.excitation_time),
+            law=section.vector_bias_law,
         )
         if learnt
         else None,

@@ -92,13 +92,10 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     assert {key: value for key, value in changed.items() if key not in search} == {
         **ONE_START,
         "run.training_scenarios": 1,
-        "filter.gamma": 5.0,
         "filter.gamma_law": "fixed",
         "filter.substeps": 1,
         "filter.cross_vector_weight": 1.0,
         "filter.vector_bias": "off",
-        "filter.vector_bias_gain": 0.5,
-        "filter.excitation": 0.2,
         "gain.smoothing": 0.0,
         "gain.error_scale": 1.0,
     }
@@ -259,7 +256,7 @@ words = {
         "signal": ("measured", "pose"),
         "no_rule": ("hold", "midrange"),
         "term": config.TERMS,
-        "gamma_law": ("fixed", "linear", "quadratic"),
+        "gain_law": ("fixed", "linear", "quadratic"),
         "vector_bias": ("off", "estimated"),
     }.items()
 }
@@ -314,11 +311,12 @@ def experiments(draw: st.DrawFn) -> Experiment:
             "filter": {
                 "gamma": draw(non_negative | st.tuples(non_negative, non_negative)),
                 "gain_limit": draw(positive | st.just("off")),
-                "gamma_law": draw(words["gamma_law"]),
+                "gamma_law": draw(words["gain_law"]),
                 "cross_vector": False,
                 "normalise_vectors": draw(st.booleans()),
                 "vector_bias": draw(words["vector_bias"]),
                 "vector_bias_bound": draw(positive),
+                "vector_bias_law": draw(words["gain_law"]),
             },
             "family": {
                 "vector_bias": draw(non_negative | st.just("off")),

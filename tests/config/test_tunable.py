@@ -118,7 +118,8 @@ def keys_of(experiment: config.Experiment) -> set[str]:
         (["filter.gamma=[3.0, 4.0]"], {"filter.gamma"}),
         (["gain.smoothing=1.0", "filter.vector_bias=off"], {"gain.smoothing"} | OF_BIAS),
         (["scenario.vectors.0.weight=1.0"], {"scenario.vectors.0.weight"}),
-        (["scenario.vectors.1.weight=1.0"], set()),
+        (["scenario.vectors.1.weight=1.0"], {"scenario.vectors.1.weight"}),
+        (["scenario.vectors.1.noise=0.2"], set()),
     ],
 )
 def test_of_the_default_list_what_is_stated_or_without_effect_is_not_tuned(settings, gone) -> None:
@@ -128,7 +129,8 @@ def test_of_the_default_list_what_is_stated_or_without_effect_is_not_tuned(setti
 def test_so_it_is_of_a_file_and_of_python() -> None:
     stated = {"filter": {"gamma": 3.0, "vector_bias": "off"}, "scenario": {"duration": 60.0}}
     assert keys_of(config.from_dict(stated)) == RECOMMENDED - OF_BIAS - {"filter.gamma"}
-    both = stated | {"parameters": {"also": [config.Experiment().parameters.also[2]]}}
+    (gamma,) = (one for one in config.Experiment().also if one.key == "filter.gamma")
+    both = stated | {"parameters": {"also": [gamma]}}
     assert keys_of(config.from_dict(both)) == {"filter.gamma"}, "stated, and asked for"
     python = config.Experiment(filter=config.FilterConfig(vector_bias="off"))
     assert keys_of(python) == RECOMMENDED - OF_BIAS

@@ -93,6 +93,7 @@ def reference_run(
         bound=f.vector_bias_bound,
         excitation=f.excitation,
         excitation_time=f.excitation_time,
+        law=f.vector_bias_law,
     )
     return reference.run(
         reference_samples(measurements),
@@ -231,6 +232,7 @@ CHAINS = {
             "filter.excitation_time=0.3",
             "filter.substeps=2",
             "filter.gamma_law=quadratic",
+            "filter.vector_bias_law=quadratic",
             "gain.smoothing=0.02",
         ),
         missing=0.3,
