@@ -146,7 +146,7 @@ def learnt(
 
 @pytest.mark.usefixtures("x64")
 def test_without_noise_pose_and_all_biases_converge_while_the_body_turns() -> None:
-    # The paper's motion, start and vector biases; learning begins when the error is small.
+    # The paper's motion and start; learning begins when the error is small.
     schedule = SwitchGain(*(jnp.asarray(x) for x in (50.0, 5.0, 6.0, 2.0)))
     s = quietly(experiment(**VECTORS_BIASED, duration=120.0))
     truth, estimates = learnt(s, learning(), schedule)

@@ -138,8 +138,16 @@ def in_both_precisions(*settings: str, limit: bool) -> tuple[np.ndarray, np.ndar
     return costs[0], costs[1]
 
 
-def test_with_the_gain_limit_every_agent_costs_the_same_in_both_precisions() -> None:
-    single, double = in_both_precisions(limit=True)
+LEARNT = (
+    *("filter.vector_bias=estimated", "filter.vector_bias_law=linear"),
+    *("filter.gamma_law=quadratic", "filter.substeps=2", "gain.smoothing=1.5"),
+)
+"""The laws of the recommended filter."""
+
+
+@pytest.mark.parametrize("settings", [(), LEARNT], ids=["paper", "biases learnt"])
+def test_with_the_gain_limit_every_agent_costs_the_same_in_both_precisions(settings) -> None:
+    single, double = in_both_precisions(*settings, limit=True)
     np.testing.assert_allclose(single, double, rtol=1e-4)  # measured over 300 agents: 2e-5
 
 
