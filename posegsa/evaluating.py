@@ -12,6 +12,7 @@ from posegsa.judging.evaluation import (
     CONTENDERS,
     EKF,
     EKF_VECTORS,
+    REPLAYED,
     Description,
     contender,
     evaluation,
@@ -93,12 +94,16 @@ def _all_found(
     known = {name: each.filter for name, each in result.evaluation.contenders.items()}
     space, evaluations = problem.space.schedules, problem.experiment.search.evaluations
     find: dict[str, Callable[[], Description]] = {
-        name: partial(_described, search, space, evaluations)
+        name: partial(_described, search, space, 0 if name == REPLAYED else evaluations)
         for name, search in schedule_baselines(problem, result.candidate).items()
     }
     for name in (EKF, EKF_VECTORS):
         find[name] = partial(
-            tune_kalman, problem.experiment, problem.scenario, vector_biases=name == EKF_VECTORS
+            tune_kalman,
+            problem.experiment,
+            problem.scenario,
+            vector_biases=name == EKF_VECTORS,
+            cost=problem.cost,
         )
     for name, search in find.items():
         if name not in known:

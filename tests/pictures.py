@@ -14,6 +14,7 @@ def history(iterations=40, non_finite=0):
 def trajectory(samples=301, **values):
     rng = np.random.default_rng(0)
     shapes = {"euler": 3, "euler_est": 3, "position": 3, "position_est": 3, "bias_est": 6}
+    shapes |= {"vector_bias_est": 6, "vector_bias_error": 2}
     names = Trajectory.__dataclass_fields__
     drawn = {
         n: rng.uniform(0.1, 80, (samples, shapes[n]) if n in shapes else samples) for n in names

@@ -6,6 +6,7 @@ import sys
 from posegsa import evaluating
 from posegsa.arguments import MAX_INTEGER
 from posegsa.cli.arguments import whole_number
+from posegsa.judging.evaluation import CONSTANT
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.run import load, write_run
 
@@ -38,6 +39,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         )
         write_run(result, folder)
     print(result.evaluation.table())
+    print(f"\n{result.endurance.table(CONSTANT)}")
+    for warning in result.warnings():
+        print(f"  warning: {warning}")
     print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0
 

@@ -1,14 +1,14 @@
 """The whole experiment, and the sections that are about running, filtering and judging."""
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, ValidationError, model_validator
 
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
-from posegsa.config.tunable import AlsoTuned, also_conflicts, with_effect
+from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
 from posegsa.model.filter import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
@@ -22,7 +22,7 @@ from posegsa.settings.fields import (
     Section,
     Tunable,
 )
-from posegsa.settings.violations import Violation
+from posegsa.settings.violations import Violation, violations_of
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
@@ -162,6 +162,29 @@ class Experiment(Section):
         """The further numbers that are tuned: those of the default list have an effect here."""
         return with_effect(self, self.parameters.also, needless=DEFAULT_ALSO)
 
+    def _conflicts_of_bounds(self) -> Iterator[Violation]:
+        """What of the rest would be wrong if all that is tuned too stood at one of its bounds."""
+        for name in ("lower", "upper") if self.also else ():
+            values = {one.key: getattr(one, name) for one in self.also}
+            data = with_numbers(self.model_dump(mode="json"), values)
+            data["parameters"]["also"] = []
+            try:
+                type(self).model_validate(data)
+            except ValidationError as error:
+                for violation in violations_of(error, type(self)):
+                    reason = f"with all of them at their {name} bound: {violation}"
+                    yield Violation("parameters.also", reason)
+
+    @model_validator(mode="after")
+    def _leave_what_is_stated(self) -> Self:
+        """Of the default list, a number that the user states elsewhere is not tuned."""
+        given = self.parameters
+        if "also" not in given.model_fields_set:
+            kept = tuple(one for one in given.also if not is_stated(self, one.key))
+            # Frozen for everyone else.
+            object.__setattr__(self, "parameters", given.model_copy(update={"also": kept}))
+        return self
+
     def _conflicts(self) -> Iterator[Violation]:
         samples = self.scenario.samples
         for key, window in self.cost:
@@ -181,7 +204,8 @@ class Experiment(Section):
             )
         weight = self.filter.cross_vector_weight if self.filter.cross_vector else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        yield from also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO)
+        wrong = list(also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO))
+        yield from wrong or self._conflicts_of_bounds()
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:

@@ -16,8 +16,8 @@ Off = Literal["off"]
 class Occasions(Section):
     """Something that happens now and then in each scenario."""
 
-    rate: NonNegative = 0.05
-    """How often it begins while it is not there [1/s]."""
+    rate: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.05
+    """How often it begins while it is not there [1/s], at most once a second."""
     duration: Range = (1.0, 5.0)
     """How long it lasts [s], minimum and maximum."""
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from posegsa.arguments import check_type, several
 from posegsa.config.experiment import Experiment
-from posegsa.config.schedule import DEFAULT_ALSO
+from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
@@ -35,8 +35,7 @@ def load(path: str | Path) -> Experiment:
         ConfigError: If the file cannot be read, is not TOML or is not a valid experiment.
     """
     check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
-    data = _without_stated(_parse(_read(path), path))
-    return _validated(data, f"{path} is not a valid experiment")
+    return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:
@@ -63,7 +62,7 @@ def from_dict(data: Mapping[str, Any]) -> Experiment:
     Raises:
         ConfigError: If the data are not a valid experiment.
     """
-    return _validated(_without_stated(data), "not a valid experiment")
+    return _validated(data, "not a valid experiment")
 
 
 def to_toml(experiment: Experiment) -> str:
@@ -111,12 +110,12 @@ def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experimen
 
     Each stays within its bounds, which rounding to the run's precision may have passed.
     """
-    data = experiment.model_dump(mode="json")
     bounds = {one.key: (one.lower, one.upper) for one in experiment.also}
-    for key, value in values.items():
-        lower, upper = bounds.get(key, (value, value))
-        violation = _set(data, f"{key}={min(max(value, lower), upper)!r}")
-        assert violation is None  # the key is one of the experiment
+    within = {
+        key: min(max(value, bounds[key][0]), bounds[key][1]) if key in bounds else value
+        for key, value in values.items()
+    }
+    data = with_numbers(experiment.model_dump(mode="json"), within)
     return _validated(data, "not a valid experiment with the tuned numbers")
 
 
@@ -124,28 +123,6 @@ def _overlap(one: str, other: str) -> bool:
     """Whether one of two keys is the other, or stands within it."""
     one, other = f"{one}.", f"{other}."
     return one.startswith(other) or other.startswith(one)
-
-
-def _without_stated(data: Any) -> Any:
-    """Data whose default list of what is tuned too lacks the numbers that they state themselves."""
-    parameters = data.get("parameters", {}) if isinstance(data, Mapping) else None
-    if not isinstance(parameters, Mapping) or "also" in parameters:
-        return data
-    also = [
-        one.model_dump() for one in DEFAULT_ALSO if not _is_stated(data, tuple(one.key.split(".")))
-    ]
-    return {**data, "parameters": {**parameters, "also": also}}
-
-
-def _is_stated(data: Any, path: tuple[str, ...]) -> bool:
-    """Whether plain data have a value at a path of keys and array indices."""
-    if not path:
-        return True
-    if isinstance(data, Mapping):
-        return path[0] in data and _is_stated(data[path[0]], path[1:])
-    if isinstance(data, list | tuple) and path[0].isdecimal():
-        return int(path[0]) < len(data) and _is_stated(data[int(path[0])], path[1:])
-    return False
 
 
 def _validated(data: object, title: str) -> Experiment:

@@ -1,6 +1,6 @@
 """Numbers beside k1..k22 that a search may tune: of the filter, its error signal, its weights."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 from pydantic import ValidationError
@@ -80,6 +80,31 @@ def with_effect(
     """Numbers that an experiment wants tuned too, without those of `needless` that do nothing."""
     places = tunable(experiment)
     return tuple(one for one in also if one.key in places or one not in needless)
+
+
+def is_stated(section: Any, key: str) -> bool:
+    """Whether a user has given the number of a key, or left its default."""
+    for name in key.split("."):
+        if isinstance(section, Section):
+            if name not in section.model_fields_set:
+                return False
+            section = getattr(section, name)
+        elif name.isdecimal() and isinstance(section, tuple) and int(name) < len(section):
+            section = section[int(name)]
+        else:  # a number stands where there could be several
+            return True
+    return True
+
+
+def with_numbers(data: dict[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
+    """An experiment as plain data with the numbers of some keys replaced, in place."""
+    for key, value in values.items():
+        *path, last = key.split(".")
+        node: Any = data
+        for name in path:
+            node = node[int(name) if isinstance(node, list) else name]
+        node[int(last) if isinstance(node, list) else last] = value
+    return data
 
 
 def also_conflicts(

@@ -28,17 +28,19 @@ _END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
 _FORMULAS = {
     "measured": """\
     attitude = 3 / (8 sum_i s_i) sum_i s_i |R_est v_i^B - v_i^I|^2   [no unit]
-        over the vectors i measured in this sample, s_i their weights; 0 without any
+        over the vectors i measured in this sample, s_i their weights; without any its last value,
+        0 at first
     position = sum_i w_i |T_est y_i - p_i| / sum_i w_i   [m]
-        over the landmarks i measured in this sample, w_i their weights; 0 without any""",
+        over the landmarks i measured in this sample, w_i their weights; likewise""",
     "pose": """\
     attitude = tr(I - R_err) / 4, R_err = R_est R^T   [0 to 1, no unit]
     position = |P_est - R_err P|   [m]""",
 }
 _SYMBOLS = {
     "measured": "R_est: estimated attitude, body to inertial frame; T_est y = R_est y + P_est [m]; "
-    "v_i^B: vector as measured, body frame; v_i^I: the same vector, inertial frame; y_i: landmark "
-    "as measured, body frame [m]; p_i: its place, inertial frame [m]. In the run's scenario:",
+    "v_i^B: vector as the filter uses it, body frame; v_i^I: the same vector, inertial frame; y_i: "
+    "landmark as measured, body frame [m]; p_i: its place, inertial frame [m]. In the run's "
+    "scenario:",
     "pose": "An oracle, for simulation only: R (body to inertial frame) and P [m] are the TRUE "
     "attitude and position, R_est and P_est the estimated ones. A vehicle does not have them.",
 }
@@ -136,7 +138,8 @@ def _signal(experiment: Experiment) -> list[str]:
         f"    now = attitude + {gain.position_weight!r} x position",
         f"    {smoothed if gain.smoothing > 0 else 'e = now'}",
         f"    error = e / {gain.error_scale!r}",
-        f"    rate = |e - before| x {gain.rate_scale!r}",
+        f"    rate = |e - before|{' / dt' if gain.rate == 'per_second' else ''} "
+        f"x {gain.rate_scale!r}",
         "    before is e of the sample before, and now at the first sample: there rate is 0",
         *_wrapped(_SYMBOLS[gain.signal]),
         *(_known(experiment) if gain.signal == "measured" else []),
@@ -153,6 +156,12 @@ def _known(experiment: Experiment) -> list[str]:
     ]
     if used.cross_vector:
         rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {used.cross_vector_weight!r}")
+    if used.vector_bias == "estimated":
+        rows += [
+            "  c_i, its estimated bias, is taken off each measured vector first, body frame:",
+            "      dc_i/dt = gamma_c (v_i^B as measured - c_i - R_est^T v_i^I) - leak c_i,",
+            "      gamma_c, leak and bound as vector_bias_... below, R_est before the step",
+        ]
     if used.normalise_vectors:
         rows.append("  all of them at length one, v_i^B and v_i^I")
     rows += [

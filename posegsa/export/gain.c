@@ -18,7 +18,7 @@ $signal
  *     for each sample: gain = posegsa_gain(error, rate, gain);
  *
  * INPUTS OUT OF THE ORDINARY
- * Never NaN. error or rate NaN (a measurement that is missing): last_gain, whatever the rule where
+ * Never NaN. error or rate NaN: last_gain, whatever the rule where
  * no rule fires. last_gain NaN: posegsa_initial_gain() in its place. Infinite error or rate:
  * clipped. With -ffast-math a compiler may take the checks for NaN away.
  *

@@ -63,7 +63,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     for side in (ax.xaxis, ax.yaxis):
         side.set_ticks((0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1))
         side.set_major_formatter("{x:g}")
-    ax.set(xlabel="Scaled error [-]", ylabel="Scaled rate, per sample [-]")
+    ax.set(xlabel="Scaled error [-]", ylabel="Scaled rate [-]")
     return figure
 
 

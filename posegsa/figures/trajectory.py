@@ -18,6 +18,8 @@ _BIASES = (
 )
 
 _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
+_EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
+"""Colours of vectors."""
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
 
 
@@ -86,6 +88,30 @@ def plot_position(trajectory: Trajectory) -> Figure:
     labels = [f"${axis}$ [m]" for axis in "xyz"]
     pair = trajectory.position, trajectory.position_est
     return _true_and_estimated(trajectory.time, pair, labels, [1, 2, 5, 10])
+
+
+@captioned(
+    FIGURES,
+    name="vector_biases",
+    title="Biases of the vectors",
+    caption="How far each estimated bias is from the true one. It falls while the body turns, and "
+    "then stays at what the noise of the vectors leaves.",
+)
+def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
+    """Errors of the vectors' estimated biases over time [s]; None where none are estimated."""
+    errors = trajectory.vector_bias_error
+    if errors.shape[1] == 0:
+        return None
+    figure, (ax,) = style.panels(1, 3.4)
+    for i, values in enumerate(errors.T):
+        label, colour = f"vector {i + 1}", _EACH[i % len(_EACH)]
+        ax.plot(trajectory.time, finite(values), label=label, color=colour, linewidth=1.2)
+    ax.grid(axis="y", color="0.88", linewidth=0.6)
+    style.scale_errors(ax, finite(errors))
+    ax.set_ylabel("Error of the bias [vector's unit]")
+    style.finish_time([ax], trajectory.time)
+    style.legend_above(figure, ax)
+    return figure
 
 
 def _true_and_estimated(

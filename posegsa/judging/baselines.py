@@ -174,14 +174,18 @@ def _searched(experiment: config.Experiment) -> config.Experiment:
     """The experiment with an optimiser that searches any schedule in a compiled loop."""
     own: Optimiser = experiment.search
     if own.on_host or any(phase.wants_gradients for phase in own.phases):
-        return config.override(experiment, ["search.optimiser=de"])
+        agents = max(own.agents, 4)  # as many as it needs
+        iterations = max(1, own.evaluations // agents)
+        size = [f"search.agents={agents}", f"search.iterations={iterations}"]
+        return config.override(experiment, ["search.optimiser=de", *size])
     return experiment
 
 
 def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
-    """The tuned filter's own gains over time, the mean over training scenarios, without feedback.
+    """The tuned filter's own gains over time, without feedback.
 
-    What the tuned schedule costs less than this is what looking at the error brings.
+    They are the geometric mean over the training scenarios. What the tuned schedule costs less than
+    this is what looking at the error brings.
     """
     training: ScenarioBatch = problem.training
     gain = np.asarray(error_tracks(tuned, training).gain, np.float64)

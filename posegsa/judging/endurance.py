@@ -14,6 +14,7 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
 from posegsa.settings.arrays import Numbers
 from posegsa.settings.fields import MAX_SAMPLES
+from posegsa.words import text_table
 
 PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
@@ -37,6 +38,21 @@ class Endurance(NamedTuple):
     def rows(self) -> list[tuple[float, ...]]:
         """The windows one by one, in the order of the fields."""
         return list(zip(*(each.tolist() for each in self), strict=True))
+
+    def table(self, constant: str) -> str:
+        """The windows as text for a person; `constant` is what the other filter is called."""
+        rows = [["RMS error", "tuned", "", constant, ""]]
+        for begin, end, attitude, position, other_attitude, other_position in self.rows():
+            rows.append(
+                [
+                    f"{begin:g} to {end:g} s",
+                    f"{attitude:.2f} deg",
+                    f"{100 * position:.1f} cm",
+                    f"{other_attitude:.2f} deg",
+                    f"{100 * other_position:.1f} cm",
+                ]
+            )
+        return text_table(rows)
 
     def worse(self) -> list[str]:
         """Where the tuned filter is worse than the constant gain after the first window."""

@@ -104,12 +104,12 @@ COSTS: _Columns = (
 )
 """Columns of the table of costs, from a `Summary`."""
 BEHAVIOUR: _Columns = (
-    ("Transient\npart", ".2f", lambda m: np.mean(m.transient)),
-    ("Steady\npart", ".2f", lambda m: np.mean(m.steady)),
+    ("Cost of the\nfirst window", ".2f", lambda m: np.mean(m.transient)),
+    ("Cost of the\nsecond", ".2f", lambda m: np.mean(m.steady)),
     ("Attitude\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_attitude)),
     ("Position\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_position)),
-    ("Steady\nattitude\nRMS [deg]", ".2f", lambda m: np.mean(m.rms_attitude)),
-    ("Steady\nposition\nRMS [cm]", ".1f", lambda m: 100 * np.mean(m.rms_position)),
+    ("Attitude\nRMS, second\nwindow [deg]", ".2f", lambda m: np.mean(m.rms_attitude)),
+    ("Position\nRMS, second\nwindow [cm]", ".1f", lambda m: 100 * np.mean(m.rms_position)),
     ("Bias error,\nangular\n[rad/s]", ".3f", lambda m: np.mean(m.bias_angular)),
     ("Bias error,\nlinear\n[m/s]", ".3f", lambda m: np.mean(m.bias_linear)),
 )

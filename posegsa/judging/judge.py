@@ -5,7 +5,7 @@ import numpy as np
 
 from posegsa.config import with_tuned
 from posegsa.judging import trust
-from posegsa.judging.baselines import best_constant, describe, search_baseline
+from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, describe, search_baseline
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
@@ -25,9 +25,10 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     # Without further numbers a constant gain is found on a grid; with them by a search like theirs.
     constant = search_baseline(problem, "constant") if tuned.keys else best_constant(problem)
     candidates = {TUNED: tuned, CONSTANT: constant}
+    evaluations = experiment.search.evaluations
+    spent = {TUNED: evaluations, CONSTANT: evaluations if tuned.keys else CONSTANT_GAINS}
     descriptions = {
-        name: describe(each, space.schedules, experiment.search.evaluations)
-        for name, each in candidates.items()
+        name: describe(each, space.schedules, spent[name]) for name, each in candidates.items()
     }
 
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
@@ -62,7 +63,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         evaluation=evaluation(contenders, problem.held_out),
         endurance=endurance(experiment, tuned, constant),
         trust=trust.check(problem, tuned, tracks[TUNED], trajectory),
-        evaluations=experiment.search.evaluations,
+        evaluations=evaluations,
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,
         search_seconds=found.search_seconds,

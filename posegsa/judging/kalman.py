@@ -17,7 +17,7 @@ from posegsa.model.scenario import Scenario
 from posegsa.optimisers import Box, DifferentialEvolution, runner, start
 from posegsa.search.build import scenario_batch
 from posegsa.search.keys import keys, training_keys
-from posegsa.search.population import ScenarioBatch, over_scenarios
+from posegsa.search.population import ScenarioBatch, TrackCost, over_scenarios
 
 AGENTS = 20
 CHECKED = 200
@@ -58,9 +58,13 @@ def kalman_scenarios(
 
 
 def tune_kalman(
-    experiment: config.Experiment, one: Scenario, *, vector_biases: bool
+    experiment: config.Experiment,
+    one: Scenario,
+    *,
+    vector_biases: bool,
+    cost: TrackCost | None = None,
 ) -> Description:
-    """The noises of lowest cost on the run's training scenarios.
+    """The noises of lowest cost on the run's training scenarios; a user's own if there is one.
 
     Differential evolution in their logarithms, until CHECKED evaluations bring less than ENOUGH.
     """
@@ -77,7 +81,7 @@ def tune_kalman(
     optimiser = DifferentialEvolution(
         agents=AGENTS, iterations=MOST // AGENTS, strategy="best/1/bin", factor=0.6
     )
-    go = runner(optimiser, _Objective(experiment.objective, tuple(names)), box, training)
+    go = runner(optimiser, _Objective(experiment.objective, tuple(names), cost), box, training)
     search, before = start(optimiser, box, keys(run.seed).baselines), math.inf
     chunk = CHECKED // AGENTS
     for stop in range(chunk, optimiser.iterations + 1, chunk):
@@ -121,19 +125,25 @@ class _Objective(NamedTuple):
 
     objective: config.ObjectiveConfig
     names: tuple[str, ...]
+    cost: TrackCost | None
 
     def __call__(self, training: ScenarioBatch):
         """As a function of the noises' logarithms (A, d)."""
 
         def costs(vectors: Array) -> Array:
-            def on_scenario(scenario: tuple[Samples, FilterState]) -> Array:
+            def on_scenario(scenario: tuple[Samples, FilterState, Array | None]) -> Array:
+                samples, initial, end = scenario
+                weights = training.weights.until(samples.time, end)
+
                 def agent(vector: Array) -> Array:
-                    noises = dict(zip(self.names, jnp.exp(vector), strict=True))
-                    return ekf_cost(*scenario, training.weights, _noise(noises)).total
+                    noise = _noise(dict(zip(self.names, jnp.exp(vector), strict=True)))
+                    if self.cost is not None:
+                        return self.cost(ekf_errors(samples, initial, noise), samples.time)
+                    return ekf_cost(samples, initial, weights, noise).total
 
                 return jax.vmap(agent)(vectors)
 
-            by_scenario = lax.map(on_scenario, (training.samples, training.initial))
+            by_scenario = lax.map(on_scenario, (training.samples, training.initial, training.end))
             return over_scenarios(by_scenario, self.objective)
 
         return costs

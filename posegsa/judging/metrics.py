@@ -99,8 +99,10 @@ def metrics_of(
     distance, position, gain, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
     angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(distance, 0, 1))))  # NaN stays
     error = distance + float(batch.weights.position) * position
+    end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
+    counts = np.broadcast_to(time < end, error.shape)
     transient, steady = (
-        np.sum(np.asarray(weight, np.float64) * error, axis=1)
+        np.sum(np.asarray(weight, np.float64) * np.where(counts, error, 0), axis=1)
         for weight in (batch.weights.transient, batch.weights.steady)
     )
     total = transient + steady
@@ -108,20 +110,18 @@ def metrics_of(
         own = jax.vmap(cost)(jax.tree.map(jnp.asarray, tracks), batch.samples.time)
         total = np.asarray(own, np.float64)
     finite = np.isfinite(total)
-    window = np.asarray(batch.weights.window)
+    window = np.asarray(batch.weights.window) & counts
     bias_error = bias - np.asarray(batch.bias, np.float64)
-    last = time > time[-1] - 1
-    lost = (np.mean(angle[:, last], axis=1) > DIVERGED_ATTITUDE) | (
-        np.mean(position[:, last], axis=1) > DIVERGED_POSITION
-    )
+    last = counts & (time > np.minimum(end - time[1] + time[0], time[-1]) - 1)
+    lost = (_mean(angle, last) > DIVERGED_ATTITUDE) | (_mean(position, last) > DIVERGED_POSITION)
     metrics = Metrics(
         cost=np.where(finite, total, np.inf),
         transient=transient,
         steady=steady,
-        settling_attitude=_settling(time, angle, SETTLED_ATTITUDE),
-        settling_position=_settling(time, position, SETTLED_POSITION),
-        rms_attitude=np.sqrt(np.mean(angle[:, window] ** 2, axis=1)),
-        rms_position=np.sqrt(np.mean(position[:, window] ** 2, axis=1)),
+        settling_attitude=_settling(time, angle, SETTLED_ATTITUDE, counts),
+        settling_position=_settling(time, position, SETTLED_POSITION, counts),
+        rms_attitude=np.sqrt(_mean(angle**2, window)),
+        rms_position=np.sqrt(_mean(position**2, window)),
         bias_angular=np.linalg.norm(bias_error[:, :3], axis=1),
         bias_linear=np.linalg.norm(bias_error[:, 3:], axis=1),
         diverged=lost | ~finite,
@@ -136,8 +136,15 @@ def metrics_of(
     return metrics, Bands(attitude=band(angle), position=band(position), gain=band(gain))
 
 
-def _settling(time: np.ndarray, error: np.ndarray, threshold: float) -> np.ndarray:
+def _mean(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Means (S,) of values (S, N) where they are wanted (S, N); NaN where nothing is."""
+    return np.sum(values, axis=1, where=where) / np.sum(where, axis=1)
+
+
+def _settling(
+    time: np.ndarray, error: np.ndarray, threshold: float, counts: np.ndarray
+) -> np.ndarray:
     """First time (S,) from which on the errors (S, N) stay under a threshold; infinite if never."""
-    outside = ~(error < threshold)  # NaN is outside
+    outside = ~(error < threshold) & counts  # NaN is outside
     after_last = len(time) - np.argmax(outside[:, ::-1], axis=1)
     return np.append(time, np.inf)[np.where(outside.any(axis=1), after_last, 0)]

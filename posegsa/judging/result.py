@@ -177,7 +177,7 @@ class TuneResult:
             "On one unseen scenario, second half: attitude error "
             f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
             f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
-            text_table(self._endurance_rows()),
+            self.endurance.table(CONSTANT),
             f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or more of "
             "the weight.",
         ]
@@ -186,22 +186,6 @@ class TuneResult:
             parts.append(f"Tuned beside k1 to k{len(PARAMETERS)}: {tuned}")
         warned = [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(parts), *warned])
-
-    def _endurance_rows(self) -> list[list[str]]:
-        """Errors by window of time, of both filters, as a table."""
-        rows = [["RMS error", "tuned", "", CONSTANT, ""]]
-        for begin, end, *errors in self.endurance.rows():
-            attitude, position, constant_attitude, constant_position = errors
-            rows.append(
-                [
-                    f"{begin:g} to {end:g} s",
-                    f"{attitude:.2f} deg",
-                    f"{100 * position:.1f} cm",
-                    f"{constant_attitude:.2f} deg",
-                    f"{100 * constant_position:.1f} cm",
-                ]
-            )
-        return rows
 
     def warnings(self) -> list[str]:
         """What a reader of the result must know before trusting it."""

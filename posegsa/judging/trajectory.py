@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from posegsa.config import Experiment
 from posegsa.model.family import Family
@@ -60,16 +61,22 @@ class Trajectory:
     """(N,) the scaled error that the schedule saw, in [0, 1]."""
     rate: Annotated[np.ndarray, _column("scaled_rate")]
     """(N,) the scaled rate that it saw, in [0, 1]."""
+    vector_bias_est: Annotated[
+        np.ndarray, _column("bias_est_v#_x", "bias_est_v#_y", "bias_est_v#_z", each=True)
+    ]
+    """(N, 3 n) estimated biases of n vectors, body frame, in their unit; n is 0 without any."""
+    vector_bias_error: Annotated[np.ndarray, _column("bias_error_v#", each=True)]
+    """(N, n) their distances from the true ones, in the vectors' unit."""
 
 
-def trajectory(truth: Truth, estimates: Estimates) -> Trajectory:
-    """Errors and angles of estimates against the truth."""
-    values = _values(truth, estimates)
+def trajectory(truth: Truth, estimates: Estimates, vector_bias: ArrayLike) -> Trajectory:
+    """Errors and angles of estimates against the truth; `vector_bias` (n, 3) is that of vectors."""
+    values = _values(truth, estimates, vector_bias)
     return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})
 
 
 @jax.jit
-def _values(truth: Truth, estimates: Estimates) -> dict[str, Array]:
+def _values(truth: Truth, estimates: Estimates, vector_bias: ArrayLike) -> dict[str, Array]:
     w_est, x_est, y_est, z_est = unstack(quaternion(estimates.rotation))
     w, x, y, z = unstack(quaternion(truth.rotation))
     distance = attitude_distance((w_est, x_est, y_est, z_est), (w, x, y, z))
@@ -77,7 +84,12 @@ def _values(truth: Truth, estimates: Estimates) -> dict[str, Array]:
     P_err = estimates.position - jnp.einsum(
         "nij,nj->ni", R_err, truth.position, precision="highest"
     )
+    learnt = estimates.vector_bias
+    N, n, _ = learnt.shape
+    true = jnp.broadcast_to(jnp.asarray(vector_bias, learnt.dtype)[None, :n], learnt.shape)
     return {
+        "vector_bias_est": learnt.reshape(N, 3 * n),
+        "vector_bias_error": jnp.linalg.norm(learnt - true, axis=-1),
         "time": truth.time,
         "euler": jnp.degrees(euler_angles(truth.rotation)),
         "euler_est": jnp.degrees(euler_angles(estimates.rotation)),
@@ -113,7 +125,8 @@ def _simulate_scenario(
     key: Array,
     settings: FilterSettings,
     signal: SignalSettings,
-) -> tuple[Truth, Estimates]:
+) -> tuple[Truth, Estimates, Array]:
     truth, prepared = prepare_scenario(one, chosen, settings, key)
     samples, initial = prepared["samples"], prepared["initial"]
-    return truth, simulate(schedule, samples, initial, settings, signal)
+    estimates = simulate(schedule, samples, initial, settings, signal)
+    return truth, estimates, prepared["vector_bias"]

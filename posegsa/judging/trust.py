@@ -51,7 +51,8 @@ class Trust:
     @property
     def used_rules(self) -> int:
         """Number of rules that carry at least 1 % of all firing strength."""
-        return int(np.count_nonzero(self.rule_weights >= 0.01 * np.nansum(self.rule_weights)))
+        weights = self.rule_weights
+        return int(np.count_nonzero((weights > 0) & (weights >= 0.01 * np.nansum(weights))))
 
 
 def check(

@@ -1,6 +1,6 @@
 """The paper's cost (Eq. 17): transient plus steady-state error, as sums over samples."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array
@@ -17,6 +17,14 @@ class CostWeights(NamedTuple):
     """(N,) whether a sample lies inside the steady-state window, also where that has no weight."""
     position: Array
     """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
+
+    def until(self, time: Array, end: Array | None) -> Self:
+        """The weights at times (N,) [s], where nothing counts from `end` [s] on; None is never."""
+        if end is None:
+            return self
+        counts = time < end
+        transient, steady = (jnp.where(counts, a, 0.0) for a in (self.transient, self.steady))
+        return self._replace(transient=transient, steady=steady, window=self.window & counts)
 
 
 class CostParts(NamedTuple):

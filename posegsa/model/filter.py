@@ -67,7 +67,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
-from posegsa.arguments import check_type, fitting
+from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import MeasurementError
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.measurements import Measurements, finite_array, numeric_array
@@ -289,6 +289,34 @@ def checked_state(
     return initial_state(*arrays, learnt_vectors=learnt_vectors)
 
 
+def ready(state: FilterState, measurements: Measurements, settings: FilterSettings) -> FilterState:
+    """A state with estimates of the vectors' biases, 0 at first, where the settings learn them.
+
+    Raises:
+        ArgumentError: The settings have weights of another number of sensors than there are, or the
+            state has biases of another number of vectors.
+    """
+    vectors, landmarks = (
+        np.shape(weights)[-1]
+        for weights in (measurements.vector_weights, measurements.landmark_weights)
+    )
+    for name, weights, count in (
+        ("vectors.weights", settings.vectors.weights, vectors),
+        ("landmark_weights", settings.landmark_weights, landmarks),
+    ):
+        if weights is not None and len(weights) != count:
+            refuse(f"settings.{name}: {len(weights)} of them", f"{count}, as measured, or None")
+    if settings.vector_bias is None or len(state.vector_biases) == vectors > 0:
+        return state
+    if state.vector_biases:
+        refuse(f"state.vector_biases: of {len(state.vector_biases)} vectors", f"{vectors}, or ()")
+    zero = jnp.zeros_like(state.place[0])
+    zeros: Vec3 = (zero, zero, zero)
+    return state._replace(
+        vector_biases=(zeros,) * vectors, turning=zeros if vectors else state.turning
+    )
+
+
 def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:
     """x_i = T_est y_i, where the estimate puts each landmark [m, inertial frame]."""
     return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
@@ -474,7 +502,7 @@ def step(
     check_type("measurement", measurement, Measurements)
     check_type("settings", settings, FilterSettings)
     with fitting("step"):
-        return _step(state, measurement, gain, settings)
+        return _step(ready(state, measurement, settings), measurement, gain, settings)
 
 
 @jax.jit

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting
 from posegsa.model.cost import CostParts, CostWeights, sample_error
-from posegsa.model.filter import FilterSettings, FilterState, observe, see
+from posegsa.model.filter import FilterSettings, FilterState, observe, ready, see
 from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
@@ -306,6 +306,7 @@ def scheduled_step(
     check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
+    loop = loop._replace(state=ready(loop.state, measurement, settings))
     with fitting("scheduled_step"):
         return _scheduled_step(loop, measurement, schedule, settings, signal, time)
 
@@ -337,8 +338,9 @@ def run_filter(
     Args:
         schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
         measurements: N samples (`posegsa.model.measurements`).
-        initial: the estimate at the first sample (`posegsa.initial_state`).
-        settings: the filter's.
+        initial: the estimate at the first sample (`posegsa.initial_state`); the vectors' biases, if
+            they are learnt, begin at 0.
+        settings: the filter's; of a tuned result `filter_settings(result.tuned)`.
         signal: the error signal's; "measured", since the truth is not known.
 
     Raises:
@@ -350,6 +352,7 @@ def run_filter(
     check_type("initial", initial, FilterState)
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
+    initial = ready(initial, measurements, settings)
     with fitting("run_filter"):
         return simulate(
             schedule,

@@ -181,8 +181,10 @@ class SwitchGain:
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """Both at the time of the sample."""
         shape = jnp.shape(inputs.error)
-        gain = jnp.where(inputs.time < self.time, self.before, self.after)
-        learning = jnp.where(inputs.time < self.learning_time, 0.0, 1.0).astype(gain.dtype)
+        dtype = inputs.error.dtype
+        before, after = (jnp.asarray(gain, dtype) for gain in (self.before, self.after))
+        gain = jnp.where(inputs.time < self.time, before, after)
+        learning = jnp.where(inputs.time < self.learning_time, 0.0, 1.0).astype(dtype)
         return Gains(jnp.broadcast_to(gain, shape), jnp.broadcast_to(learning, shape))
 
 

@@ -38,7 +38,8 @@ class VectorSettings:
     normalise: bool = field(metadata={"static": True})
     """Whether vectors and references are brought to length 1 (Eq. 3)."""
     cross: bool = field(metadata={"static": True})
-    """Whether the cross product of the first two is added (Section V of the paper)."""
+    """Whether the cross product of the first two, if there are two, is added (Section V of the
+    paper)."""
     each_agent: bool = field(metadata={"static": True})
     """Whether what is made of them may differ from agent to agent, and so is made in the loop."""
 
@@ -84,8 +85,9 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
     body = jnp.where(factors[..., None] > 0, measurements.vectors, 0.0)
     inertial = measurements.vector_references
     count = factors.shape[-1]
-    if settings.each_agent and count:
-        references = with_cross_vector(inertial) if settings.cross else inertial
+    crossed = settings.cross and count >= 2
+    if settings.each_agent:
+        references = with_cross_vector(inertial) if crossed else inertial
         if settings.normalise:
             references = normalised(references)
         each = tuple(
@@ -97,12 +99,13 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
             )
             for i in range(count)
         )
-        last = references[..., -1, :] if settings.cross else jnp.zeros_like(body[..., 0, :])
+        nothing = jnp.zeros((*factors.shape[:-1], 3), body.dtype)
+        last = references[..., -1, :] if crossed else nothing
         return VectorSamples(each, _vec3(last))
     weights = factors
     if settings.weights is not None and count:
         weights = factors * jnp.broadcast_to(jnp.stack(settings.weights), factors.shape)
-    if settings.cross:
+    if crossed:
         body, inertial = with_cross_vector(body), with_cross_vector(inertial)
         both = settings.cross_weight * jnp.minimum(factors[..., 0], factors[..., 1])
         weights = jnp.concatenate([weights, both[..., None]], axis=-1)
@@ -131,6 +134,9 @@ def corrected(
         settings: weights, normalisation, cross product.
     """
     each = vectors.each
+    if not each:
+        zeros, zero = vectors.cross_reference, vectors.cross_reference[0]
+        return Wahba((zeros, zeros, zeros), power=zero, curvature=zero, scale=zero), ()
     freed = tuple(v.measured for v in each)
     if biases:
         freed = tuple(subtract(d, c) for d, c in zip(freed, biases, strict=True))
@@ -138,7 +144,7 @@ def corrected(
     if settings.weights is not None:
         weights = [s * factor for s, factor in zip(settings.weights, weights, strict=True)]
     made, references = list(freed), [v.reference for v in each]
-    if settings.cross:
+    if settings.cross and len(each) >= 2:
         made.append(cross(freed[0], freed[1]))
         references.append(vectors.cross_reference)
         weights.append(settings.cross_weight * minimum(each[0].factor, each[1].factor))

@@ -165,10 +165,11 @@ def to_csv(record: object, counted: str = "") -> str:
     `counted` is the name of a first column, if there shall be one, that counts the rows from 1.
     """
     header, columns = [], []
-    for field, names in _columns(type(record)).items():
+    for field, said in _columns(type(record)).items():
         array = np.asarray(getattr(record, field))
-        header += names
-        columns += array.reshape(len(array), -1).T.tolist()
+        table = array.reshape(len(array), array[:1].size)
+        header += said.of(table.shape[1] // len(said.names))
+        columns += table.T.tolist()
     if counted:
         header, columns = [counted, *header], [range(1, len(columns[0]) + 1), *columns]
     text = io.StringIO(newline="")
@@ -186,9 +187,10 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     """
     columns = _columns(kind)
     first = [counted] if counted else []
-    needed = first + [name for names in columns.values() for name in names]
     try:
         header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        names = {field: said.of(_count(columns, first, header)) for field, said in columns.items()}
+        needed = first + [name for some in names.values() for name in some]
         if header != needed:
             found = reprlib.repr(header)
             raise ValueError(f"the columns are {found}; allowed: {', '.join(needed)}")
@@ -201,9 +203,10 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     except (csv.Error, ValueError) as error:
         raise RunFolderError(f"{source}: is not such a table: {error}") from None
     data, start = {}, len(first)
-    for field, names in columns.items():
-        end = start + len(names)
-        data[field] = [row[start] if len(names) == 1 else row[start:end] for row in table]
+    for field, said in columns.items():
+        end = start + len(names[field])
+        alone = len(names[field]) == 1 and not said.each
+        data[field] = [row[start] if alone else row[start:end] for row in table]
         start = end
     return from_plain(kind, data, source)
 
@@ -216,9 +219,16 @@ def _number(cell: str) -> int | float | str:
         return cell
 
 
-def _columns(kind: Any) -> dict[str, tuple[str, ...]]:
+def _count(columns: dict[str, Columns], first: list[str], header: list[str]) -> int:
+    """How many there are of what has some columns each, if the header is that of such a table."""
+    fixed = len(first) + sum(len(said.names) for said in columns.values() if not said.each)
+    for_each = sum(len(said.names) for said in columns.values() if said.each)
+    return max(0, len(header) - fixed) // max(1, for_each)
+
+
+def _columns(kind: Any) -> dict[str, Columns]:
     return {
-        field: said.names
+        field: said
         for field, hint in typing.get_type_hints(kind, include_extras=True).items()
         for said in hint.__metadata__
         if isinstance(said, Columns)

@@ -76,6 +76,8 @@ def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) ->
     dtype = jnp.dtype(experiment.run.dtype)
     settings = filter_settings(experiment)
     drawn = _drawn(one, family(experiment, dtype), settings, keys)
+    if experiment.family.duration == "off":
+        drawn["end"] = None
     return ScenarioBatch(
         **drawn,
         weights=cost_weights(experiment.cost, one.samples, dtype),

@@ -60,8 +60,8 @@ class ScenarioBatch(NamedTuple):
     """(S, 6) true velocity bias at the end [rad/s, m/s]; only for judging its estimate."""
     vector_bias: Array
     """(S, n, 3) true biases of the vectors, likewise."""
-    end: Array
-    """(S,) time after which nothing counts [s]."""
+    end: Array | None
+    """(S,) time from which on nothing counts [s]; None where all of every scenario does."""
     weights: CostWeights
     settings: FilterSettings
     signal: SignalSettings
@@ -146,22 +146,25 @@ def agent_costs(
 
     def piece(part: Array) -> Array:
         group, chunk = part // cut.chunks, part % cut.chunks
-        samples, initial = _part((batch.samples, batch.initial), group, cut.scenarios, count[0])
+        given = batch.samples, batch.initial, batch.end
+        samples, initial, end = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
 
-        def on_scenario(samples: Samples, initial: FilterState) -> Array:
+        def on_scenario(samples: Samples, initial: FilterState, end: Array | None) -> Array:
+            weights = batch.weights.until(samples.time, end)
+
             def agent(one: Candidate) -> Array:
                 settings, signal = one.applied(batch.settings, batch.signal)
                 if cost is not None:
                     track = simulate_errors(one.schedule, samples, initial, settings, signal)
                     return cost(track, samples.time)
                 return simulate_cost(
-                    one.schedule, samples, initial, batch.weights, settings, signal
+                    one.schedule, samples, initial, weights, settings, signal
                 ).total
 
             return jax.vmap(agent)(some)
 
-        return jax.vmap(on_scenario)(samples, initial)
+        return jax.vmap(on_scenario)(samples, initial, end)
 
     mine = jnp.arange(cut.groups * cut.chunks // shards)
     if axis is not None:

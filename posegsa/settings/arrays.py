@@ -21,14 +21,15 @@ class Numbers:
     """An array or list of numbers, or a single one where no length is given.
 
     Args:
-        shape: Its lengths. A length with a name is at least 1, and the same throughout a record.
+        shape: Its lengths. A length with a name is at least 1, and the same throughout a record;
+            None is any.
         dtype: bool, int (64 bits) or float (64 bits).
         allow: Which floats: finite ones, infinite ones too, or NaN too.
     """
 
     def __init__(
         self,
-        *shape: int | str,
+        *shape: int | str | None,
         dtype: type = float,
         allow: Literal["finite", "infinite", "any"] = "finite",
     ) -> None:
@@ -63,7 +64,11 @@ class Numbers:
         """
         array = np.array(numbers, self.dtype)
         needed = [
-            lengths.setdefault(length, max(1, found)) if isinstance(length, str) else length
+            lengths.setdefault(length, max(1, found))
+            if isinstance(length, str)
+            else found
+            if length is None
+            else length
             for length, found in zip(self.shape, array.shape, strict=False)
         ]
         if list(array.shape) != needed:
@@ -79,12 +84,20 @@ class Columns(Numbers):
 
     Args:
         names: Their names, with units.
+        each: Each name stands for several, one for each of something: "#" in it is its number.
         numbers: What they may hold, as of `Numbers`.
     """
 
-    def __init__(self, *names: str, **numbers: Any) -> None:
-        super().__init__("rows", *([len(names)] if len(names) > 1 else []), **numbers)
-        self.names = names
+    def __init__(self, *names: str, each: bool = False, **numbers: Any) -> None:
+        columns = [None] if each else [len(names)] if len(names) > 1 else []
+        super().__init__("rows", *columns, **numbers)
+        self.names, self.each = names, each
+
+    def of(self, count: int) -> list[str]:
+        """The names of all columns where there are `count` of what has some each."""
+        if not self.each:
+            return list(self.names)
+        return [name.replace("#", str(i)) for i in range(1, count + 1) for name in self.names]
 
 
 Cost = Annotated[float, Numbers(allow="infinite")]

@@ -320,7 +320,7 @@ def experiments(draw: st.DrawFn) -> Experiment:
             },
             "family": {
                 "vector_bias": draw(non_negative | st.just("off")),
-                "outages": draw(st.just("off") | st.builds(dict, rate=non_negative)),
+                "outages": draw(st.just("off") | st.builds(dict, rate=st.floats(0, 1))),
                 "rest_share": draw(st.floats(0, 1)),
             },
             "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},

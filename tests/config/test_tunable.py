@@ -134,6 +134,19 @@ def test_so_it_is_of_a_file_and_of_python() -> None:
     assert keys_of(config.from_dict(both)) == {"filter.gamma"}, "stated, and asked for"
     python = config.Experiment(filter=config.FilterConfig(vector_bias="off"))
     assert keys_of(python) == RECOMMENDED - OF_BIAS
+    stated = config.Experiment(
+        filter=config.FilterConfig(gamma=3.5), gain=config.GainConfig(smoothing=0.0)
+    )
+    assert keys_of(stated) == RECOMMENDED - {"filter.gamma", "gain.smoothing"}
+    assert config.Experiment().also == config.Experiment().parameters.also
+
+
+def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:
+    base = config.override(PLAIN, ["filter.cross_vector=false", "scenario.vectors.0.weight=1.0"])
+    alone = {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 3.0}
+    said = refusal(alone, base=base)
+    assert "with all of them at their lower bound: " in said
+    assert "scenario" in said
 
 
 def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:

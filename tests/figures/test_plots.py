@@ -130,7 +130,7 @@ def test_other_numbers_of_terms_are_numbered():
     assert [text.get_text() for text in texts] == ["1", "2"]
 
 
-@pytest.mark.parametrize("choices", [{}, {"centroid": "sampled", "points": 1001}])
+@pytest.mark.parametrize("choices", [{}, {"centroid": "sampled", "sampled_points": 1001}])
 def test_surface_is_the_controllers(choices):
     fuzzy = controller(**choices)
     ax, bar = schedule.plot_surface(fuzzy).axes

@@ -18,6 +18,8 @@ pytestmark = pytest.mark.quick
 
 N = 40
 
+TRUE_BIASES = np.array([[0.1, -0.2, 0.3], [0.0, 0.5, 0.25]])
+
 
 def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
     """Random poses T and T_est (N, 4, 4), and the trajectory of them."""
@@ -37,14 +39,23 @@ def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
             rotation=R_est,
             position=P_est,
             bias=bias,
-            vector_bias=jnp.zeros((N, 0, 3), dtype),
+            vector_bias=jnp.asarray(rng.normal(size=(N, 2, 3)), dtype),
             gain=gain,
             gain_used=used,
             error=error,
             rate=rate,
         )
-        made = trajectory(Truth(time, R, P, still, still), estimates)
+        made = trajectory(Truth(time, R, P, still, still), estimates, TRUE_BIASES)
     return T, T_est, made
+
+
+@pytest.mark.usefixtures("x64")
+def test_estimates_of_the_vectors_biases_and_their_errors() -> None:
+    _, _, made = true_and_estimated("float64")
+    each = made.vector_bias_est.reshape(-1, 2, 3)
+    distance = np.linalg.norm(each - TRUE_BIASES, axis=2)
+    np.testing.assert_allclose(made.vector_bias_error, distance, rtol=1e-12)
+    assert distance.min() > 0
 
 
 def test_errors_against_the_reference() -> None:
@@ -76,4 +87,5 @@ def test_everything_else_is_taken_as_it_is(dtype: str) -> None:
     assert all(getattr(made, field.name).dtype == np.float64 for field in fields(Trajectory))
     shapes = {field.name: getattr(made, field.name).shape[1:] for field in fields(Trajectory)}
     vectors = {"euler": (3,), "euler_est": (3,), "position": (3,), "position_est": (3,)}
-    assert shapes == dict.fromkeys(shapes, ()) | vectors | {"bias_est": (6,)}
+    biases = {"bias_est": (6,), "vector_bias_est": (6,), "vector_bias_error": (2,)}
+    assert shapes == dict.fromkeys(shapes, ()) | vectors | biases

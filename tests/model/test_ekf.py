@@ -115,6 +115,21 @@ def test_agrees_with_the_matrix_form(learnt) -> None:
 
 
 @pytest.mark.usefixtures("x64", "compile_fast")
+def test_it_does_without_vectors() -> None:
+    rng = np.random.default_rng(0)
+    m = random_measurements(rng, 3, 0, 3)
+    T, b = random_poses(rng, 1)[0], np.zeros(6)
+    samples, noise = jitted_samples(as_arrays(m, np.float64)).sample, noise_of(PLAIN)
+    state = ekf_start(started(T, b, 0), noise)
+    for k in range(3):
+        state = jitted_step(state, jax.tree.map(lambda a, k=k: a[k], samples), noise)
+    want = reference_ekf.run(
+        [sample_of(m, k) for k in range(3)], reference_ekf.start(T, b, 0, PLAIN), PLAIN
+    )
+    np.testing.assert_allclose(state.estimate.position, list(want)[-1].T[:3, 3], atol=1e-9)
+
+
+@pytest.mark.usefixtures("x64", "compile_fast")
 @pytest.mark.parametrize("size", [1e-9, 0.05, 0.2, 3.0])
 def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> None:
     rng = np.random.default_rng(5)

@@ -7,17 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from builders import quietly
+from experiments import tiny
 
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
 from posegsa.config.family import BurstsConfig, Outages
 from posegsa.errors import ConfigError
+from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.family import Family, draw_scenario, realise
 from posegsa.model.scenario import Scenario
+from posegsa.model.schedules import ConstantGain
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.report import NO_FAMILY
-from posegsa.search.build import family
+from posegsa.search.build import family, tuning_problem
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import Keys, keys, scenario_keys
+from posegsa.search.population import costs_by_scenario
 
 SHORT = Experiment(
     scenario=config.ScenarioConfig(duration=0.2),
@@ -172,6 +177,33 @@ def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
             if mine and field != "bursts":
                 before = np.asarray(getattr(base, field))
                 assert not np.array_equal(before, getattr(one, field)), (name, field)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_after_its_end_a_scenario_counts_no_more() -> None:
+    settings = [
+        *("scenario.duration=1.0", "cost.transient_window=[0, 20]", "cost.steady_window=[30, 99]"),
+        "run.training_scenarios=3",
+    ]
+    whole = tiny(*settings)
+    short = config.override(whole, ["family.duration=[0.4, 0.7]"])
+    candidate = Candidate(ConstantGain(jnp.float32(9.0)))
+    problem = tuning_problem(short)
+    costs = costs_by_scenario(jax.tree.map(lambda a: a[None], candidate), problem.training)[:, 0]
+    tracks = error_tracks(candidate, problem.training)
+    end = np.asarray(problem.training.end)
+    assert (end >= 0.4).all()
+    assert (end <= 0.7).all()
+    time, k = np.asarray(problem.training.samples.time[0]), np.arange(100)
+    weights = 0.3 * (k <= 20) + (k >= 30)
+    error = tracks.attitude + 0.2 * tracks.position
+    by_hand = (weights * error * (time < end[:, None])).sum(axis=1)
+    np.testing.assert_allclose(costs, by_hand, rtol=1e-5)
+    metrics, _ = metrics_of(tracks, problem.training)
+    np.testing.assert_allclose(metrics.cost, by_hand, rtol=1e-5)
+    later = (time < end[:, None]) & (k >= 30)
+    rms = [np.sqrt(np.mean(p[w] ** 2)) for p, w in zip(tracks.position, later, strict=True)]
+    np.testing.assert_allclose(metrics.rms_position, rms, rtol=1e-5)
 
 
 def test_outages_come_at_random_and_last_as_long_as_they_may(base):

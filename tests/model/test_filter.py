@@ -39,9 +39,10 @@ from posegsa.config import (
     RunConfig,
     override,
 )
+from posegsa.errors import ArgumentError
 from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import run_filter
+from posegsa.model.rollout import begin, run_filter, scheduled_step
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings, signal_settings
@@ -340,6 +341,57 @@ def test_gamma_follows_the_gain_used_as_far_as_a_step_is_stable(law, power) -> N
         assert 0 < free.mean() < 1
         np.testing.assert_allclose(gamma[free], wanted[free], rtol=1e-12)
         np.testing.assert_allclose(step[~free], bound[~free], rtol=1e-12)
+
+
+# On-line -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_biases_are_learnt_from_a_state_that_has_none_yet() -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(0), 20, 2, 1), np.float64)
+    plain = initial_state(np.eye(3), np.zeros(3))
+    made = initial_state(np.eye(3), np.zeros(3), learnt_vectors=2)
+    chosen, signal = learning(excitation=1e-3), signal_settings(GainConfig(), np.float64)
+    schedule = ConstantGain(jnp.asarray(5.0))
+    both = [run_filter(schedule, m, start, chosen, signal) for start in (plain, made)]
+    assert np.abs(both[0].vector_bias[-1]).max() > 0
+    np.testing.assert_array_equal(both[0].vector_bias, both[1].vector_bias)
+    after = [step(start, m.at(0), 5.0, chosen) for start in (plain, made)]
+    np.testing.assert_array_equal(after[0].vector_bias, after[1].vector_bias)
+    loop, _ = scheduled_step(begin(schedule, plain), m.at(0), schedule, chosen, signal)
+    np.testing.assert_allclose(loop.state.vector_bias, after[0].vector_bias, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("vectors", [0, 1])
+@pytest.mark.parametrize("learns", [False, True])
+def test_with_fewer_than_two_vectors_there_is_no_cross_product(learns, vectors) -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(0), 20, vectors, 3), np.float64)
+    start = initial_state(np.eye(3), np.zeros(3))
+    chosen = (
+        learning(excitation=1e-3) if learns else settings(vectors=vector_settings(cross_weight=0.5))
+    )
+    without = replace(chosen, vectors=replace(chosen.vectors, cross=False))
+    signal = signal_settings(GainConfig(), np.float64)
+    crossed, plain = (
+        run_filter(ConstantGain(jnp.asarray(5.0)), m, start, one, signal)
+        for one in (chosen, without)
+    )
+    assert np.isfinite(crossed.position).all()
+    for ours, theirs in zip(crossed, plain, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.usefixtures("x64")
+def test_settings_of_another_number_of_sensors_are_refused() -> None:
+    m = as_arrays(random_measurements(np.random.default_rng(0), 5, 3, 1), np.float64)
+    chosen = filter_settings(override(Experiment(), ["run.dtype=float64"]))
+    start = initial_state(np.eye(3), np.zeros(3))
+    with pytest.raises(ArgumentError, match=r"vectors.weights: 2 of them; allowed: 3"):
+        step(start, m.at(0), 5.0, chosen)
+    two = initial_state(np.eye(3), np.zeros(3), learnt_vectors=2)
+    with pytest.raises(ArgumentError, match=r"vector_biases: of 2 vectors; allowed: 3"):
+        step(two, m.at(0), 5.0, learning())
 
 
 # Transformations ---------------------------------------------------------------------------------

@@ -256,6 +256,20 @@ def test_a_table_has_a_row_a_sample_under_names_with_units():
     assert float(table["bias_est_vy_m_s"]) == made.bias_est[7, 4]
     assert float(table["gain_used_1_s"]) == made.gain_used[7]
     assert float(table["scaled_rate"]) == made.rate[7]
+    assert float(table["bias_est_v2_y"]) == made.vector_bias_est[7, 4]
+    assert float(table["bias_error_v1"]) == made.vector_bias_error[7, 0]
+
+
+@pytest.mark.parametrize("vectors", [0, 1, 3])
+def test_a_table_has_columns_for_each_vector(vectors):
+    biases, errors = np.ones((5, 3 * vectors)), np.full((5, vectors), 0.5)
+    made = replace(trajectory(5), vector_bias_est=biases, vector_bias_error=errors)
+    back = from_csv(Trajectory, to_csv(made), FILE)
+    np.testing.assert_array_equal(back.vector_bias_est, biases)
+    np.testing.assert_array_equal(back.vector_bias_error, errors)
+    text = to_csv(trajectory(5)).replace("bias_error_v2", "bias_error_v3")
+    with pytest.raises(RunFolderError, match="the columns are"):
+        from_csv(Trajectory, text, FILE)
 
 
 class Table(NamedTuple):
