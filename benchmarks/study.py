@@ -52,7 +52,6 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "gamma fixed": ("filter.gamma_law=fixed",),
     "gamma linear in K": ("filter.gamma_law=linear",),
     "gain of the vectors' biases fixed": ("filter.vector_bias_law=fixed",),
-    "gain of the vectors' biases quadratic in K": ("filter.vector_bias_law=quadratic",),
     "nothing tuned beside k1 to k22": ("parameters.also=[]",),
     "weights not tuned": (
         without(
@@ -62,14 +61,8 @@ VARIANTS: dict[str, tuple[str, ...]] = {
             "filter.cross_vector_weight",
         ),
     ),
-    "smoothing and scales not tuned": (
-        without("gain.smoothing", "gain.error_scale", "gain.position_weight"),
-    ),
     "no rate input": ("gain.rate_scale=0.0",),
-    "rate per sample, scale tuned": (tuned_too(ALSO, _RATE),),
     "rate per second, scale tuned": ("gain.rate=per_second", tuned_too(ALSO, _RATE)),
-    "8 training scenarios": ("run.training_scenarios=8",),
-    "gravitational search, G0 100": ("search.optimiser=gsa",),
     "gravitational search, G0 1": ("search.optimiser=gsa", "search.g0=1.0"),
 }
 SCHEDULES = {"time switch": "switch", "constant gain": "constant"}

@@ -69,7 +69,7 @@ class FilterConfig(Section):
     is taken off)."""
     cross_vector: Flag = True
     """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
-    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.1
+    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
     """Weight s^R of that vector, no unit."""
     vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated."""

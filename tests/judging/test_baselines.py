@@ -123,6 +123,8 @@ def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_ev
         enough = ["search.agents=10", "search.iterations=100"]
         one = config.override(config.override(SHORT(), enough), [f"search.optimiser={name}"])
         assert baselines._searched(one).search.optimiser == "de"
+    few = ["search.optimiser=pycma", "search.agents=3", "search.iterations=8"]
+    assert baselines._searched(config.override(SHORT(), few)).search.evaluations == 24
     assert baselines._searched(SHORT()) == SHORT()
 
 
