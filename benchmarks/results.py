@@ -47,7 +47,7 @@ ENDURANCE_ONLY = {
     "paper_literal": Case("`paper_literal.toml`, 15 s", "paper_literal"),
 }
 KEPT = ROOT / "benchmarks" / "results.json"
-HELD_OUT_SEED = 3
+HELD_OUT_SEED = 4
 """A held-out set of its own: `tune` prints costs on the first scenarios of the experiment's set, so
 those have been looked at during development."""
 SEEDED = ("recommended", "paper", "paper_literal")

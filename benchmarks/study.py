@@ -56,7 +56,6 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "weights not tuned": (
         without(
             "scenario.vectors.0.weight",
-            "scenario.vectors.1.weight",
             "scenario.landmarks.0.weight",
             "filter.cross_vector_weight",
         ),

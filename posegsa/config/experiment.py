@@ -54,7 +54,7 @@ class FilterConfig(Section):
     law: Law = "gradient"
     """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
     in the paper, which can diverge."""
-    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 5.0
+    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
     """Inner steps per sample in which the innovation acts, the measurement held."""

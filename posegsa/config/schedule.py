@@ -54,12 +54,9 @@ _PAPER_BOXES = (  # (low, high) of k1..k22, the paper's Eqs. 18 and 19
 DEFAULT_ALSO = tuple(
     AlsoTuned(key=key, lower=lower, upper=upper, scale="logarithmic")
     for key, lower, upper in (
-        # Weights of the vectors decide how much of their noise comes through to the attitude, which
-        # the cost hardly sees beside the position: they are kept low.
-        ("scenario.vectors.0.weight", 0.1, 0.85),
-        ("scenario.vectors.1.weight", 0.1, 0.85),
+        ("scenario.vectors.0.weight", 0.2, 2.0),
         ("scenario.landmarks.0.weight", 0.1, 3.0),
-        ("filter.gamma", 3.0, 20.0),
+        ("filter.gamma", 0.2, 20.0),
         ("filter.cross_vector_weight", 0.003, 2.0),
         ("filter.vector_bias_gain", 0.01, 5.0),
         ("gain.position_weight", 0.01, 1.0),

@@ -92,6 +92,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     assert {key: value for key, value in changed.items() if key not in search} == {
         **ONE_START,
         "run.training_scenarios": 1,
+        "filter.gamma": 5.0,
         "filter.gamma_law": "fixed",
         "filter.substeps": 1,
         "filter.cross_vector_weight": 1.0,
