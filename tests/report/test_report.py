@@ -202,7 +202,7 @@ def test_every_rule_is_shown_with_its_weight():
             term, weight = cell.split(" ")
             assert term == printed[4 - r][4 - e]
             assert float(weight) == pytest.approx(trust().rule_weights[r, e], rel=0.05)
-    assert "23 of 25 rules never fire" in page().text
+    assert "2 of 25 rules carry 1 % or more of the weight, and 23 never fire" in page().text
     assert "error S and rate VS" in page().text
 
 
