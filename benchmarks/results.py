@@ -59,15 +59,20 @@ def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
     return config.override(one, [f"run.seed={seed}"])
 
 
+def errors(attitude: float, position: float) -> str:
+    """Errors [deg], [m] as a cell of a table."""
+    if not position < 100:  # nor does NaN
+        return "diverged"
+    return f"{attitude:.1f}° {100 * position:.1f} cm"
+
+
 def endurance_rows(case: Case, result: TuneResult) -> list[str]:
     """The rows of one result in the table of endurance."""
-    return [
-        f"| {case.title} | {begin:g} to {end:g} s | {attitude:.1f}° {100 * position:.1f} cm "
-        f"| {constant_attitude:.1f}° {100 * constant_position:.1f} cm |"
-        for begin, end, attitude, position, constant_attitude, constant_position in (
-            result.endurance.rows()
-        )
-    ]
+    rows = []
+    for begin, end, *both in result.endurance.rows():
+        tuned, constant = errors(*both[:2]), errors(*both[2:])
+        rows.append(f"| {case.title} | {begin:g} to {end:g} s | {tuned} | {constant} |")
+    return rows
 
 
 def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
@@ -95,9 +100,8 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
         "differences": differences,
         "endurance": endurance_rows(case, result),
         "note": (
-            f"{case.title}: training cost {trained:.2f}, searched in "
-            f"{result.search_seconds:.1f} s, {result.trust.used_rules} of 25 rules carry 1 % of "
-            "the weight"
+            f"{case.title}: training cost {trained:.2f}, {result.trust.used_rules} of 25 rules "
+            "carry 1 % of the weight"
         ),
     }
 
