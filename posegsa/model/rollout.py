@@ -306,8 +306,8 @@ def scheduled_step(
     check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
-    loop = loop._replace(state=ready(loop.state, measurement, settings))
     with fitting("scheduled_step"):
+        loop = loop._replace(state=ready(loop.state, measurement, settings))
         return _scheduled_step(loop, measurement, schedule, settings, signal, time)
 
 
@@ -352,11 +352,12 @@ def run_filter(
     check_type("initial", initial, FilterState)
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
-    initial = ready(initial, measurements, settings)
     with fitting("run_filter"):
+        measurements = measurements.checked()
+        initial = ready(initial, measurements, settings)
         return simulate(
             schedule,
-            samples_of(measurements.checked(), settings.vectors),
+            samples_of(measurements, settings.vectors),
             initial,
             settings,
             signal,

@@ -165,6 +165,8 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
 
     class Judged:
         evaluation = SimpleNamespace(table=str)
+        endurance = SimpleNamespace(table=str)
+        warnings = list
 
     @contextmanager
     def locked_folder(folder, *, overwrite):
