@@ -108,12 +108,12 @@ def without_noise(result: TuneResult) -> dict[str, float]:
         keys = endurance_keys(experiment.run.seed, 8)
         batch = scenario_batch(experiment, scenario(experiment), keys)
         track = error_tracks(Candidate(schedule), batch)
-    return {
-        "rad": float(np.radians(degrees(track)[:, -1].max())),
-        "m": float(track.position[:, -1].max()),
-        "velocities' biases [rad/s, m/s]": float(np.abs(track.bias - batch.bias).max()),
-        "vectors' biases": float(np.abs(track.vector_bias - batch.vector_bias).max()),
-    }
+        return {
+            "rad": float(np.radians(degrees(track)[:, -1].max())),
+            "m": float(track.position[:, -1].max()),
+            "velocities' biases [rad/s, m/s]": float(np.abs(track.bias - batch.bias).max()),
+            "vectors' biases": float(np.abs(track.vector_bias - batch.vector_bias).max()),
+        }
 
 
 def step_ratio(result: TuneResult, repetitions: int = 7) -> tuple[float, float]:

@@ -25,7 +25,7 @@ CHECKED = 200
 ENOUGH = 0.01
 """Improvement of the cost that CHECKED evaluations must bring for the search to go on."""
 MOST = 1000
-"""Evaluations of a search, at most: one costs as much as those of ten observers."""
+"""Evaluations of a search, at most: one takes as long as two to three of the observer's."""
 SCENARIOS = 25
 """Scenarios simulated at once when judging, to bound memory."""
 
