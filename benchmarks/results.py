@@ -24,7 +24,6 @@ from posegsa import config
 from posegsa.evaluating import evaluate
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import TuneResult
-from posegsa.runtime import environment
 
 
 class Case(NamedTuple):
@@ -161,7 +160,6 @@ def seeded(seeds: int) -> str:
         "| configuration | schedule | training cost | held-out cost | worst held out |",
         "| --- | --- | --- | --- | --- |",
     ]
-    times = []
     for name in tqdm(SEEDED, desc="configurations"):
         rows: dict[str, list[tuple[float, float, float]]] = {}
         own = experiment_of(Case(name, name))
@@ -179,25 +177,13 @@ def seeded(seeds: int) -> str:
                     row = (training, float(np.mean(cost)), float(np.max(cost)))
                     if which == TUNED or search != "random_search":
                         rows.setdefault(label, []).append(row)
-            if search != "random_search":
-                evaluations = results[0].evaluations
-                seconds = f"{results[0].search_seconds:.1f} s"
-                times.append(f"{name} {seconds} for {evaluations} evaluations")
         for label, each in rows.items():
             training, held_out, worst = zip(*each, strict=True)
             lines.append(
                 f"| {name} | {label} | {spread(list(training))} | {spread(list(held_out))} "
                 f"| {max(worst):.4g} |"
             )
-    machine = environment()
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"Median (minimum to maximum) over {seeds} seeds. A search, compiled, takes: "
-            f"{', '.join(times)} ({machine['device']}, jax {machine['jax']}).",
-        ]
-    )
+    return "\n".join([*lines, "", f"Median (minimum to maximum) over {seeds} seeds."])
 
 
 def main() -> None:
