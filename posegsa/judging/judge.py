@@ -3,17 +3,15 @@
 import jax
 import numpy as np
 
-from posegsa.config import with_tuned
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, describe, search_baseline
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.result import VERSION, TuneResult
-from posegsa.judging.trajectory import simulate_scenario
+from posegsa.judging.trajectory import trajectory_on
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
-from posegsa.search.keys import held_out_keys
 from posegsa.search.population import cost_name
 from posegsa.search.run import Found
 
@@ -44,13 +42,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         )
         for name, each in tracks.items()
     }
-    first_held_out = held_out_keys(experiment.run.seed, 1)[0]
-    trajectory = simulate_scenario(
-        tuned.schedule,
-        problem.scenario,
-        with_tuned(experiment, tuned.values_by_key()),
-        first_held_out,
-    )
+    trajectory = trajectory_on(tuned, problem.scenarios, count)  # the first held-out one
     return TuneResult(
         experiment=experiment,
         cost=cost_name(problem.cost),

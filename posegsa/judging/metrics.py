@@ -5,9 +5,11 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from posegsa.model.filter import FilterState
-from posegsa.model.rollout import ErrorTrack, Samples, simulate_errors
+from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
+from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
@@ -17,8 +19,9 @@ SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 makes errors of 8 deg RMS."""
 DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
 """Mean errors [deg], [m] over the last second above which a run counts as diverged."""
-BATCH = 250
-"""Scenarios simulated at once, to bound the memory of their error tracks."""
+SCENARIOS, SAMPLES = 128, 1024
+"""Scenarios and samples that one call simulates, whatever there are, filled up with some that do
+not count: so all that is judged runs as one program, training, held-out and longer scenarios."""
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Quantiles over scenarios that error bands show."""
@@ -63,27 +66,48 @@ class Bands(NamedTuple):
     gain: Band
 
 
-@jax.jit
-def _error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
-    settings, signal = candidate.applied(batch.settings, batch.signal)
-
-    def one(samples: Samples, initial: FilterState) -> ErrorTrack:
-        return simulate_errors(candidate.schedule, samples, initial, settings, signal)
-
-    return jax.vmap(one)(batch.samples, batch.initial)
-
-
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
-    count = batch.bias.shape[0]
-    if count <= BATCH:
-        return jax.device_get(_error_tracks(candidate, batch))
+    there, samples = batch.samples.time.shape
+    on_host = jax.tree.map(np.asarray, (batch.samples, batch.initial))
     parts = []
-    for first in range(0, count, BATCH):
-        # The last part wraps round, so that all have one shape and are compiled once.
-        index = np.arange(first, first + BATCH) % count
-        parts.append(jax.device_get(_error_tracks(candidate, batch.select(index))))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    for first in range(0, there, SCENARIOS):
+        some = np.arange(first, first + SCENARIOS) % there
+        chosen, initial = jax.tree.map(lambda a, some=some: a[some], on_host)
+        loop, pieces = _begin(candidate, initial), []
+        for start in range(0, samples, SAMPLES):
+            index = np.minimum(np.arange(start, start + SAMPLES), samples - 1)
+            piece = jax.tree.map(lambda a, index=index: a[:, index], chosen)
+            count = np.int32(min(SAMPLES, samples - start))
+            loop, errors = _onward(candidate, piece, loop, batch.settings, batch.signal, count)
+            pieces.append(jax.device_get(errors))
+        over_time = (
+            np.concatenate(each, axis=1)[:, :samples]
+            for each in zip(*(piece[:3] for piece in pieces), strict=True)
+        )
+        attitude, position, gain = over_time
+        parts.append(pieces[-1]._replace(attitude=attitude, position=position, gain=gain))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
+
+
+@jax.jit
+def _begin(candidate: Candidate, initial: FilterState) -> ClosedLoop:
+    return jax.vmap(lambda one: begin(candidate.schedule, one))(initial)
+
+
+@jax.jit
+def _onward(
+    candidate: Candidate,
+    samples: Samples,
+    loop: ClosedLoop,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    count: Array,
+) -> tuple[ClosedLoop, ErrorTrack]:
+    own = candidate.applied(settings, signal)
+    return jax.vmap(lambda some, now: errors_onward(candidate.schedule, some, now, *own, count))(
+        samples, loop
+    )
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such

@@ -10,15 +10,20 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.config import Experiment
-from posegsa.model.family import Family
-from posegsa.model.filter import FilterSettings
-from posegsa.model.rollout import Estimates, simulate
-from posegsa.model.scenario import Scenario, Truth
-from posegsa.model.schedules import GainSchedule
-from posegsa.model.se3 import attitude_distance, euler_angles, quaternion, rotation_angle, unstack
+from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.model.rollout import Estimates, Samples, simulate
+from posegsa.model.se3 import (
+    attitude_distance,
+    euler_angles,
+    quaternion,
+    rotation_angle,
+    rotation_matrix,
+    stack,
+    unstack,
+)
 from posegsa.model.signal import SignalSettings
-from posegsa.search.build import family, filter_settings, prepare_scenario, signal_settings
+from posegsa.search.candidates import Candidate
+from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
 
 _column = partial(Columns, allow="any")
@@ -69,31 +74,69 @@ class Trajectory:
     """(N, n) their distances from the true ones, in the vectors' unit."""
 
 
-def trajectory(truth: Truth, estimates: Estimates, vector_bias: ArrayLike) -> Trajectory:
-    """Errors and angles of estimates against the truth; `vector_bias` (n, 3) is that of vectors."""
-    values = _values(truth, estimates, vector_bias)
+def trajectory(
+    rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike
+) -> Trajectory:
+    """Errors and angles of estimates against the truth.
+
+    Args:
+        rotation: (N, 3, 3) true R, body to inertial.
+        position: (N, 3) true P [m], inertial frame.
+        estimates: What a filter made of the same N samples.
+        vector_bias: (n, 3) true biases of the vectors, body frame.
+    """
+    return _in_float64(_values(rotation, position, estimates, vector_bias))
+
+
+def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Trajectory:
+    """What a candidate does on one scenario of a batch."""
+    one = jax.tree.map(
+        lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
+    )
+    return _in_float64(_run(candidate, *one, batch.settings, batch.signal))
+
+
+def _in_float64(values: dict[str, Array]) -> Trajectory:
     return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})
 
 
 @jax.jit
-def _values(truth: Truth, estimates: Estimates, vector_bias: ArrayLike) -> dict[str, Array]:
+def _run(
+    candidate: Candidate,
+    samples: Samples,
+    initial: FilterState,
+    vector_bias: Array,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> dict[str, Array]:
+    estimates = simulate(candidate.schedule, samples, initial, *candidate.applied(settings, signal))
+    assert samples.truth is not None
+    R = rotation_matrix(stack(samples.truth.attitude))
+    # The loop reads P as the inertial origin in the body frame, R^T P.
+    P = jnp.einsum("nij,nj->ni", R, stack(samples.truth.origin), precision="highest")
+    return _values(R, P, estimates, vector_bias)
+
+
+@jax.jit
+def _values(
+    rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike
+) -> dict[str, Array]:
+    R, P = (jnp.asarray(a, estimates.time.dtype) for a in (rotation, position))
     w_est, x_est, y_est, z_est = unstack(quaternion(estimates.rotation))
-    w, x, y, z = unstack(quaternion(truth.rotation))
+    w, x, y, z = unstack(quaternion(R))
     distance = attitude_distance((w_est, x_est, y_est, z_est), (w, x, y, z))
-    R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, truth.rotation, precision="highest")
-    P_err = estimates.position - jnp.einsum(
-        "nij,nj->ni", R_err, truth.position, precision="highest"
-    )
+    R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, R, precision="highest")
+    P_err = estimates.position - jnp.einsum("nij,nj->ni", R_err, P, precision="highest")
     learnt = estimates.vector_bias
     N, n, _ = learnt.shape
     true = jnp.broadcast_to(jnp.asarray(vector_bias, learnt.dtype)[None, :n], learnt.shape)
     return {
         "vector_bias_est": learnt.reshape(N, 3 * n),
         "vector_bias_error": jnp.linalg.norm(learnt - true, axis=-1),
-        "time": truth.time,
-        "euler": jnp.degrees(euler_angles(truth.rotation)),
+        "time": estimates.time,
+        "euler": jnp.degrees(euler_angles(R)),
         "euler_est": jnp.degrees(euler_angles(estimates.rotation)),
-        "position": truth.position,
+        "position": P,
         "position_est": estimates.position,
         "bias_est": estimates.bias,
         "attitude_error": jnp.degrees(rotation_angle(distance)),
@@ -104,29 +147,3 @@ def _values(truth: Truth, estimates: Estimates, vector_bias: ArrayLike) -> dict[
         "error": estimates.error,
         "rate": estimates.rate,
     }
-
-
-def simulate_scenario(
-    schedule: GainSchedule, one: Scenario, experiment: Experiment, key: Array
-) -> Trajectory:
-    """One simulation of a scenario's key with the family and the settings of an experiment."""
-    dtype = experiment.run.dtype
-    settings = filter_settings(experiment)
-    signal = signal_settings(experiment.gain, dtype)
-    chosen = family(experiment, dtype)
-    return trajectory(*_simulate_scenario(schedule, one, chosen, key, settings, signal))
-
-
-@jax.jit
-def _simulate_scenario(
-    schedule: GainSchedule,
-    one: Scenario,
-    chosen: Family,
-    key: Array,
-    settings: FilterSettings,
-    signal: SignalSettings,
-) -> tuple[Truth, Estimates, Array]:
-    truth, prepared = prepare_scenario(one, chosen, settings, key)
-    samples, initial = prepared["samples"], prepared["initial"]
-    estimates = simulate(schedule, samples, initial, settings, signal)
-    return truth, estimates, prepared["vector_bias"]

@@ -1,6 +1,5 @@
 """Whether a tuned result can be trusted: its numerical sensitivity, and how its rules are used."""
 
-import warnings
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -9,17 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import Field
 
-from posegsa import config
-from posegsa.errors import PosegsaWarning
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import Trajectory
 from posegsa.model.filter import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import TuningProblem, scenario, scenario_batch
+from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
-from posegsa.search.keys import training_keys
 from posegsa.settings.arrays import Cost, Numbers
 
 PERTURBATION = 1e-6
@@ -62,17 +58,17 @@ def check(
 
     `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
     """
-    experiment, scenarios = problem.experiment, problem.scenarios
-    training = slice(experiment.run.training_scenarios)
+    experiment = problem.experiment
 
     def mean_cost(tracks: ErrorTrack) -> float:
-        metrics, _ = metrics_of(tracks.select(training), problem.training, problem.cost)
+        metrics, _ = metrics_of(tracks, problem.training, problem.cost)
         return float(np.mean(metrics.cost))
 
-    cost = mean_cost(own)
+    cost = mean_cost(own.select(slice(experiment.run.training_scenarios)))
     assert isinstance(tuned.schedule, FuzzyGain)
     controller = tuned.schedule.controller
-    pushed = scenarios._replace(initial=_perturbed(scenarios.initial))
+    start = problem.training.initial
+    pushed = problem.training._replace(initial=_perturbed(start))
     perturbed = mean_cost(error_tracks(tuned, pushed))
     double = experiment.run.dtype == "float64"
     other = _cost_at("float32" if double else "float64", problem, tuned)
@@ -89,14 +85,14 @@ def check(
 
 
 def _cost_at(dtype: str, problem: TuningProblem, tuned: Candidate) -> float:
-    """Mean training cost at another precision."""
-    own = jax.device_get(tuned)
-    with jax.enable_x64(dtype == "float64"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)
-        there = config.override(problem.experiment, [f"run.dtype={dtype}"])
-        keys = training_keys(there.run.seed, there.run.training_scenarios)
-        training = scenario_batch(there, scenario(there), keys)
-        candidate = jax.tree.map(lambda a: jnp.asarray(a, dtype), own)
+    """Mean training cost of the same measurements, filtered at another precision."""
+    own = jax.device_get((tuned, problem.training))
+
+    def cast(a: np.ndarray) -> np.ndarray:
+        return a.astype(dtype) if np.issubdtype(a.dtype, np.floating) else a
+
+    with jax.enable_x64(dtype == "float64"):
+        candidate, training = jax.tree.map(cast, own)
         metrics, _ = metrics_of(error_tracks(candidate, training), training, problem.cost)
         return float(np.mean(metrics.cost))
 

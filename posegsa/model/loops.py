@@ -17,8 +17,8 @@ Step = Callable[[Any, Any], tuple[Any, Any]]
 """Maps what is carried and a step's input to what is carried on and what is stored."""
 
 
-def scan_rows(step: Step, start: Any, inputs: Any) -> tuple[Any, Any]:
-    """`lax.scan` over inputs with leaves (N, ...), all of one shape, which travel as one array.
+def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
+    """`scan` over inputs with leaves (N, ...), all of one shape, which travel as one array.
 
     A step then takes its numbers by one slice. Were they some fifty arrays, XLA would fuse a slice
     of each into the loops over agents, and LLVM does not vectorise a loop that looks up its own
@@ -30,32 +30,34 @@ def scan_rows(step: Step, start: Any, inputs: Any) -> tuple[Any, Any]:
     def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
         return step(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
 
-    return scan(on_row, start, rows)
+    return scan(on_row, start, rows, count)
 
 
-def scan(step: Step, start: Any, inputs: Any) -> tuple[Any, Any]:
+def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
     """`lax.scan` over inputs with leaves (N, ...), cut into loops where steps store something.
 
     XLA:CPU with the fast path's options (`runtime`) copies all that a loop stores at every step. So
     the loop is cut into a few loops inside each other, each of so few steps that this does not
-    matter. Inputs are added to fill the last one up; they change nothing.
+    matter. Inputs are added to fill the last one up; they change nothing, and neither do those
+    from `count` on, if it is given.
     """
     first = jax.tree.map(lambda a: a[0], inputs)
     _, (_, stored) = jax.eval_shape(lambda: (None, step(start, first)))
-    count = jax.tree.leaves(inputs)[0].shape[0]
-    lengths = _loop_lengths(count) if jax.tree.leaves(stored) else [count]
-    if len(lengths) == 1:
+    given = jax.tree.leaves(inputs)[0].shape[0]
+    lengths = _loop_lengths(given) if jax.tree.leaves(stored) else [given]
+    if len(lengths) == 1 and count is None:
         return lax.scan(step, start, inputs)
     full = math.prod(lengths)
+    until = given if count is None else count
 
     def filled(a: Array) -> Array:
-        more = jnp.broadcast_to(a[-1:], (full - count, *a.shape[1:]))
+        more = jnp.broadcast_to(a[-1:], (full - given, *a.shape[1:]))
         return jnp.concatenate([a, more]).reshape(*lengths, *a.shape[1:])
 
     def innermost(carry: Any, numbered: Any) -> tuple[Any, Any]:
         number, one = numbered
         after, stored = step(carry, one)
-        return jax.tree.map(lambda a, b: choose(number < count, a, b), after, carry), stored
+        return jax.tree.map(lambda a, b: choose(number < until, a, b), after, carry), stored
 
     def within(inner: Step) -> Step:
         return lambda carry, part: lax.scan(inner, carry, part)
@@ -63,9 +65,9 @@ def scan(step: Step, start: Any, inputs: Any) -> tuple[Any, Any]:
     nested: Step = innermost
     for _ in lengths[1:]:
         nested = within(nested)
-    numbers = jnp.arange(full).reshape(lengths)
+    numbers = jnp.arange(full, dtype=jnp.int32).reshape(lengths)
     last, stored = lax.scan(nested, start, (numbers, jax.tree.map(filled, inputs)))
-    return last, jax.tree.map(lambda a: a.reshape(full, *a.shape[len(lengths) :])[:count], stored)
+    return last, jax.tree.map(lambda a: a.reshape(full, *a.shape[len(lengths) :])[:given], stored)
 
 
 def _loop_lengths(count: int) -> list[int]:

@@ -157,17 +157,21 @@ def _simulate(
     look: Look,
     schedule: GainSchedule,
     samples: Samples,
-    initial: FilterState,
+    loop: ClosedLoop,
     settings: FilterSettings,
     signal: SignalSettings,
     *,
+    count: Array | None = None,
     extra: Any = (),
     total: Any = (),
-) -> tuple[FilterState, Any, Any]:
-    """Run the closed loop over all samples; `look` says what is summed up and stored of each.
+) -> tuple[ClosedLoop, Any, Any]:
+    """Run the closed loop on over the samples; `look` says what is summed up and stored of each.
+
+    Samples from `count` on change nothing, if it is given.
 
     Returns:
-        The last state, the sum that began as `total`, and what `look` stored, stacked over time.
+        The loop after them, the sum that began as `total`, and what `look` stored, stacked over
+        time.
     """
     prepared = schedule.prepare()
 
@@ -177,8 +181,8 @@ def _simulate(
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
-    (last, total), stored = scan_rows(body, (begin(schedule, initial), total), (samples, extra))
-    return last.state, total, stored
+    (last, total), stored = scan_rows(body, (loop, total), (samples, extra), count)
+    return last, total, stored
 
 
 def simulate_cost(
@@ -203,7 +207,7 @@ def simulate_cost(
         look,
         schedule,
         samples,
-        initial,
+        begin(schedule, initial),
         settings,
         signal,
         extra=(weights.transient, weights.steady),
@@ -227,7 +231,8 @@ def simulate(
     ) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
         return total, (state, record)
 
-    _, _, (states, records) = _simulate(look, schedule, samples, initial, settings, signal)
+    loop = begin(schedule, initial)
+    _, _, (states, records) = _simulate(look, schedule, samples, loop, settings, signal)
     return Estimates(
         time=samples.time,
         rotation=states.rotation,
@@ -249,20 +254,37 @@ def simulate_errors(
     signal: SignalSettings,
 ) -> ErrorTrack:
     """The true errors of one simulation over all its samples (pure, jittable)."""
+    loop = begin(schedule, initial)
+    return errors_onward(schedule, samples, loop, settings, signal)[1]
+
+
+def errors_onward(
+    schedule: GainSchedule,
+    samples: Samples,
+    loop: ClosedLoop,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    count: Array | None = None,
+) -> tuple[ClosedLoop, ErrorTrack]:
+    """The true errors over more samples of a simulation, and its loop after them.
+
+    Samples from `count` on change nothing, if it is given, and what is stored of them means
+    nothing: so pieces of any length run as one program (pure, jittable).
+    """
 
     def look(
         total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
     ) -> tuple[tuple[()], tuple[Array, Array, Array]]:
         return total, (*pose_errors(state, now.truth), record.gain_used)
 
-    last, _, errors = _simulate(look, schedule, samples, initial, settings, signal)
+    last, _, errors = _simulate(look, schedule, samples, loop, settings, signal, count=count)
     attitude, position, gain = errors
-    return ErrorTrack(
+    return last, ErrorTrack(
         attitude=attitude,
         position=position,
         gain=gain,
-        bias=last.bias,
-        vector_bias=last.vector_bias,
+        bias=last.state.bias,
+        vector_bias=last.state.vector_bias,
     )
 
 

@@ -106,7 +106,8 @@ def test_the_bias_error_is_against_the_true_bias(posed, tracks):
 
 
 def test_batches_give_what_one_call_gives(posed, tracks, monkeypatch):
-    monkeypatch.setattr(metrics, "BATCH", 2)
+    monkeypatch.setattr(metrics, "SCENARIOS", 2)
+    monkeypatch.setattr(metrics, "SAMPLES", 70)
     again = error_tracks(Candidate(ConstantGain(jnp.float32(20))), posed)
     for whole, parts in zip(tracks, again, strict=True):
         np.testing.assert_allclose(parts, whole, rtol=1e-4, atol=1e-6)

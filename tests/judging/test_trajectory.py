@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from posegsa.judging.trajectory import Trajectory, trajectory
 from posegsa.model.rollout import Estimates
-from posegsa.model.scenario import Truth
 
 pytestmark = pytest.mark.quick
 
@@ -32,7 +31,6 @@ def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
             for pose in (T, T_est)
             for part in (pose[:, :3, :3], pose[:, :3, 3])
         )
-        still = jnp.zeros_like(P)
         bias = jnp.asarray(rng.normal(size=(N, 6)), dtype)
         estimates = Estimates(
             time=time,
@@ -45,7 +43,7 @@ def true_and_estimated(dtype: str) -> tuple[np.ndarray, np.ndarray, Trajectory]:
             error=error,
             rate=rate,
         )
-        made = trajectory(Truth(time, R, P, still, still), estimates, TRUE_BIASES)
+        made = trajectory(R, P, estimates, TRUE_BIASES)
     return T, T_est, made
 
 

@@ -138,7 +138,9 @@ def assert_same_run(
 
 
 def assert_same_errors(truth: Truth, estimates: Estimates, expected: reference.Trajectory) -> None:
-    made = trajectory(truth, estimates, np.zeros((estimates.vector_bias.shape[1], 3)))
+    made = trajectory(
+        truth.rotation, truth.position, estimates, np.zeros((estimates.vector_bias.shape[1], 3))
+    )
     for ours, theirs in (
         (made.attitude_distance, expected.attitude_error),
         (made.position_error, expected.position_error),
