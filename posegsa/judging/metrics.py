@@ -69,7 +69,9 @@ class Bands(NamedTuple):
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
     there, samples = batch.samples.time.shape
-    on_host = jax.tree.map(np.asarray, (batch.samples, batch.initial))
+    # All of it, as a program is compiled anew for what lies on other devices.
+    candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
+    on_host = batch.samples, batch.initial
     parts = []
     for first in range(0, there, SCENARIOS):
         some = np.arange(first, first + SCENARIOS) % there
