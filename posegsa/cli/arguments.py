@@ -16,7 +16,7 @@ def add_search_arguments(
         out: What is said of the folder to write to.
         replaced: What --overwrite replaces, in words.
     """
-    words = f"TOML file of the experiment; without it, {config}"
+    words = f"TOML file of the experiment, or a name of `posegsa configs`; without it, {config}"
     parser.add_argument("config", nargs="?", metavar="CONFIG", help=words)
     parser.add_argument(
         "--set",

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from posegsa.config.changes import with_values
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
@@ -22,7 +23,12 @@ from posegsa.settings.fields import (
     Section,
     Tunable,
 )
-from posegsa.settings.violations import Violation, violations_of
+from posegsa.settings.violations import (
+    Violation,
+    config_error,
+    violations_error,
+    violations_of,
+)
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
@@ -161,6 +167,25 @@ class Experiment(Section):
     def also(self) -> tuple[AlsoTuned, ...]:
         """The further numbers that are tuned: those of the default list have an effect here."""
         return with_effect(self, self.parameters.also, needless=DEFAULT_ALSO)
+
+    def replace(self, **values: object) -> Self:
+        """The same experiment with other values, checked: `replace(**{"filter.gamma": 2.0})`.
+
+        Args:
+            values: New values by path, `section.key`; or whole sections, `search=posegsa.GSA(...)`.
+                Of the optimiser and of what is tuned they change what `config.override` does.
+
+        Raises:
+            ConfigError: The result is not a valid experiment.
+        """
+        data, refused = with_values(self.model_dump(mode="json"), self.search, values.items())
+        if refused:
+            raise violations_error("values that cannot be replaced", refused)
+        try:
+            return type(self).model_validate(data)
+        except ValidationError as error:
+            title = "not a valid experiment with these values"
+            raise config_error(title, error, type(self)) from None
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
         """What of the rest would be wrong if all that is tuned too stood at one of its bounds."""

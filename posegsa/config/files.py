@@ -11,16 +11,18 @@ import tomli_w
 from pydantic import ValidationError
 
 from posegsa.arguments import check_type, several
+from posegsa.config import shipped
+from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
 from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
-from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
 
 MAX_BYTES = 2**20
 """Size up to which a configuration file is read: 1 MiB."""
 
 _SHOWN = 100  # characters of a line that a message shows
+_NAME = re.compile(r"[a-z_]+")
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
@@ -29,12 +31,16 @@ def load(path: str | Path) -> Experiment:
     """Reads an experiment from a TOML file; what the file leaves out keeps its default.
 
     Args:
-        path: The file.
+        path: The file, or the name of a configuration that comes with posegsa, such as "quick"
+            (`posegsa configs` lists them).
 
     Raises:
         ConfigError: If the file cannot be read, is not TOML or is not a valid experiment.
     """
-    check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
+    allowed = "the path of a TOML file, or the name of a configuration"
+    check_type("path", path, str, os.PathLike, allowed=allowed)
+    if _NAME.fullmatch(str(path)) and not Path(path).exists():
+        path = shipped.find(str(path))
     return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
 
 
@@ -89,19 +95,13 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     """
     check_type("experiment", experiment, Experiment)
     settings = several("settings", settings, str, "texts such as filter.substeps=4")
-    data = experiment.model_dump(mode="json") | {"search": {}}
-    violations = [violation for text in settings if (violation := _set(data, text))]
-    if violations:
-        raise violations_error("settings that cannot be applied", violations)
-    data["search"] = _search(experiment.search, data["search"])
-    named = [text.partition("=")[0].strip() for text in settings]
-    if not any(_overlap(path, "parameters.also") for path in named):
-        parameters = data["parameters"]
-        parameters["also"] = [
-            one
-            for one in parameters["also"]
-            if not any(_overlap(path, one["key"]) for path in named)
-        ]
+    parsed = [_parsed(text) for text in settings]
+    violations = [one for one in parsed if isinstance(one, Violation)]
+    values = [one for one in parsed if not isinstance(one, Violation)]
+    data, refused = with_values(experiment.model_dump(mode="json"), experiment.search, values)
+    if violations or refused:
+        title = "settings that cannot be applied"
+        raise violations_error(title, [*violations, *refused])
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -119,32 +119,11 @@ def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experimen
     return _validated(data, "not a valid experiment with the tuned numbers")
 
 
-def _overlap(one: str, other: str) -> bool:
-    """Whether one of two keys is the other, or stands within it."""
-    one, other = f"{one}.", f"{other}."
-    return one.startswith(other) or other.startswith(one)
-
-
 def _validated(data: object, title: str) -> Experiment:
     try:
         return Experiment.model_validate(data)
     except ValidationError as error:
         raise config_error(title, error, Experiment) from None
-
-
-def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
-    """The table [search] after some of its values were named."""
-    kind = OPTIMISERS.get(str(named.get("optimiser")), type(before))
-    if kind is type(before):
-        return before.model_dump(mode="json") | named
-    if not (before.wants_gradients or kind.wants_gradients):
-        return {"agents": before.agents, "iterations": before.iterations} | named
-    if "iterations" in named:
-        return named
-    try:
-        return kind.model_validate(named).within(before.evaluations).model_dump(mode="json")
-    except ValidationError:
-        return named  # it is refused with the rest
 
 
 def _read(path: str | Path) -> str:
@@ -187,31 +166,16 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     )
 
 
-def _set(data: dict[str, Any], text: str) -> Violation | None:
-    """Changes one value of the data in place, or says why that is not possible."""
+def _parsed(text: str) -> tuple[str, Any] | Violation:
+    """The path and the value that a setting names, or what is wrong with it."""
     path, _, written = (part.strip() for part in text.partition("="))
     keys = path.split(".")
     if not written or len(keys) < 2 or not all(keys):
         return Violation(text, "allowed: section.key=value, such as filter.substeps=4")
     try:
-        value = _value(written)
+        return path, _value(written)
     except (ValueError, RecursionError):
         return Violation(path, "allowed: a value as TOML writes it", written)
-    node: Any = data
-    for depth, name in enumerate(keys):
-        key: Any = name
-        if isinstance(node, list) and name in map(str, range(len(node))):
-            key = int(name)
-        elif not isinstance(node, dict):
-            kind = f"an array of {len(node)}" if isinstance(node, list) else "a single value"
-            return Violation(path, f"{'.'.join(keys[:depth])} is {kind}; it has no {key}", value)
-        if depth == len(keys) - 1:
-            node[key] = value
-        elif isinstance(node, dict):
-            node = node.setdefault(key, {})  # a new key is unknown, and is reported as such
-        else:
-            node = node[key]
-    return None
 
 
 def _value(written: str) -> Any:

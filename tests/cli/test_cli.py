@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from types import SimpleNamespace
 import pytest
 from experiments import TINY
 
+from posegsa import config
 from posegsa.cli.command import main
 from posegsa.judging.evaluation import CONTENDERS
 from posegsa.saving.run import load
@@ -204,6 +206,16 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
 
 @pytest.mark.quick
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_configurations_are_listed_and_printed(capsys):
+    assert main(["configs"]) == 0
+    assert "\nquick          A first look" in capsys.readouterr().out
+    assert main(["config", "show", "quick"]) == 0
+    shown = capsys.readouterr().out
+    assert config.from_dict(tomllib.loads(shown)) == config.load("quick")
+    assert main(["config", "show", "quik"]) == 2
+    assert "allowed: a TOML file, or field" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -20,7 +20,7 @@ def test_the_example_runs_and_is_short(tmp_path, monkeypatch):
     small = tmp_path / "tiny.toml"
     small.write_text(config.to_toml(tiny()), encoding="utf-8")
     names: dict = {}
-    exec(code.replace("configs/quick.toml", str(small)), names)  # the README's own text
+    exec(code.replace('"quick"', repr(str(small))), names)  # the README's own text
     assert names["estimates"].rotation.shape == (500, 3, 3)
     assert 1 <= float(names["K"]) <= 101
 

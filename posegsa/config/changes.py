@@ -1,0 +1,80 @@
+"""An experiment's data with single values changed, by their paths."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from posegsa.optimisers import OPTIMISERS, Optimiser
+from posegsa.settings.violations import Violation
+
+
+def with_values(
+    data: dict[str, Any], before: Optimiser, values: Iterable[tuple[str, object]]
+) -> tuple[dict[str, Any], list[Violation]]:
+    """An experiment's data with values replaced, and why some can't be.
+
+    Args:
+        data: Plain data of a whole experiment; changed in place.
+        before: Its optimiser.
+        values: Paths of keys and array indices, such as `scenario.vectors.0.noise`, or of a whole
+            section, each with its value.
+    """
+    data["search"], named, violations = {}, [], []
+    for path, value in values:
+        named.append(path)
+        plain = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+        if violation := _set(data, path, plain):
+            violations.append(violation)
+    if isinstance(data["search"], dict):
+        data["search"] = _search(before, data["search"])
+    parameters = data["parameters"]
+    if not any(_overlap(path, "parameters.also") for path in named):
+        # A number that is stated is not tuned any more.
+        parameters["also"] = [
+            one
+            for one in parameters["also"]
+            if not any(_overlap(path, one["key"]) for path in named)
+        ]
+    return data, violations
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Whether one of two keys is the other, or stands within it."""
+    one, other = f"{one}.", f"{other}."
+    return one.startswith(other) or other.startswith(one)
+
+
+def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
+    """The table [search] after some of its values were named."""
+    kind = OPTIMISERS.get(str(named.get("optimiser")), type(before))
+    if kind is type(before):
+        return before.model_dump(mode="json") | named
+    if not (before.wants_gradients or kind.wants_gradients):
+        return {"agents": before.agents, "iterations": before.iterations} | named
+    if "iterations" in named:
+        return named
+    try:
+        return kind.model_validate(named).within(before.evaluations).model_dump(mode="json")
+    except ValidationError:
+        return named  # it is refused with the rest
+
+
+def _set(data: dict[str, Any], path: str, value: object) -> Violation | None:
+    """Changes one value of the data in place, or says why that is not possible."""
+    keys = path.split(".")
+    node: Any = data
+    for depth, name in enumerate(keys):
+        key: Any = name
+        if isinstance(node, list) and name in map(str, range(len(node))):
+            key = int(name)
+        elif not isinstance(node, dict):
+            kind = f"an array of {len(node)}" if isinstance(node, list) else "a single value"
+            return Violation(path, f"{'.'.join(keys[:depth])} is {kind}; it has no {key}", value)
+        if depth == len(keys) - 1:
+            node[key] = value
+        elif isinstance(node, dict):
+            node = node.setdefault(key, {})  # a new key is unknown, and is reported as such
+        else:
+            node = node[key]
+    return None

@@ -1,0 +1,46 @@
+"""The configurations that come with posegsa, by name: the files of configs/."""
+
+from pathlib import Path
+
+from posegsa.errors import ConfigError
+
+
+def names() -> list[str]:
+    """What they are called."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def find(name: str) -> Path:
+    """The file of one.
+
+    Raises:
+        ConfigError: There is none of that name.
+    """
+    if name not in names():
+        raise ConfigError(
+            f"{name}: no file, and no configuration of posegsa; allowed: a TOML file, or "
+            f"{', '.join(names())}"
+        )
+    return _folder() / f"{name}.toml"
+
+
+def about(name: str) -> str:
+    """What one is for: the first sentence of the comment that begins its file.
+
+    Raises:
+        ConfigError: There is none of that name.
+    """
+    lines = find(name).read_text("utf-8").splitlines()
+    comment = []
+    for line in lines:
+        if not line.startswith("#"):
+            break
+        comment.append(line.removeprefix("#").strip())
+    return " ".join(comment).partition(". ")[0].removesuffix(".")
+
+
+def _folder() -> Path:
+    """Beside the package's modules in a wheel, beside the package itself in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"

@@ -1,0 +1,43 @@
+"""Experiments with single values replaced, from Python as from the command line."""
+
+import pytest
+
+from posegsa import config
+from posegsa.config import Experiment
+from posegsa.errors import ConfigError
+from posegsa.optimisers import GSA
+
+pytestmark = pytest.mark.quick
+
+
+def test_values_are_replaced_as_settings_do() -> None:
+    one = Experiment()
+    changed = one.replace(**{"filter.gamma": 2, "scenario.vectors.0.noise": 0.3, "run.seed": 4})
+    settings = ["filter.gamma=2", "scenario.vectors.0.noise=0.3", "run.seed=4"]
+    assert changed == config.override(one, settings)
+    assert one == Experiment()
+    assert "filter.gamma" not in [also.key for also in changed.also]
+
+
+def test_another_optimiser_keeps_the_size_of_the_search() -> None:
+    changed = Experiment().replace(**{"search.optimiser": "gsa"}).search
+    assert isinstance(changed, GSA)
+    assert changed.agents == Experiment().search.agents
+    assert Experiment().replace(search=GSA(agents=7, iterations=3)).search == GSA(
+        agents=7, iterations=3
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("filter.gama", 2.0, r"filter\.gama\s+unknown key; did you mean filter\.gamma"),
+        ("filter.gamma", -1.0, r"filter\.gamma = -1\.0\s+should be greater"),
+        ("scenario.vectors.7.noise", 1.0, r"an array of 2; it has no 7"),
+        ("run.seed.high", 1, r"run\.seed is a single value"),
+        ("search", 3, "search = 3"),
+    ],
+)
+def test_what_can_not_be_is_refused_by_its_path(path: str, value: object, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Experiment().replace(**{path: value})

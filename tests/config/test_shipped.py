@@ -1,0 +1,49 @@
+"""The configurations that come with posegsa, by name."""
+
+from pathlib import Path
+
+import pytest
+
+from posegsa import config
+from posegsa.config import shipped
+from posegsa.errors import ConfigError
+
+pytestmark = pytest.mark.quick
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def test_each_file_has_a_name_and_says_what_it_is_for() -> None:
+    assert shipped.names() == sorted(path.stem for path in CONFIGS.glob("*.toml"))
+    for name in shipped.names():
+        assert len(shipped.about(name)) > 20
+        assert "\n" not in shipped.about(name)
+
+
+def test_a_name_stands_for_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert config.load("quick") == config.load(CONFIGS / "quick.toml")
+    assert config.as_experiment("recommended") == config.Experiment()
+
+
+def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("quick").write_text("[run]\nseed = 77\n", "utf-8")
+    assert config.load("quick").run.seed == 77
+
+
+def test_in_a_wheel_they_are_inside_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = tmp_path / "posegsa" / "configs"
+    installed.mkdir(parents=True)
+    (installed / "mine.toml").write_text("# What I use. More.\n[run]\nseed = 3\n", "utf-8")
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "posegsa" / "config" / "shipped.py"))
+    assert shipped.names() == ["mine"]
+    assert shipped.about("mine") == "What I use"
+    assert config.load("mine").run.seed == 3
+
+
+def test_another_name_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"quik: .* allowed: a TOML file, or field, .*quick"):
+        config.load("quik")
