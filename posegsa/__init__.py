@@ -54,6 +54,8 @@ from posegsa.saving.run import save as save
 from posegsa.search.build import filter_settings as filter_settings
 from posegsa.search.build import parameter_space as parameter_space
 from posegsa.search.build import signal_settings as signal_settings
+from posegsa.streaming import Pose as Pose
+from posegsa.streaming import PoseFilter as PoseFilter
 from posegsa.tuning import tune as tune
 from posegsa.tuning import tune_batch as tune_batch
 
