@@ -10,7 +10,8 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words runtime settings | optimisers model | config | search | judging"
+    "errors arguments words runtime settings | optimisers model | exchange config | search"
+    " | judging"
     " | figures | report export | saving | tuning evaluating comparing streaming"
     " | __init__ | cli | __main__"
 )
