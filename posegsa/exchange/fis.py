@@ -1,7 +1,9 @@
 """MATLAB's Fuzzy Logic Toolbox: `.fis`, written and read.
 
 MATLAB samples the centroid at 101 points and takes the middle of the output's range where no rule
-fires; a file can say neither.
+fires; a file can say neither. A term that has its peak at an end of the range is written with a
+foot beyond it, as MATLAB's own are: that is the same inside, and Octave's toolkit refuses vertical
+edges.
 """
 
 import re
@@ -80,9 +82,14 @@ def _variable(variable: Variable) -> str:
         f"Range=[{variable.low!r} {variable.high!r}]",
         f"NumMFs={len(variable.terms)}",
     ]
+    width = variable.high - variable.low
     for i, term in enumerate(variable.terms, start=1):
-        feet = " ".join(map(repr, term.feet))
-        lines.append(f"MF{i}='{term.name}':'trimf',[{feet}]")
+        a, b, c = term.feet
+        if a == b == variable.low:
+            a -= width
+        if b == c == variable.high:
+            c += width
+        lines.append(f"MF{i}='{term.name}':'trimf',[{a!r} {b!r} {c!r}]")
     return "\n".join(lines) + "\n"
 
 

@@ -1,5 +1,6 @@
 """A Mamdani system with names, as the formats write it, and the controller that it is."""
 
+import math
 import textwrap
 from collections import Counter
 from typing import Any, NamedTuple
@@ -115,7 +116,7 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
             raise FuzzyError(
                 f"{one.name}: has the range [{one.low:g}, {one.high:g}]; allowed: [0, 1]"
             )
-    feet: Any = [[term.feet for term in one.terms] for one in (error, rate, output)]
+    feet: Any = [[_inside(term, one) for term in one.terms] for one in (error, rate, output)]
     if feet[0] != feet[1]:
         raise FuzzyError(
             f"{error.name} and {rate.name}: have different terms, {feet[0]} and {feet[1]}; "
@@ -143,6 +144,24 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
         sampled_points=101 if system.points is None else system.points,
         no_rule=chosen,
     )
+
+
+def _inside(term: Term, variable: Variable) -> tuple[float, float, float]:
+    """Feet and peak; with a vertical edge where the peak is an end of the range, a foot beyond it.
+
+    That is the same inside the range. Any other term that reaches beyond it would be cut off there.
+    """
+    a, b, c = term.feet
+    if not all(map(math.isfinite, term.feet)):
+        raise FuzzyError(f"{variable.name}: the term {term.name} must be finite, got {term.feet}")
+    a = max(a, variable.low) if b == variable.low else a
+    c = min(c, variable.high) if b == variable.high else c
+    if a < variable.low or c > variable.high:
+        raise FuzzyError(
+            f"{variable.name}: the term {term.name}, {list(term.feet)}, is cut off by the range "
+            f"[{variable.low:g}, {variable.high:g}]; allowed: inside it, or the peak at its end"
+        )
+    return a, b, c
 
 
 def _terms(terms: object) -> tuple[Term, ...]:

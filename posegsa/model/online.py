@@ -125,6 +125,8 @@ class OnlineLoop:
         """All numbers of the parameters, packed."""
         self._on_device = jnp.asarray(self.parameters)
         self._before = before.size
+        self.sample_size = sample.size
+        """Numbers in a packed sample."""
         self._program = _compiled(layout, before, sample, self.dtype.name)
 
     def start(self, initial: FilterState) -> np.ndarray:

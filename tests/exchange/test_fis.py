@@ -1,6 +1,8 @@
 """MATLAB's format: as fuzzylite reads it, and as a reader of two dozen lines does."""
 
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ import posegsa
 
 pytestmark = pytest.mark.quick
 
+OCTAVE = shutil.which("octave-cli")
 FUZZYLITE_PARTS = 100
 """fuzzylite's resolution where a file says none, as a .fis can't."""
 
@@ -31,6 +34,32 @@ def test_fuzzylite_reads_the_gain(case, tmp_path):
     read = with_fuzzylite(posegsa.export_fis(one), "fis", given, tmp_path)
     np.testing.assert_allclose(read, by_midpoints(one, given, FUZZYLITE_PARTS), rtol=1e-10)
     assert np.nanmax(np.abs(read - exact(one, given))) < 1
+
+
+@pytest.mark.skipif(OCTAVE is None, reason="octave-cli is not there (Debian's package octave)")
+def test_octave_reads_the_gain(tmp_path):
+    one, given = controller("covering"), inputs(60)
+    (tmp_path / "gain.fis").write_text(posegsa.export_fis(one), encoding="utf-8")
+    np.savetxt(tmp_path / "given.txt", given, fmt="%.17g")
+    program = (
+        "pkg load fuzzy-logic-toolkit; fis = readfis('gain.fis'); "
+        "printf('%.15g\\n', evalfis(load('given.txt'), fis, 101));"
+    )
+    done = subprocess.run(
+        [str(OCTAVE), "--no-gui", "--quiet", "--eval", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    if "fuzzy-logic-toolkit" in done.stderr:
+        pytest.skip("Octave has no fuzzy-logic-toolkit (Debian's octave-fuzzy-logic-toolkit)")
+    read = np.array([float(word) for word in done.stdout.split()])
+    ends = np.ones(101)
+    ends[[0, -1]] = 0.5  # the trapezoidal rule
+    expected = by_samples(one, given, np.linspace(0, 100, 101), ends)
+    np.testing.assert_allclose(read, expected, rtol=1e-10)
 
 
 def sections(text: str) -> dict[str, dict[str, str]]:
@@ -65,7 +94,11 @@ def test_what_stands_in_it_is_the_controller(case):
             f"'{term}':'trimf'" for term in ("VS", "S", "M", "L", "VL")
         ]
         feet = [[float(x) for x in re.findall(r"[\d.e+-]+", f.split(",")[1])] for f in functions]
-        np.testing.assert_array_equal(feet, terms)  # all digits
+        # Where the peak is an end of the range, a foot is beyond it.
+        expected, (low, high) = np.array(terms), ends
+        expected[expected[:, 1] == low, 0] = low - (high - low)
+        expected[expected[:, 1] == high, 2] = high + (high - low)
+        np.testing.assert_array_equal(feet, expected)  # all digits
     rules = [[int(x) for x in re.findall(r"\d+", rule)] for rule in read["Rules"]]
     assert [rule[3:] for rule in rules] == [[1, 1]] * 25
     for error, rate, output, *_ in rules:
