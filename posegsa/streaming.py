@@ -33,6 +33,9 @@ from posegsa.search.build import signal_settings
 FORMAT = 1
 """Number of the layout of a checkpoint; it changes with what is in it."""
 
+MAX_GAIN = 1e9
+"""The largest constant gain [1/s], as in a configuration."""
+
 BLIND = (ConstantGain, SwitchGain, KnotGain)
 """Schedules that do not look at the error, and so need no settings of its signal."""
 
@@ -144,6 +147,8 @@ class PoseFilter:
         )
         self._learnt = 0 if settings.vector_bias is None else len(vectors)
         self._dtype = _dtype_of(settings)
+        _check_range("vector_references", vectors, self._dtype)
+        _check_range("landmark_references", landmarks, self._dtype)
         start = self._state(rotation, position, bias)
         parameters = OnlineParameters(schedule, settings, signal, vectors, landmarks)
         with jax.enable_x64(self._dtype == np.float64):
@@ -329,8 +334,13 @@ class PoseFilter:
     def _state(
         self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None
     ) -> FilterState:
-        with jax.enable_x64(self._dtype == np.float64):
-            return checked_state(rotation, position, bias, self._dtype, learnt_vectors=self._learnt)
+        with np.errstate(over="ignore"), jax.enable_x64(self._dtype == np.float64):
+            state = checked_state(
+                rotation, position, bias, self._dtype, learnt_vectors=self._learnt
+            )
+        if not np.isfinite(jax.tree.leaves(state)).all():
+            raise MeasurementError(f"position or bias: must be within {self._dtype}'s range")
+        return state
 
     def _begin(self, record: np.ndarray) -> None:
         sensors = len(self._vectors.references) + len(self._landmarks.references)
@@ -440,7 +450,7 @@ def _by_hand(
     if isinstance(source, FuzzyController):
         source = FuzzyGain(source)
     elif isinstance(source, Real) and not isinstance(source, bool):
-        check_number("source, a constant gain", source, 0.0)
+        check_number("source, a constant gain", source, 0.0, MAX_GAIN)
         constant: Any = np.asarray(float(source))
         source = ConstantGain(constant)
     kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves((source, settings, signal))}
@@ -454,7 +464,7 @@ def _by_hand(
     if signal.signal == "pose":
         refuse('signal: "pose", the true errors, which no vehicle knows', '"measured"')
     dtype = _dtype_of(settings)
-    with jax.enable_x64(dtype == np.float64):
+    with np.errstate(over="ignore"), jax.enable_x64(dtype == np.float64):
         given = jax.tree.map(
             lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), (source, settings, signal)
         )
@@ -482,7 +492,9 @@ def _duration(name: str, value: float) -> float:
 
 def _time_step(value: float, dtype: np.dtype) -> float:
     dt = float(finite_array("time_step", value, ()))
-    if not dtype.type(dt) > 0:
+    with np.errstate(over="ignore", under="ignore"):
+        positive = dtype.type(dt) > 0
+    if not positive:
         raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
     return dt
 
@@ -491,14 +503,20 @@ def _packed(sample: Mapping[str, Any], dtype: np.dtype) -> np.ndarray:
     """A sample as one array; what is infinite, or beyond the dtype's range, is refused by name."""
     with np.errstate(over="ignore"):
         packed = np.concatenate(list(sample.values())).astype(dtype)
-        if np.isfinite(packed).all():
-            return packed
+    if not np.isfinite(packed).all():
         for name, array in sample.items():
-            if not np.isfinite(np.asarray(array, dtype)).all():
-                raise MeasurementError(
-                    f"{name}: must be within {dtype}'s range, got {np.asarray(array).tolist()}"
-                )
+            _check_range(name, array, dtype)
     return packed
+
+
+def _check_range(name: str, array: ArrayLike, dtype: np.dtype) -> None:
+    """Refuse what is infinite at this dtype."""
+    with np.errstate(over="ignore"):
+        fits = np.isfinite(np.asarray(array, dtype)).all()
+    if not fits:
+        raise MeasurementError(
+            f"{name}: must be within {dtype}'s range, got {np.asarray(array).tolist()}"
+        )
 
 
 def _stored(checkpoint: Mapping[str, np.ndarray], name: str, like: np.ndarray) -> np.ndarray:

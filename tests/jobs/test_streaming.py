@@ -374,3 +374,22 @@ def test_a_bad_sample_is_refused_and_changes_nothing(pose_filter, change, messag
         pose_filter.update(**sample | change)
     for name, array in pose_filter.checkpoint().items():
         np.testing.assert_array_equal(array, before[name])
+
+
+def test_numbers_beyond_float32_are_refused_by_name():
+    result = tuned(K)
+    for given, message in (
+        ({"position": [1e300, 0.0, 0.0]}, "position or bias: must be within float32's range"),
+        ({"landmark_references": [[1e300, 0.0, 0.0]]}, "landmark_references: must be within float"),
+    ):
+        with pytest.raises(MeasurementError, match=message):
+            posegsa.PoseFilter(result, **{**START, **given})
+    pose_filter = posegsa.PoseFilter(result, **START)
+    still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    for given, message in (
+        ({"time_step": 1e-60}, "time_step: must be positive, got 1e-60 s"),
+        ({"time_step": 1e60}, "time_step: must be within float32's range"),
+        ({"time_step": 0.01, "vectors": np.full((2, 3), 1e300)}, "vectors: must be within float32"),
+    ):
+        with pytest.raises(MeasurementError, match=message):
+            pose_filter.update(**{**still, **given})
