@@ -9,6 +9,7 @@ own for each precision.
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import time
@@ -116,7 +117,8 @@ def main() -> None:
             f"| {dtype} | {found['update']:.0f} us | {found['update 99 %']:.0f} us | "
             f"{found['compiled call']:.0f} us | {found['first']:.1f} s | {found['second']:.2f} s |"
         )
-    where = f"{' '.join(cpu())}, jax {jax.__version__}"
+    load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
+    where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
     table = "\n".join([*rows, "", f"By `python benchmarks/streaming.py --write` ({where})."])
     print(table)
     if options.write:
