@@ -68,7 +68,7 @@ class PoseFilter:
 
     It computes what `TuneResult.estimate` and `run_filter` compute from the same samples, to
     rounding. Making one compiles the step, which takes a few seconds for the first filter of a
-    structure; an update then takes some ten microseconds.
+    structure; an update then takes less than a tenth of a millisecond (docs/streaming.md).
 
     A sample and the time to the next one make the estimate at the next one, so `update` returns the
     pose at the end of its time step. With samples that carry times of their own, keep the last one:
