@@ -123,3 +123,9 @@ def test_the_comment_says_what_the_format_cannot():
         assert "held out" in head
     assert "keep the last gain" in held
     assert "keep the last gain" not in middle
+
+
+def test_a_run_tuned_on_true_errors_says_so():
+    text = posegsa.export_fis(tuned(K, "gain.signal=pose"))
+    head = " ".join(re.findall(r"^% *(.*)$", text, re.MULTILINE))
+    assert "WARNING: signal pose: the gain looks at the true errors, which no vehicle knows" in head
