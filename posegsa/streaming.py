@@ -78,8 +78,8 @@ class PoseFilter:
     What is missing is NaN or None. Of a vector or landmark, one number that is NaN makes all of it
     missing; a vector of length 0 is missing too. An angular velocity or velocity that is missing,
     likewise in whole or in part, is that of the last sample that had one, for `hold_time` at most;
-    after that the update is refused, because the pose would move on on old news. Whoever has no
-    such sensor gives zeros.
+    after that the update is refused, because the pose would go on with values that are too old.
+    Whoever has no such sensor gives zeros.
 
     An update that is refused changes nothing: the next one may go on from there, with the time
     that has passed. Arrays that are returned are the caller's own.
@@ -92,7 +92,8 @@ class PoseFilter:
         position: (3,) P_est there [m], inertial frame.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
-            `update`; default those of the result's experiment, or none.
+            `update`; default those of the result's experiment, or none. If there are more or fewer
+            than in the experiment, each has the weight 1.
         landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
         vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
         landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
@@ -246,7 +247,7 @@ class PoseFilter:
 
     @property
     def time(self) -> float:
-        """Sum of the time steps so far [s]: when, after the first sample, the pose is that of."""
+        """Time of the pose since the first sample [s], the sum of all time steps."""
         return self._time
 
     @property
@@ -387,11 +388,10 @@ class _Sensors:
                 f"{count}, as there are {name}_references, or None",
             )
         self._factors = self._checked_factors(factors)
-        own = np.ones(count) if weights is None else np.asarray(weights, np.float64)
-        self.weights = own * self._factors
-        """(n,) the filter's weights with the factors; a sensor of weight 0 says nothing."""
-        if name == "vector" and (~references.any(axis=1) & (self._factors > 0)).any():
-            raise MeasurementError("vector_references: must not be zero where the weight is not")
+        self.weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
+        """(n,) the filter's weights, without the factors; a sensor of weight 0 says nothing."""
+        if name == "vector" and not references.any(axis=1).all():
+            raise MeasurementError("vector_references: must not be zero")
 
     def seen(self, values: Any, factors: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
         """What was measured (n, 3), and the factors (n,), 0 where something is missing."""

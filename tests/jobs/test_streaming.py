@@ -247,6 +247,14 @@ def test_a_sensor_without_weight_fixes_nothing(result):
         landmarks=[[1.0, 0, 0]],
     )
     assert "found 1 vector and 1 landmark" in pose_filter.why_unobservable
+    pose_filter.update(
+        time_step=0.01,
+        angular_velocity=np.zeros(3),
+        velocity=np.zeros(3),
+        vectors=np.eye(3)[:2],
+        vector_weights=1.0,  # of this sample, instead
+    )
+    assert pose_filter.observable
 
 
 # Going back and going on --------------------------------------------------------------------------
