@@ -51,7 +51,6 @@ def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
     np.testing.assert_array_equal(controller.output_terms, result.controller.output_terms)
 
 
-@pytest.mark.quick
 def test_own_arrays(monkeypatch, capsys):
     main = example("own_arrays")["main"]
     monkeypatch.setattr(posegsa, "load", lambda _: tuned(K))
@@ -86,7 +85,6 @@ def test_stream(monkeypatch, capsys):
     assert [row.split(",")[0] for row in rows] == ["0.010", "0.020", "0.030", "0.040"]
 
 
-@pytest.mark.quick
 def test_minimise(capsys):
     with jax.numpy_rank_promotion("allow"):  # as a user has it
         found = example("minimise")["main"](iterations=60)

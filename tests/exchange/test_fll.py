@@ -54,7 +54,7 @@ def test_fuzzylite_reads_the_gain(case, tmp_path):
 
 @pytest.mark.parametrize("case", CASES)
 def test_pyfuzzylite_reads_the_gain(case):
-    one, given = controller(case), inputs(40)
+    one, given = controller(case), inputs(15)
     read = with_pyfuzzylite(posegsa.export_fll(one), given)
     np.testing.assert_allclose(read, held(by_midpoints(one, given, RESOLUTION), 50.0), rtol=1e-10)
 
