@@ -13,7 +13,7 @@ def machine(jax_version: str, cores: int, load: str) -> dict[str, str]:
     """What the figures depend on."""
     return {
         "load": load,
-        "cpu": " ".join(_cpu()),
+        "cpu": " ".join(cpu()),
         "cores": str(cores),
         "compiler": c.compiler_version(),
         "jax": jax_version,
@@ -23,7 +23,7 @@ def machine(jax_version: str, cores: int, load: str) -> dict[str, str]:
     }
 
 
-def _cpu() -> Iterator[str]:
+def cpu() -> Iterator[str]:
     """Name of the CPU, its family and model where the name says little, and its widest vectors."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]

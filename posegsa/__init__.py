@@ -13,8 +13,13 @@ from posegsa.errors import PosegsaError as PosegsaError
 from posegsa.errors import PosegsaWarning as PosegsaWarning
 from posegsa.errors import SearchInterrupted as SearchInterrupted
 from posegsa.evaluating import evaluate as evaluate
+from posegsa.exchange import load_controller as load_controller
 from posegsa.export import export_c as export_c
 from posegsa.export import export_csv as export_csv
+from posegsa.export import export_fcl as export_fcl
+from posegsa.export import export_fis as export_fis
+from posegsa.export import export_fll as export_fll
+from posegsa.export import export_fml as export_fml
 from posegsa.export import export_json as export_json
 from posegsa.figures.result import draw as draw
 from posegsa.figures.schedule import plot_input_terms as plot_input_terms
@@ -54,6 +59,8 @@ from posegsa.saving.run import save as save
 from posegsa.search.build import filter_settings as filter_settings
 from posegsa.search.build import parameter_space as parameter_space
 from posegsa.search.build import signal_settings as signal_settings
+from posegsa.streaming import Pose as Pose
+from posegsa.streaming import PoseFilter as PoseFilter
 from posegsa.tuning import tune as tune
 from posegsa.tuning import tune_batch as tune_batch
 

@@ -7,6 +7,7 @@ The tests judge some thousands of them at the validators and tune a few; the cam
 import copy
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -131,6 +132,19 @@ def some_result() -> posegsa.TuneResult:
     )
 
 
+@cache
+def stream_filter() -> posegsa.PoseFilter:
+    """One filter for all that is tried on it; its gain needs no signal."""
+    return posegsa.PoseFilter(
+        5.0,
+        rotation=np.eye(3),
+        position=np.zeros(3),
+        vector_references=np.eye(3)[:2],
+        landmark_references=[[1.0, 2.0, 3.0]],
+        settings=posegsa.filter_settings(tiny()),
+    )
+
+
 class Call(NamedTuple):
     """A call of a public function, ready to be made."""
 
@@ -245,6 +259,33 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "export_c": lambda: posegsa.export_c(hostile()),
         "export_json": lambda: posegsa.export_json(hostile()),
         "export_csv": lambda: posegsa.export_csv(hostile()),
+        "export_fis": lambda: posegsa.export_fis(hostile()),
+        "load_controller": lambda: posegsa.load_controller(
+            any_of(folder / "none.fis", str(folder)), no_rule=hostile()
+        ),
+        "PoseFilter": lambda: posegsa.PoseFilter(
+            any_of(hostile(), controller),
+            rotation=array(3, 3),
+            position=array(3),
+            vector_references=any_of(None, array(n, 3)),
+            landmark_references=array(m, 3),
+            settings=any_of(settings),
+            signal=any_of(signal),
+            hold_time=any_of(0.1),
+        ),
+        "PoseFilter settings": lambda: posegsa.PoseFilter(
+            5.0, rotation=np.eye(3), position=np.zeros(3), settings=hostile()
+        ),
+        "update": lambda: stream_filter().update(
+            time_step=any_of(0.01),
+            angular_velocity=array(3),
+            velocity=array(3),
+            vectors=any_of(None, array(2, 3), array(n, 3)),
+            landmarks=any_of(None, array(1, 3)),
+            vector_weights=any_of(None, 1.0),
+        ),
+        "restore": lambda: stream_filter().restore(hostile()),
+        "reset": lambda: stream_filter().reset(array(3, 3), array(3)),
         "export_csv resolution": lambda: posegsa.export_csv(result, resolution=no_count()),
         "evaluate": lambda: posegsa.evaluate(hostile(), scenarios=any_of(5)),
         "evaluate scenarios": lambda: posegsa.evaluate(result, scenarios=no_count()),

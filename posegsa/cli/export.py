@@ -21,6 +21,7 @@ def add(commands) -> None:
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write; default standard output")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
     parser.set_defaults(command=_export)
 
 
@@ -34,9 +35,17 @@ def _export(options: argparse.Namespace) -> int:
     if options.out is None:
         sys.stdout.write(text)
         return 0
-    try:
-        Path(options.out).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise PosegsaError(f"{options.out}: cannot be written: {error.strerror}") from None
+    write_new(Path(options.out), text, overwrite=options.overwrite)
     print(f"Written: {options.out}")
     return 0
+
+
+def write_new(path: Path, text: str, *, overwrite: bool) -> None:
+    """Write a file, and refuse one that is there already unless it may be overwritten."""
+    try:
+        with path.open("w" if overwrite else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise PosegsaError(f"{path}: is there already; --overwrite replaces it") from None
+    except OSError as error:
+        raise PosegsaError(f"{path}: cannot be written: {error.strerror}") from None

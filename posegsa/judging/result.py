@@ -121,8 +121,11 @@ class TuneResult:
         check_type("measurements", measurements, Measurements)
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
-            settings = self._settings_for(measurements)
-            learnt = 0 if settings.vector_bias is None else np.shape(measurements.vectors)[-2]
+            vectors, landmarks = (
+                np.shape(a)[-2] for a in (measurements.vectors, measurements.landmarks)
+            )
+            settings = self.settings_for(vectors, landmarks)
+            learnt = 0 if settings.vector_bias is None else vectors
             start = checked_state(rotation, position, bias, dtype, learnt_vectors=learnt)
             estimates = run_filter(
                 self.schedule,
@@ -142,12 +145,16 @@ class TuneResult:
             )
         return estimates
 
-    def _settings_for(self, measurements: Measurements) -> FilterSettings:
-        """The tuned filter, for as many sensors as there are."""
+    def settings_for(self, vectors: int, landmarks: int) -> FilterSettings:
+        """The tuned filter's settings for so many sensors.
+
+        If there are as many vectors, or landmarks, as in the experiment, they have the weights of
+        those, else 1 each.
+        """
         settings, scenario = filter_settings(self.tuned), self.experiment.scenario
-        if np.shape(measurements.vectors)[-2] != len(scenario.vectors):
+        if vectors != len(scenario.vectors):
             settings = replace(settings, vectors=replace(settings.vectors, weights=None))
-        if np.shape(measurements.landmarks)[-2] != len(scenario.landmarks):
+        if landmarks != len(scenario.landmarks):
             settings = replace(settings, landmark_weights=None)
         return settings
 

@@ -279,7 +279,9 @@ def checked_state(
         MeasurementError: wrong shape, not finite, or not a rotation; names the argument.
     """
     R = finite_array("rotation", rotation, (3, 3))
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        rotates = np.abs(R @ R.T - np.eye(3)).max() <= 1e-3 and np.linalg.det(R) > 0
+    if not rotates:
         raise MeasurementError(
             f"rotation: must be a rotation (se3.project_rotation makes one), got {R.tolist()}"
         )

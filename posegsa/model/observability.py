@@ -43,15 +43,33 @@ def check_observability(
     Raises:
         ScenarioError: If the pose is not observable; says what was found and what is needed.
     """
+    why = why_unobservable(directions, positions, direction_weights, position_weights)
+    if why:
+        raise ScenarioError(f"the pose is not observable: {why}")
+
+
+def why_unobservable(
+    directions: ArrayLike,
+    positions: ArrayLike,
+    direction_weights: ArrayLike | None = None,
+    position_weights: ArrayLike | None = None,
+) -> str:
+    """What was found and what is needed if the pose cannot be determined; "" if it can.
+
+    The arguments are those of `check_observability`.
+
+    Raises:
+        ScenarioError: An argument has another shape, is not finite, or a direction is zero.
+    """
     vectors = _counted("directions", directions, direction_weights)
     landmarks = _counted("positions", positions, position_weights)
     lines = _unit_lines(landmarks)
     if len(landmarks) > 0 and _span_two_directions(np.vstack([_unit(vectors), lines])):
-        return
-    raise ScenarioError(
-        f"the pose is not observable: found {_found(vectors, landmarks, lines)} "
-        "(weight above 0); needed are two non-collinear vectors and a landmark, or a vector and "
-        "two landmarks on a line not parallel to it, or three landmarks not on one line"
+        return ""
+    return (
+        f"found {_found(vectors, landmarks, lines)} (weight above 0); needed are two "
+        "non-collinear vectors and a landmark, or a vector and two landmarks on a line not "
+        "parallel to it, or three landmarks not on one line"
     )
 
 

@@ -128,7 +128,7 @@ def samples_of(
     return Samples(time, prepare(measurements, vectors), truth)
 
 
-def _closed_loop_step(
+def closed_loop_step(
     loop: ClosedLoop,
     now: Samples,
     schedule: PreparedSchedule,
@@ -177,7 +177,7 @@ def _simulate(
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (loop, total), (now, entry) = carry, inputs
-        after, record = _closed_loop_step(loop, now, prepared, settings, signal)
+        after, record = closed_loop_step(loop, now, prepared, settings, signal)
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
@@ -344,7 +344,7 @@ def _scheduled_step(
 ) -> tuple[ClosedLoop, Array]:
     since_start = jnp.asarray(time, measurement.time_step.dtype)
     now = Samples(since_start, prepare(measurement, settings.vectors), None)
-    after, record = _closed_loop_step(loop, now, schedule.prepare(), settings, signal)
+    after, record = closed_loop_step(loop, now, schedule.prepare(), settings, signal)
     return after, record.gain
 
 

@@ -1,0 +1,129 @@
+"""What one sample costs on-line: `PoseFilter.update`, beside the compiled call that it wraps.
+
+The recommended filter with the controller in the middle of its boxes, which costs what any other
+does: two vectors, one landmark. Times are of single calls, one after the other, in a process of its
+own for each precision.
+
+    python benchmarks/streaming.py [--updates N] [--write]
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from machine import cpu
+from readme import write_block
+
+import posegsa
+from posegsa import config
+from posegsa.errors import PosegsaWarning
+
+PAGE = "docs/streaming.md"
+
+
+def made(dtype: str) -> Callable[[], posegsa.PoseFilter]:
+    """What makes the filter."""
+    experiment = config.override(config.Experiment(), [f"run.dtype={dtype}"])
+    scenario = experiment.scenario
+    with jax.enable_x64(dtype == "float64"):
+        space = posegsa.parameter_space(experiment)
+        controller = space.controller(0.5 * (space.lower + space.upper))
+        settings = posegsa.filter_settings(experiment)
+        signal = posegsa.signal_settings(experiment.gain, dtype)
+    return lambda: posegsa.PoseFilter(
+        controller,
+        rotation=np.diag([1.0, -1.0, -1.0]),
+        position=np.zeros(3),
+        vector_references=np.array([v.direction for v in scenario.vectors]),
+        landmark_references=np.array([p.position for p in scenario.landmarks]),
+        settings=settings,
+        signal=signal,
+    )
+
+
+def microseconds(call: Callable[[], object], count: int) -> np.ndarray:
+    """Time of each of so many calls [us]."""
+    times = np.empty(count)
+    for i in range(count):
+        begin = time.perf_counter()
+        call()
+        times[i] = time.perf_counter() - begin
+    return 1e6 * times
+
+
+def measured(dtype: str, updates: int) -> dict[str, float]:
+    """Seconds to make the filter, the first and the second time, and microseconds of its calls."""
+    make, seconds = made(dtype), []
+    for _ in range(2):
+        begin = time.perf_counter()
+        pose_filter = make()
+        seconds.append(time.perf_counter() - begin)
+    rng = np.random.default_rng(0)
+    omega, v = rng.normal(size=(2, 3))
+    vectors, landmarks = rng.normal(size=(2, 3)), rng.normal(size=(1, 3))
+
+    def update() -> object:
+        return pose_filter.update(
+            time_step=0.01,
+            angular_velocity=omega,
+            velocity=v,
+            vectors=vectors,
+            landmarks=landmarks,
+        )
+
+    loop = pose_filter._loop
+    record = pose_filter._record
+    sample = np.full(loop.sample_size, 0.5, dtype)
+    update()
+    whole, inner = (
+        microseconds(update, updates),
+        microseconds(lambda: loop(record, sample), updates),
+    )
+    return {
+        "first": seconds[0],
+        "second": seconds[1],
+        "update": float(np.median(whole)),
+        "update 99 %": float(np.quantile(whole, 0.99)),
+        "compiled call": float(np.median(inner)),
+    }
+
+
+def main() -> None:
+    """Measure each precision in a process of its own."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--updates", type=int, default=20_000)
+    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE}")
+    parser.add_argument("--dtype", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.dtype:
+        warnings.simplefilter("ignore", PosegsaWarning)
+        print(json.dumps(measured(options.dtype, options.updates)))
+        return
+    rows = [
+        "| precision | one update, median | 99 % | of it compiled | made first | made again |",
+        "| --- | --: | --: | --: | --: | --: |",
+    ]
+    for dtype in ("float32", "float64"):
+        words = [sys.executable, __file__, "--dtype", dtype, "--updates", str(options.updates)]
+        found = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+        rows.append(
+            f"| {dtype} | {found['update']:.0f} us | {found['update 99 %']:.0f} us | "
+            f"{found['compiled call']:.0f} us | {found['first']:.1f} s | {found['second']:.2f} s |"
+        )
+    load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
+    where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
+    table = "\n".join([*rows, "", f"By `python benchmarks/streaming.py --write` ({where})."])
+    print(table)
+    if options.write:
+        write_block("streaming", table, PAGE)
+
+
+if __name__ == "__main__":
+    main()

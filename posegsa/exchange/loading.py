@@ -1,0 +1,58 @@
+"""A fuzzy controller from a file of another tool."""
+
+import os
+from pathlib import Path
+from typing import get_args
+
+from posegsa.arguments import check_type, refuse
+from posegsa.errors import FuzzyError
+from posegsa.exchange.fis import from_fis
+from posegsa.exchange.fll import from_fll
+from posegsa.exchange.system import controller_of
+from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule
+
+READERS = {".fis": from_fis, ".fll": from_fll}
+MAX_BYTES = 2**20
+"""Size up to which a file is read."""
+
+
+def load_controller(
+    path: str | Path, *, no_rule: NoRule | None = None, centroid: Centroid = "exact"
+) -> FuzzyController:
+    """Read a `.fis` (MATLAB) or `.fll` (fuzzylite) file of a controller's structure.
+
+    That is: two inputs named error and rate, from 0 to 1, that share one set of triangular terms;
+    one output, whose centroid is the gain less 1; one rule for each pair of terms, by min and max.
+
+    Args:
+        path: The file; its ending says the format.
+        no_rule: What is to happen where no rule fires, "hold" or "midrange"; None for what the file
+            says. A .fis always says "midrange", as MATLAB does that; a .fll says either.
+        centroid: "exact", or "sampled" for terms that are not in order.
+
+    Returns:
+        The controller, at JAX's default precision.
+
+    Raises:
+        ArgumentError: An argument is of another type, or the ending is none of these.
+        FuzzyError: The file can't be read, or holds something else; names the file and what is
+            wrong.
+    """
+    check_type("path", path, str, os.PathLike)
+    for name, value, kind in (("no_rule", no_rule, NoRule), ("centroid", centroid, Centroid)):
+        if value is not None and value not in get_args(kind):
+            refuse(f"{name} = {value!r}", " or ".join(map(repr, get_args(kind))))
+    path = Path(path)
+    if path.suffix not in READERS:
+        refuse(f"path = {str(path)!r}", f"a file that ends in {' or '.join(READERS)}")
+    try:
+        if not path.is_file():
+            raise FuzzyError("is not there, or not a file")
+        if path.stat().st_size > MAX_BYTES:
+            raise FuzzyError(f"has more than {MAX_BYTES} bytes")
+        system = READERS[path.suffix](path.read_text(encoding="utf-8"))
+        return controller_of(system, no_rule=no_rule, centroid=centroid)
+    except FuzzyError as error:
+        raise FuzzyError(f"{path}: {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FuzzyError(f"{path}: cannot be read: {error}") from None

@@ -1,0 +1,187 @@
+"""A Mamdani system with names, as the formats write it, and the controller that it is."""
+
+import math
+import textwrap
+from collections import Counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from posegsa.arguments import check_type
+from posegsa.errors import FuzzyError
+from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule
+
+INPUTS = ("error", "rate")
+OUTPUT = "gain_minus_1"
+NAME = "posegsa_gain"
+FIVE = ("VS", "S", "M", "L", "VL")
+"""Names of five terms, from small to large."""
+
+LONGEST = 110
+"""Characters in a line of a comment."""
+LIMITS = (
+    "Give both inputs clipped to [0, 1]. The output is the centroid; the gain is K = 1 + output "
+    "[1/s]. AND and implication are min, aggregation is max."
+)
+
+
+class Term(NamedTuple):
+    """A triangular term."""
+
+    name: str
+    feet: tuple[float, float, float]
+    """Left foot, peak, right foot."""
+
+
+class Variable(NamedTuple):
+    """An input or the output."""
+
+    name: str
+    low: float
+    """Ends of its range."""
+    high: float
+    terms: tuple[Term, ...]
+
+
+class Rule(NamedTuple):
+    """IF error is a term AND rate is a term THEN the output is a term, by index."""
+
+    error: int
+    rate: int
+    output: int
+
+
+class System(NamedTuple):
+    """All that the formats say of a controller."""
+
+    error: Variable
+    rate: Variable
+    output: Variable
+    """In 1/s; the gain is 1 more."""
+    rules: tuple[Rule, ...]
+    no_rule: NoRule | None
+    """What happens where no rule fires; None where a file does not say it."""
+    points: int | None
+    """Sample points of the centroid; None where it is exact, or a file does not say it."""
+
+    @property
+    def middle(self) -> float:
+        """Middle of the output's range."""
+        return 0.5 * (self.output.low + self.output.high)
+
+
+def system_of(controller: FuzzyController) -> System:
+    """A controller with names.
+
+    Raises:
+        ArgumentError: It is none.
+        FuzzyError: It is a batch of several.
+    """
+    check_type("controller", controller, FuzzyController)
+    shape = np.shape(controller.input_terms)
+    if len(shape) != 2:
+        raise FuzzyError(f"controller: must be one, got a batch of shape {shape[:-2]}")
+    low, high = controller.output_range
+    inputs = _terms(controller.input_terms)
+    error, rate = (Variable(name, 0.0, 1.0, inputs) for name in INPUTS)
+    return System(
+        error=error,
+        rate=rate,
+        output=Variable(OUTPUT, float(low), float(high), _terms(controller.output_terms)),
+        rules=tuple(
+            Rule(e, r, output)
+            for r, row in enumerate(controller.rules)
+            for e, output in enumerate(row)
+        ),
+        no_rule=controller.no_rule,
+        points=controller.sampled_points if controller.centroid == "sampled" else None,
+    )
+
+
+def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid) -> FuzzyController:
+    """The controller that a system is.
+
+    Args:
+        system: As read from a file.
+        no_rule: What is to happen where no rule fires; None for what the system says.
+        centroid: The controller's.
+
+    Raises:
+        FuzzyError: It has another structure: inputs with other ranges than [0, 1], or different
+            terms, or not one rule for each pair of their terms.
+    """
+    error, rate, output = system.error, system.rate, system.output
+    for one in (error, rate):
+        if (one.low, one.high) != (0.0, 1.0):
+            raise FuzzyError(
+                f"{one.name}: has the range [{one.low:g}, {one.high:g}]; allowed: [0, 1]"
+            )
+    feet: Any = [[_inside(term, one) for term in one.terms] for one in (error, rate, output)]
+    if feet[0] != feet[1]:
+        raise FuzzyError(
+            f"{error.name} and {rate.name}: have different terms, {feet[0]} and {feet[1]}; "
+            "allowed: the same for both"
+        )
+    pairs = Counter((rule.error, rule.rate) for rule in system.rules)
+    count = len(error.terms)
+    for e in range(count):
+        for r in range(count):
+            if pairs[e, r] != 1:
+                named = (
+                    f"{error.name} is {error.terms[e].name}, {rate.name} is {rate.terms[r].name}"
+                )
+                raise FuzzyError(f"rules: {pairs[e, r]} of them for {named}; allowed: one each")
+    table = {(rule.rate, rule.error): rule.output for rule in system.rules}
+    chosen = system.no_rule if no_rule is None else no_rule
+    if chosen is None:
+        raise FuzzyError('no_rule: not said by the file; give "hold" or "midrange"')
+    return FuzzyController(
+        feet[0],
+        feet[2],
+        tuple(tuple(table[r, e] for e in range(count)) for r in range(count)),
+        output_range=(output.low, output.high),
+        centroid=centroid,
+        sampled_points=101 if system.points is None else system.points,
+        no_rule=chosen,
+    )
+
+
+def _inside(term: Term, variable: Variable) -> tuple[float, float, float]:
+    """Feet and peak; with a vertical edge where the peak is an end of the range, a foot beyond it.
+
+    That is the same inside the range. Any other term that reaches beyond it would be cut off there.
+    """
+    a, b, c = term.feet
+    if not all(map(math.isfinite, term.feet)):
+        raise FuzzyError(f"{variable.name}: the term {term.name} must be finite, got {term.feet}")
+    a = max(a, variable.low) if b == variable.low else a
+    c = min(c, variable.high) if b == variable.high else c
+    if a < variable.low or c > variable.high:
+        raise FuzzyError(
+            f"{variable.name}: the term {term.name}, {list(term.feet)}, is cut off by the range "
+            f"[{variable.low:g}, {variable.high:g}]; allowed: inside it, or the peak at its end"
+        )
+    return a, b, c
+
+
+def _terms(terms: object) -> tuple[Term, ...]:
+    values = np.asarray(terms).tolist()
+    names = FIVE if len(values) == len(FIVE) else [f"T{i}" for i in range(1, len(values) + 1)]
+    return tuple(Term(name, tuple(feet)) for name, feet in zip(names, values, strict=True))
+
+
+def commented(lines: list[str], prefix: str) -> str:
+    """Lines of text as lines of a comment, long ones on several."""
+    short = (part for line in lines for part in textwrap.wrap(line, LONGEST) or [""])
+    return "".join(f"{prefix} {line}".rstrip() + "\n" for line in short)
+
+
+def clause(variable: Variable, term: int) -> str:
+    """'error is VS', in the words that fcl and fll share."""
+    return f"{variable.name} is {variable.terms[term].name}"
+
+
+def rule_text(system: System, rule: Rule) -> str:
+    """'if error is VS and rate is VS then gain_minus_1 is L'."""
+    given = f"{clause(system.error, rule.error)} and {clause(system.rate, rule.rate)}"
+    return f"if {given} then {clause(system.output, rule.output)}"

@@ -1,0 +1,69 @@
+"""The gain's controller alone, in the formats of other fuzzy tools (`posegsa.exchange`).
+
+The comment at the head of each file says how its inputs are formed from measurements, with the
+run's scales, and what the schedule is worth.
+"""
+
+from collections.abc import Callable
+
+from posegsa.arguments import check_type
+from posegsa.exchange.fcl import to_fcl
+from posegsa.exchange.fis import to_fis
+from posegsa.exchange.fll import to_fll
+from posegsa.exchange.fml import to_fml
+from posegsa.export.c import _costs, _signal, _wrapped
+from posegsa.judging.result import VERSION, TuneResult
+from posegsa.model.fuzzy import FuzzyController
+
+
+def export_fis(source: TuneResult | FuzzyController) -> str:
+    """The gain's controller for MATLAB's Fuzzy Logic Toolbox.
+
+    Args:
+        source: A tuned result, whose comment says where it comes from, or any controller.
+
+    Raises:
+        ArgumentError: It is neither.
+    """
+    return _written(source, to_fis)
+
+
+def export_fll(source: TuneResult | FuzzyController) -> str:
+    """The gain's controller for fuzzylite; arguments as `export_fis`."""
+    return _written(source, to_fll)
+
+
+def export_fcl(source: TuneResult | FuzzyController) -> str:
+    """The gain's controller in IEC 61131-7's Fuzzy Control Language; arguments as `export_fis`."""
+    return _written(source, to_fcl)
+
+
+def export_fml(source: TuneResult | FuzzyController) -> str:
+    """The gain's controller in IEEE 1855's Fuzzy Markup Language; arguments as `export_fis`."""
+    return _written(source, to_fml)
+
+
+def _written(source: TuneResult | FuzzyController, write: Callable[..., str]) -> str:
+    check_type("source", source, TuneResult, FuzzyController)
+    if isinstance(source, FuzzyController):
+        return write(source)
+    return write(source.controller, _about(source))
+
+
+def _about(result: TuneResult) -> list[str]:
+    """Where a schedule comes from, what it is worth and how its inputs are formed."""
+    experiment = result.tuned
+    run, search = experiment.run, experiment.search
+    return [
+        *_wrapped(
+            f"Gain controller of a pose filter. Written by posegsa {VERSION}. Tuned with posegsa "
+            f"{result.version} in {run.dtype}: {search.optimiser}, {search.size_in_words()}, seed "
+            f"{run.seed}."
+        ),
+        "",
+        *_costs(result),
+        "",
+        "Inputs, both without a unit:",
+        *_signal(experiment),
+        "",
+    ]

@@ -1,0 +1,532 @@
+"""A tuned filter run on-line: one sample after another as they come in, plain NumPy in and out."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_number, check_type, refuse
+from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.judging.result import TuneResult
+from posegsa.model.filter import FilterSettings, FilterState, checked_state
+from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.measurements import finite_array
+from posegsa.model.observability import why_unobservable
+from posegsa.model.online import OnlineLoop, OnlineParameters, OnlineRecord
+from posegsa.model.schedules import (
+    ConstantGain,
+    FuzzyGain,
+    GainSchedule,
+    KnotGain,
+    SwitchGain,
+    check_schedule,
+)
+from posegsa.model.signal import SignalSettings
+from posegsa.search.build import signal_settings
+
+FORMAT = 1
+"""Number of the layout of a checkpoint; it changes with what is in it."""
+
+MAX_GAIN = 1e9
+"""The largest constant gain [1/s], as in a configuration."""
+
+BLIND = (ConstantGain, SwitchGain, KnotGain)
+"""Schedules that do not look at the error, and so need no settings of its signal."""
+
+_NO_NUMBER: Any = np.zeros(())
+_UNSEEN = SignalSettings(
+    signal="measured",
+    rate="per_sample",
+    position_weight=_NO_NUMBER,
+    smoothing=_NO_NUMBER,
+    error_scale=_NO_NUMBER + 1,
+    rate_scale=_NO_NUMBER,
+)
+"""The signal that these do not look at."""
+
+
+class Pose(NamedTuple):
+    """An estimated pose."""
+
+    rotation: np.ndarray
+    """(3, 3) R_est, body to inertial."""
+    position: np.ndarray
+    """(3,) P_est [m], inertial frame."""
+
+
+class PoseFilter:
+    """A filter for streams: give it each sample as it comes, and it gives the pose.
+
+        pose_filter = posegsa.PoseFilter(result, rotation=R, position=P)
+        pose = pose_filter.update(time_step=0.01, angular_velocity=w, velocity=v, vectors=seen)
+
+    It computes what `TuneResult.estimate` and `run_filter` compute from the same samples, to
+    rounding. Making one compiles the step, which takes a few seconds for the first filter of a
+    structure; an update then takes less than a tenth of a millisecond (docs/streaming.md).
+
+    A sample and the time to the next one make the estimate at the next one, so `update` returns the
+    pose at the end of its time step. With samples that carry times of their own, keep the last one:
+    when the next comes in, update with the last and the time between the two, and the pose is that
+    of now.
+
+    What is missing is NaN or None. Of a vector or landmark, one number that is NaN makes all of it
+    missing; a vector of length 0 is missing too. An angular velocity or velocity that is missing,
+    likewise in whole or in part, is that of the last sample that had one, for `hold_time` at most;
+    after that the update is refused, because the pose would go on with values that are too old.
+    Whoever has no such sensor gives zeros.
+
+    An update that is refused changes nothing: the next one may go on from there, with the time
+    that has passed. Arrays that are returned are the caller's own.
+
+    Args:
+        source: What the gain comes from: a tuned result, which brings settings and references too;
+            or a gain schedule (`FuzzyGain`, `ConstantGain`, one of your own), a `FuzzyController`,
+            or a constant gain K [1/s] as a number.
+        rotation: (3, 3) R_est at the first sample, body to inertial.
+        position: (3,) P_est there [m], inertial frame.
+        bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
+        vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
+            `update`; default those of the result's experiment, or none. If there are more or fewer
+            than in the experiment, each has the weight 1.
+        landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
+        vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
+        landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
+        settings: The filter's, as from `posegsa.filter_settings`; not with a result.
+        signal: The error signal's, as from `posegsa.signal_settings`; not with a result, and not
+            needed where the gain does not look at the error.
+        hold_time: How long [s] a velocity that is missing is held; 0 refuses it at once, `math.inf`
+            holds it always.
+        observable_window: What was seen within this time [s] counts for `observable`.
+
+    Raises:
+        ArgumentError: The source or an argument is of another type or out of range, they do not fit
+            together, or the gain looks at the true errors (signal "pose"), which no vehicle knows.
+        MeasurementError: An array has the wrong shape, or holds what it may not; names it.
+    """
+
+    def __init__(
+        self,
+        source: TuneResult | GainSchedule | FuzzyController | float,
+        *,
+        rotation: ArrayLike,
+        position: ArrayLike,
+        bias: ArrayLike | None = None,
+        vector_references: ArrayLike | None = None,
+        landmark_references: ArrayLike | None = None,
+        vector_weights: ArrayLike = 1.0,
+        landmark_weights: ArrayLike = 1.0,
+        settings: FilterSettings | None = None,
+        signal: SignalSettings | None = None,
+        hold_time: float = 0.1,
+        observable_window: float = 1.0,
+    ) -> None:
+        self._hold_time = _duration("hold_time", hold_time)
+        self._window = _duration("observable_window", observable_window)
+        if isinstance(source, TuneResult):
+            if settings is not None or signal is not None:
+                refuse("settings, signal: given beside a result", "neither, it brings its own")
+            scenario = source.experiment.scenario
+            if vector_references is None:
+                vector_references = np.array([v.direction for v in scenario.vectors])
+            if landmark_references is None:
+                landmark_references = np.array([p.position for p in scenario.landmarks])
+        vectors = _references("vector_references", vector_references)
+        landmarks = _references("landmark_references", landmark_references)
+        if isinstance(source, TuneResult):
+            schedule, settings, signal = _tuned(source, len(vectors), len(landmarks))
+        else:
+            schedule, settings, signal = _by_hand(source, settings, signal)
+        self._vectors = _Sensors("vector", vectors, vector_weights, settings.vectors.weights)
+        self._landmarks = _Sensors(
+            "landmark", landmarks, landmark_weights, settings.landmark_weights
+        )
+        self._learnt = 0 if settings.vector_bias is None else len(vectors)
+        self._dtype = _dtype_of(settings)
+        _check_range("vector_references", vectors, self._dtype)
+        _check_range("landmark_references", landmarks, self._dtype)
+        start = self._state(rotation, position, bias)
+        parameters = OnlineParameters(schedule, settings, signal, vectors, landmarks)
+        with jax.enable_x64(self._dtype == np.float64):
+            self._loop = OnlineLoop(parameters, start)
+        where = self._loop.record.unpack(np.arange(self._loop.record.size))
+        self._rotation_at, self._position_at = where.rotation, np.array(where.loop.state.place)
+        self._start = self._loop.start(start)
+        self._begin(self._start)
+
+    def update(
+        self,
+        *,
+        time_step: float,
+        angular_velocity: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        vectors: ArrayLike | Sequence[ArrayLike | None] | None = None,
+        landmarks: ArrayLike | Sequence[ArrayLike | None] | None = None,
+        vector_weights: ArrayLike | None = None,
+        landmark_weights: ArrayLike | None = None,
+    ) -> Pose:
+        """One sample; the class says what happens where something is missing.
+
+        Args:
+            time_step: From this sample to the next [s], positive.
+            angular_velocity: (3,) gyroscope, body frame [rad/s].
+            velocity: (3,) linear velocity, body frame [m/s].
+            vectors: (n, 3) body-frame vectors, in the unit of their sensor.
+            landmarks: (m, 3) landmark positions in the body frame [m].
+            vector_weights: scalar or (n,) factors on the weights of this sample, instead of those
+                given at construction.
+            landmark_weights: scalar or (m,) likewise.
+
+        Returns:
+            The pose at the next sample, that is `time_step` later.
+
+        Raises:
+            MeasurementError: A time step that is not positive, an array of another shape, an
+                infinite number, or a velocity that has been missing for longer than `hold_time`.
+        """
+        dt = _time_step(time_step, self._dtype)
+        ages = self._ages + self._time_step
+        omega = self._held("angular_velocity", angular_velocity, 0, ages)
+        v = self._held("velocity", velocity, 1, ages)
+        vectors_seen, vector_factors = self._vectors.seen(vectors, vector_weights)
+        landmarks_seen, landmark_factors = self._landmarks.seen(landmarks, landmark_weights)
+        factors = np.concatenate([vector_factors, landmark_factors])
+        # In the order of OnlineSample.
+        sample = {
+            "time": (self._time,),
+            "time_step": (dt,),
+            "angular_velocity": omega,
+            "velocity": v,
+            "vectors": vectors_seen.ravel(),
+            "vector_weights": vector_factors,
+            "landmarks": landmarks_seen.ravel(),
+            "landmark_weights": landmark_factors,
+        }
+        self._record = self._loop(self._record, _packed(sample, self._dtype))
+        ages[2:][factors > 0] = 0
+        self._ages, self._velocities = ages, (omega, v)
+        self._time, self._time_step = self._time + dt, dt
+        return self.pose
+
+    @property
+    def pose(self) -> Pose:
+        """The pose as the last update returned it; at first that of the start."""
+        return Pose(self._record[self._rotation_at], self._record[self._position_at])
+
+    @property
+    def state(self) -> FilterState:
+        """All that the filter estimates, by components; `run_filter` takes it as its start."""
+        return jax.tree.map(np.copy, self._unpacked.loop.state)
+
+    @property
+    def bias(self) -> np.ndarray:
+        """(6,) b_est of the velocities [rad/s, m/s], body frame, angular first."""
+        state = self._unpacked.loop.state
+        return np.array(state.bias_angular + state.bias_linear)
+
+    @property
+    def vector_bias(self) -> np.ndarray:
+        """(n, 3) c_i of each vector, body frame, in its unit; (0, 3) where they are not learnt."""
+        biases = self._unpacked.loop.state.vector_biases
+        return np.array(biases, self._dtype).reshape(-1, 3)
+
+    @property
+    def gain(self) -> float:
+        """The gain K that the schedule asked for in the last update [1/s]."""
+        return float(self._unpacked.loop.memory.gain)
+
+    @property
+    def gain_used(self) -> float:
+        """The same after the gain limit, mean over the sub-steps [1/s]."""
+        return float(self._unpacked.gain_used)
+
+    @property
+    def time(self) -> float:
+        """Time of the pose since the first sample [s], the sum of all time steps."""
+        return self._time
+
+    @property
+    def observable(self) -> bool:
+        """Whether what was seen within `observable_window` fixes the pose.
+
+        Sightings at different times count together: in between, the velocities carry the pose on.
+        False says that the pose drifts, or that a wrong one would not be noticed;
+        `why_unobservable` says what is missing.
+        """
+        return not self.why_unobservable
+
+    @property
+    def why_unobservable(self) -> str:
+        """What was seen lately, and what is needed, where that does not fix the pose; else ""."""
+        recent = self._ages[2:] <= self._window * (1 + 1e-9)
+        n = len(self._vectors.references)
+        why = why_unobservable(
+            self._vectors.references,
+            self._landmarks.references,
+            self._vectors.weights * recent[:n],
+            self._landmarks.weights * recent[n:],
+        )
+        return f"in the last {self._window:g} s: {why}" if why else ""
+
+    def reset(
+        self,
+        rotation: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+        bias: ArrayLike | None = None,
+    ) -> None:
+        """Begin anew, as if just made: where it began, or at another pose.
+
+        Args:
+            rotation: (3, 3) R_est, body to inertial.
+            position: (3,) P_est [m], inertial frame; both or neither.
+            bias: (6,) b_est [rad/s, m/s]; zeros by default where a pose is given.
+
+        Raises:
+            ArgumentError: Only a part of a pose is given.
+            MeasurementError: Wrong shape, not finite, or not a rotation; names the argument.
+        """
+        if rotation is None and position is None and bias is None:
+            self._begin(self._start)
+            return
+        if rotation is None or position is None:
+            refuse("rotation, position: one without the other", "both, or neither")
+        self._begin(self._loop.start(self._state(rotation, position, bias)))
+
+    def checkpoint(self) -> dict[str, np.ndarray]:
+        """All that the filter remembers, for `restore`; arrays as `numpy.savez` takes them."""
+        return {
+            "format": np.array(FORMAT),
+            "parameters": self._loop.parameters.copy(),
+            "record": self._record.copy(),
+            "ages": self._ages.copy(),
+            "velocities": np.array(self._velocities),
+            "clock": np.array([self._time, self._time_step]),
+        }
+
+    def restore(self, checkpoint: Mapping[str, np.ndarray]) -> None:
+        """Go on from a checkpoint of a filter that was made of the same things, to the same bits.
+
+        Args:
+            checkpoint: From `checkpoint`, or as `numpy.load` reads it back.
+
+        Raises:
+            ArgumentError: It is none, is of another format, or of a filter with other numbers.
+        """
+        check_type("checkpoint", checkpoint, Mapping, allowed="a mapping of arrays")
+        own = self.checkpoint()
+        given = {name: _stored(checkpoint, name, like) for name, like in own.items()}
+        if given["format"] != FORMAT:
+            refuse(f"checkpoint: format {given['format']}", f"format {FORMAT}")
+        if not np.array_equal(given["parameters"], own["parameters"]):
+            refuse("checkpoint: of a filter with other numbers", "one of this filter's own")
+        self._record, self._ages = given["record"], given["ages"]
+        self._velocities = tuple(given["velocities"])
+        self._time, self._time_step = given["clock"].tolist()
+
+    @property
+    def _unpacked(self) -> OnlineRecord:
+        return self._loop.record.unpack(self._record)
+
+    def _state(
+        self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None
+    ) -> FilterState:
+        with np.errstate(over="ignore"), jax.enable_x64(self._dtype == np.float64):
+            state = checked_state(
+                rotation, position, bias, self._dtype, learnt_vectors=self._learnt
+            )
+        if not np.isfinite(jax.tree.leaves(state)).all():
+            raise MeasurementError(f"position or bias: must be within {self._dtype}'s range")
+        return state
+
+    def _begin(self, record: np.ndarray) -> None:
+        sensors = len(self._vectors.references) + len(self._landmarks.references)
+        self._record = record
+        self._time = self._time_step = 0.0
+        self._ages = np.full(2 + sensors, np.inf)
+        """How long ago both velocities, each vector and each landmark were measured [s]."""
+        self._velocities = np.zeros(3), np.zeros(3)
+        """The last ones that were measured."""
+
+    def _held(self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray) -> np.ndarray:
+        """The velocity as measured, or the last one where it is missing and that is not too old."""
+        if value is not None:
+            measured = finite_array(name, value, (3,), finite=False)
+            if not np.isnan(measured).any():
+                ages[which] = 0
+                return measured
+        age = ages[which]
+        if age <= self._hold_time * (1 + 1e-9):
+            return self._velocities[which]
+        since = "from the first sample on" if np.isinf(age) else f"for {age:g} s"
+        raise MeasurementError(
+            f"{name}: missing {since}; allowed: for hold_time = {self._hold_time:g} s at most, "
+            "while the last one is held"
+        )
+
+
+class _Sensors:
+    """The vectors, or the landmarks, of a filter."""
+
+    def __init__(
+        self,
+        name: str,
+        references: np.ndarray,
+        factors: ArrayLike,
+        weights: tuple[Any, ...] | None,
+    ) -> None:
+        self.name, self.references = name, references
+        count = len(references)
+        if weights is not None and len(weights) != count:
+            setting = "vectors.weights" if name == "vector" else "landmark_weights"
+            refuse(
+                f"settings.{setting}: {len(weights)} of them",
+                f"{count}, as there are {name}_references, or None",
+            )
+        self._factors = self._checked_factors(factors)
+        self.weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
+        """(n,) the filter's weights, without the factors; a sensor of weight 0 says nothing."""
+        if name == "vector" and not references.any(axis=1).all():
+            raise MeasurementError("vector_references: must not be zero")
+
+    def seen(self, values: Any, factors: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
+        """What was measured (n, 3), and the factors (n,), 0 where something is missing."""
+        factors = self._factors if factors is None else self._checked_factors(factors)
+        count = len(self.references)
+        if values is None:
+            return np.zeros((count, 3)), np.zeros(count)
+        if isinstance(values, list | tuple):
+            values = [np.full(3, np.nan) if row is None else row for row in values]
+            values = values or np.zeros((0, 3))
+        rows = finite_array(f"{self.name}s", values, (count, 3), finite=False)
+        there = ~np.isnan(rows).any(axis=1) & (factors > 0)
+        if self.name == "vector":  # a direction of no length says nothing
+            there &= rows.any(axis=1)
+        rows = np.where(there[:, None], rows, 0.0)
+        return rows, np.where(there, factors, 0.0)
+
+    def _checked_factors(self, factors: ArrayLike) -> np.ndarray:
+        name, count = f"{self.name}_weights", len(self.references)
+        shape = () if np.ndim(factors) == 0 else (count,)
+        array = np.broadcast_to(finite_array(name, factors, shape), (count,))
+        if (array < 0).any():
+            raise MeasurementError(f"{name}: must not be negative, got {array.min():g}")
+        return array
+
+
+def _tuned(
+    result: TuneResult, vectors: int, landmarks: int
+) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
+    """Schedule, settings and signal of a result, for so many sensors."""
+    gain = result.tuned.gain
+    if gain.signal == "pose":
+        refuse(
+            'source: a result tuned on the true errors (gain.signal = "pose"), which no vehicle '
+            "knows",
+            'one tuned with gain.signal = "measured"',
+        )
+    if found := result.warnings():
+        warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
+    dtype = result.experiment.run.dtype
+    with jax.enable_x64(dtype == "float64"):
+        return (
+            result.schedule,
+            result.settings_for(vectors, landmarks),
+            signal_settings(gain, dtype),
+        )
+
+
+def _by_hand(
+    source: Any, settings: FilterSettings | None, signal: SignalSettings | None
+) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
+    """Schedule, settings and signal that were given one by one."""
+    if settings is None:
+        refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
+    check_type("settings", settings, FilterSettings)
+    if isinstance(source, FuzzyController):
+        source = FuzzyGain(source)
+    elif isinstance(source, Real) and not isinstance(source, bool):
+        check_number("source, a constant gain", source, 0.0, MAX_GAIN)
+        constant: Any = np.asarray(float(source))
+        source = ConstantGain(constant)
+    kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves((source, settings, signal))}
+    if wrong := [kind for kind in kinds if kind.kind not in "fi"]:
+        refuse(f"source, settings or signal: holds {wrong[0]}", "a schedule of real numbers")
+    if signal is None:
+        if not isinstance(source, BLIND):
+            refuse("signal: None", "the error signal's settings, as from posegsa.signal_settings")
+        signal = _UNSEEN
+    check_type("signal", signal, SignalSettings)
+    if signal.signal == "pose":
+        refuse('signal: "pose", the true errors, which no vehicle knows', '"measured"')
+    dtype = _dtype_of(settings)
+    with np.errstate(over="ignore"), jax.enable_x64(dtype == np.float64):
+        given = jax.tree.map(
+            lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), (source, settings, signal)
+        )
+        check_schedule(given[0])
+    return given
+
+
+def _dtype_of(settings: FilterSettings) -> np.dtype:
+    """The widest floating type of a filter's settings, at least float32."""
+    return np.result_type(np.float32, *(np.asarray(a) for a in jax.tree.leaves(settings)))
+
+
+def _references(name: str, references: ArrayLike | None) -> np.ndarray:
+    if references is None or np.size(references) == 0:
+        return np.zeros((0, 3))
+    return finite_array(name, references, (None, 3))
+
+
+def _duration(name: str, value: float) -> float:
+    """A time of at least 0 [s]; infinity is allowed."""
+    if value != math.inf:
+        check_number(name, value, 0.0)
+    return float(value)
+
+
+def _time_step(value: float, dtype: np.dtype) -> float:
+    dt = float(finite_array("time_step", value, ()))
+    with np.errstate(over="ignore", under="ignore"):
+        positive = dtype.type(dt) > 0
+    if not positive:
+        raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
+    return dt
+
+
+def _packed(sample: Mapping[str, Any], dtype: np.dtype) -> np.ndarray:
+    """A sample as one array; what is infinite, or beyond the dtype's range, is refused by name."""
+    with np.errstate(over="ignore"):
+        packed = np.concatenate(list(sample.values())).astype(dtype)
+    if not np.isfinite(packed).all():
+        for name, array in sample.items():
+            _check_range(name, array, dtype)
+    return packed
+
+
+def _check_range(name: str, array: ArrayLike, dtype: np.dtype) -> None:
+    """Refuse what is infinite at this dtype."""
+    with np.errstate(over="ignore"):
+        fits = np.isfinite(np.asarray(array, dtype)).all()
+    if not fits:
+        raise MeasurementError(
+            f"{name}: must be within {dtype}'s range, got {np.asarray(array).tolist()}"
+        )
+
+
+def _stored(checkpoint: Mapping[str, np.ndarray], name: str, like: np.ndarray) -> np.ndarray:
+    """An array of a checkpoint, of the shape and dtype of the filter's own."""
+    if name not in checkpoint:
+        refuse(f"checkpoint: without {name!r}", "one from PoseFilter.checkpoint")
+    array = np.array(checkpoint[name])
+    if array.shape != like.shape or array.dtype != like.dtype:
+        refuse(
+            f"checkpoint: {name} of {array.dtype} {array.shape}",
+            f"{like.dtype} {like.shape}, as of a filter with these vectors and landmarks",
+        )
+    return array

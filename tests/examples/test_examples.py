@@ -1,0 +1,107 @@
+"""The examples run, at sizes so small that what they find means nothing."""
+
+import inspect
+import io
+import runpy
+import sys
+from pathlib import Path
+
+import jax
+import matplotlib as mpl
+import numpy as np
+import pytest
+from experiments import tiny
+from schedules import K, tuned
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa.saving.run import load
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+README = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
+
+
+def example(name: str) -> dict:
+    """What an example defines; nothing runs yet."""
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="example")
+
+
+@pytest.mark.quick
+def test_the_readme_names_each_and_each_is_a_page():
+    files = sorted(EXAMPLES.glob("*.py"))
+    assert len(files) == 5
+    for path in files:
+        assert f"(examples/{path.name})" in README
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 110
+
+
+def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
+    # Every baseline of a tiny run is judged in `test_evaluate`, which takes twenty seconds.
+    evaluate = inspect.signature(posegsa.evaluate)
+    monkeypatch.setattr(posegsa, "evaluate", lambda *a, **k: evaluate.bind(*a, **k).args[0])
+    experiment = tiny("run.seed=1")
+    result = example("tune_and_export")["main"](experiment, tmp_path / "tuned", scenarios=5)
+    assert "best constant gains" in capsys.readouterr().out
+    written = {path.name for path in (tmp_path / "tuned").iterdir()}
+    assert {"report.html", "result.json", "gain.h", "gain.fis"} <= written
+    np.testing.assert_array_equal(load(tmp_path / "tuned").parameters, result.parameters)
+    controller = posegsa.load_controller(tmp_path / "tuned" / "gain.fis", no_rule="hold")
+    np.testing.assert_array_equal(controller.output_terms, result.controller.output_terms)
+
+
+def test_own_arrays(monkeypatch, capsys):
+    main = example("own_arrays")["main"]
+    monkeypatch.setattr(posegsa, "load", lambda _: tuned(K))
+    degrees, metres = main("run", samples=900)
+    assert degrees[0] > 170
+    assert degrees[-1] < 10
+    assert metres[-1] < 0.5
+    assert len(capsys.readouterr().out.splitlines()) == 9
+
+
+@pytest.mark.quick
+def test_stream(monkeypatch, capsys):
+    names = example("stream")
+    made = list(names["made_lines"](8))
+    pose_filter = names["made_filter"]()
+    found = list(names["poses"]((line for line, _ in made), pose_filter))
+    assert [time for time, _ in found] == pytest.approx(np.arange(1, 800) / 100)
+    (attitude, position), (_, pose) = made[-1][1], found[-1]
+    error = attitude.inv() * Rotation.from_matrix(pose.rotation)
+    assert np.degrees(error.magnitude()) < 1
+    assert np.linalg.norm(pose.position - position) < 0.1
+    assert pose_filter.observable
+    # The command itself.
+    monkeypatch.setattr(sys, "argv", ["stream.py", "--make", "0.05"])
+    names["main"]()
+    lines = capsys.readouterr().out
+    assert lines.splitlines() == [line for line, _ in made[:5]]
+    monkeypatch.setattr(sys, "argv", ["stream.py"])
+    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
+    names["main"]()
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split(",")[0] for row in rows] == ["0.010", "0.020", "0.030", "0.040"]
+
+
+def test_minimise(capsys):
+    with jax.numpy_rank_promotion("allow"):  # as a user has it
+        found = example("minimise")["main"](iterations=60)
+    assert len(capsys.readouterr().out.splitlines()) == 4
+    best = min(float(search.best_cost) for search in found.values())
+    assert float(found["differential evolution"].best_cost) == pytest.approx(best, rel=1e-3)
+    grid = np.stack(np.meshgrid(*[np.linspace(-10, 10, 401)] * 2), axis=-1).reshape(-1, 2)
+    with jax.numpy_rank_promotion("allow"):
+        cost = example("minimise")["cost"](np.asarray(grid, np.float32))
+    assert best <= float(np.min(cost)) * (1 + 1e-5)
+
+
+def test_gamma_study(tmp_path, capsys):
+    mpl.use("agg")
+    costs = example("gamma_study")["main"](
+        tiny(), gammas=(2, 8), seeds=[0], out=tmp_path / "study.png"
+    )
+    assert {each.shape for each in costs.values()} == {(2, 1)}
+    assert (tmp_path / "study.png").stat().st_size > 5000
+    assert len(capsys.readouterr().out.splitlines()) == 2

@@ -1,0 +1,403 @@
+"""The filter for streams: sample by sample it gives what the whole sequence gives at once."""
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from evaluations import trust
+from schedules import K, tuned
+
+import posegsa
+from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
+from posegsa.model.schedules import SwitchGain
+
+pytestmark = pytest.mark.quick
+
+LEARNT = ("filter.vector_bias=estimated", "filter.substeps=2", "gain.smoothing=0.3")
+N = 40
+START = {"rotation": np.diag([1.0, -1.0, -1.0]), "position": np.array([0.5, -1.0, 2.0])}
+
+
+def stream(result: posegsa.TuneResult, seed: int = 0) -> tuple[np.ndarray, dict[str, Any], dict]:
+    """Time steps (N,), samples by argument of `update`, and references; a third of it is missing.
+
+    No angular velocity or velocity is missing, as `Measurements` has no room for that.
+    """
+    rng, scenario = np.random.default_rng(seed), result.experiment.scenario
+    references = {
+        "vector_references": np.array([v.direction for v in scenario.vectors]),
+        "landmark_references": np.array([p.position for p in scenario.landmarks]),
+    }
+    vectors, landmarks = (
+        known + 0.3 * rng.normal(size=(N, *known.shape)) for known in references.values()
+    )
+    vectors[rng.uniform(size=vectors.shape[:2]) < 0.3] = np.nan
+    vectors[3, 1, 2] = np.nan  # in part
+    landmarks[rng.uniform(size=landmarks.shape[:2]) < 0.3] = np.nan
+    omega, v = rng.normal(size=(2, N, 3))
+    samples = {"angular_velocity": omega, "velocity": v, "vectors": vectors, "landmarks": landmarks}
+    return rng.uniform(0.005, 0.03, N), samples, references
+
+
+def fed(pose_filter: posegsa.PoseFilter, steps: np.ndarray, samples: dict, span=None) -> list:
+    """The poses after each of these samples."""
+    chosen = range(*(span or slice(None)).indices(N))
+    return [
+        pose_filter.update(time_step=steps[k], **{name: a[k] for name, a in samples.items()})
+        for k in chosen
+    ]
+
+
+@pytest.fixture(scope="module")
+def result() -> posegsa.TuneResult:
+    """In float64, with the vectors' biases learnt."""
+    return tuned(K, *LEARNT, dtype="float64")
+
+
+@pytest.fixture
+def pose_filter(result) -> posegsa.PoseFilter:
+    return posegsa.PoseFilter(result, **START)
+
+
+def at_once(steps, samples, references, dtype) -> posegsa.Measurements:
+    return posegsa.Measurements.from_arrays(time_step=steps, **samples, **references, dtype=dtype)
+
+
+# What it computes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-13), ("float32", 1e-5)])
+def test_it_gives_what_a_whole_sequence_gives_at_once(dtype, tolerance):
+    result = tuned(K, *LEARNT, dtype=dtype)
+    steps, samples, references = stream(result)
+    with jax.enable_x64(dtype == "float64"):
+        measurements = at_once(steps, samples, references, dtype)
+        expected = jax.tree.map(np.asarray, result.estimate(measurements, **START))
+    pose_filter = posegsa.PoseFilter(result, **START)
+    before = [pose_filter.pose, *fed(pose_filter, steps, samples, slice(N - 1))]
+    # Sample k of the sequence is the estimate before its update.
+    for name in ("rotation", "position"):
+        found = np.array([getattr(pose, name) for pose in before])
+        assert found.dtype == dtype
+        np.testing.assert_allclose(found, getattr(expected, name), atol=tolerance)
+    np.testing.assert_allclose(pose_filter.bias, expected.bias[-1], atol=tolerance)
+    np.testing.assert_allclose(pose_filter.vector_bias, expected.vector_bias[-1], atol=tolerance)
+    assert np.abs(pose_filter.vector_bias).max() > 0.01
+    np.testing.assert_allclose(pose_filter.gain, expected.gain[-2], rtol=10 * tolerance)
+    np.testing.assert_allclose(pose_filter.gain_used, expected.gain_used[-2], rtol=10 * tolerance)
+    assert pose_filter.time == pytest.approx(steps[:-1].sum())
+
+
+def test_a_schedule_over_time_by_hand(result):
+    steps, samples, references = stream(result)
+    with jax.enable_x64(True):
+        settings = posegsa.filter_settings(result.experiment)
+        signal = posegsa.signal_settings(result.experiment.gain, "float64")
+        # The gain falls, and learning begins, in the middle between two samples.
+        schedule = SwitchGain(*jnp.asarray([30.0, 4.0, steps[:19].sum() + 0.002, 0.1]))
+        start = posegsa.initial_state(**START, learnt_vectors=2)
+        run = (at_once(steps, samples, references, "float64"), start, settings, signal)
+        expected = jax.tree.map(np.asarray, posegsa.run_filter(schedule, *run))
+    pose_filter = posegsa.PoseFilter(schedule, **START, **references, settings=settings)
+    assert pose_filter.gain == 30
+    poses = fed(pose_filter, steps, samples, slice(N - 1))
+    np.testing.assert_allclose([p.position for p in poses], expected.position[1:], atol=1e-13)
+    np.testing.assert_allclose([p.rotation for p in poses], expected.rotation[1:], atol=1e-13)
+    assert pose_filter.gain == 4
+
+
+def test_a_gain_as_a_number_and_a_controller_by_itself(result):
+    steps, samples, references = stream(result)
+    with jax.enable_x64(True):
+        settings = posegsa.filter_settings(result.experiment)
+        signal = posegsa.signal_settings(result.experiment.gain, "float64")
+    common = {**START, **references, "settings": settings}
+    number = posegsa.PoseFilter(7, **common)
+    constant = posegsa.PoseFilter(posegsa.ConstantGain(np.float64(7.0)), **common)
+    controller = posegsa.PoseFilter(result.controller, **common, signal=signal)
+    tuned_filter = posegsa.PoseFilter(result, **START)
+    last = [fed(each, steps, samples)[-1] for each in (number, constant, controller, tuned_filter)]
+    np.testing.assert_array_equal(last[0].position, last[1].position)
+    np.testing.assert_array_equal(last[2].position, last[3].position)
+    assert np.abs(last[0].position - last[2].position).max() > 1e-4
+    assert number.gain == 7
+
+
+def test_weights_of_a_sample_are_factors_on_those_of_the_filter(result):
+    steps, samples, references = stream(result)
+    factors = np.random.default_rng(1).uniform(0.2, 2, (N, 2))
+    with jax.enable_x64(True):
+        measurements = posegsa.Measurements.from_arrays(
+            time_step=steps, **samples, **references, vector_weights=factors, dtype=np.float64
+        )
+        expected = np.asarray(result.estimate(measurements, **START).position)
+    weighted = posegsa.PoseFilter(result, **START, vector_weights=[0.0, 5.0])
+    fed(weighted, steps, {**samples, "vector_weights": factors}, slice(N - 1))
+    np.testing.assert_allclose(weighted.pose.position, expected[-1], atol=1e-13)
+
+
+def test_the_state_is_a_start_for_a_whole_sequence(result, pose_filter):
+    steps, samples, _ = stream(result)
+    fed(pose_filter, steps, samples, slice(10))
+    state = pose_filter.state
+    assert {a.dtype for a in jax.tree.leaves(state)} == {np.dtype("float64")}
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(state.rotation, pose_filter.pose.rotation, atol=1e-15)
+        np.testing.assert_array_equal(state.position, pose_filter.pose.position)
+        np.testing.assert_array_equal(state.bias, pose_filter.bias)
+
+
+# What is missing ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "missing"),
+    [
+        ("vectors", [None, [0.0, 1.0, 0.0]]),
+        ("vectors", [[1.0, None, 0.0], [0.0, 1.0, 0.0]]),
+        ("vectors", [np.zeros(3), [0.0, 1.0, 0.0]]),
+        ("landmarks", None),
+        ("landmarks", [None]),
+        ("landmarks", [[1.0, 2.0, np.nan]]),
+    ],
+)
+def test_whatever_is_missing_counts_alike(result, name, missing):
+    steps, samples, _ = stream(result)
+    poses = []
+    absent = {"vectors": [[np.nan] * 3, [0.0, 1.0, 0.0]], "landmarks": [[np.nan] * 3]}
+    for given in (missing, absent[name]):
+        pose_filter = posegsa.PoseFilter(result, **START)
+        fed(pose_filter, steps, samples, slice(3))
+        sample = {key: a[3] for key, a in samples.items()} | {name: given}
+        poses.append(pose_filter.update(time_step=0.01, **sample))
+    np.testing.assert_array_equal(poses[0].rotation, poses[1].rotation)
+    np.testing.assert_array_equal(poses[0].position, poses[1].position)
+
+
+@pytest.mark.parametrize("name", ["angular_velocity", "velocity"])
+@pytest.mark.parametrize("missing", [None, [np.nan] * 3, [1.0, None, 2.0]], ids=str)
+def test_a_missing_velocity_is_held_and_then_refused(result, name, missing):
+    _, samples, _ = stream(result)
+    held, given = (posegsa.PoseFilter(result, **START, hold_time=0.025) for _ in range(2))
+    first = {key: a[0] for key, a in samples.items()}
+    for each in (held, given):
+        each.update(time_step=0.01, **first)
+    for _ in range(2):  # 0.01 and 0.02 s after the last one
+        a = held.update(time_step=0.01, **first | {name: missing})
+        b = given.update(time_step=0.01, **first)
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        np.testing.assert_array_equal(a.position, b.position)
+    before = held.checkpoint()
+    with pytest.raises(MeasurementError, match=rf"{name}: missing for 0.03 s.*hold_time = 0.025 s"):
+        held.update(time_step=0.01, **first | {name: missing})
+    after = held.checkpoint()
+    for key, array in before.items():
+        np.testing.assert_array_equal(after[key], array)
+    a, b = (each.update(time_step=0.01, **first) for each in (held, given))
+    np.testing.assert_array_equal(a.position, b.position)
+
+
+def test_the_first_sample_needs_velocities(pose_filter):
+    with pytest.raises(MeasurementError, match="angular_velocity: missing from the first"):
+        pose_filter.update(time_step=0.01, velocity=np.zeros(3))
+
+
+def test_nothing_is_held_where_that_is_asked(result):
+    pose_filter = posegsa.PoseFilter(result, **START, hold_time=0)
+    sample = {"time_step": 0.01, "angular_velocity": np.zeros(3)}
+    pose_filter.update(**sample, velocity=np.zeros(3))
+    with pytest.raises(MeasurementError, match=r"velocity: missing for 0\.01 s"):
+        pose_filter.update(**sample)
+
+
+# Whether the pose is observable -------------------------------------------------------------------
+
+
+def test_it_says_whether_what_was_seen_lately_fixes_the_pose(result):
+    pose_filter = posegsa.PoseFilter(result, **START, observable_window=0.1)
+    assert pose_filter.observable is False
+    assert pose_filter.why_unobservable.startswith("in the last 0.1 s: found no vectors and no")
+    still = {"time_step": 0.04, "angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    seen = np.eye(3)[:2]
+    pose_filter.update(**still, vectors=seen)
+    assert "found 2 vectors and no landmarks" in pose_filter.why_unobservable
+    pose_filter.update(**still, vectors=[seen[0], None], landmarks=[[1.0, 0, 0]])
+    # Both vectors within 0.1 s, though not at one time.
+    assert pose_filter.observable is True
+    assert pose_filter.why_unobservable == ""
+    pose_filter.update(**still, landmarks=[[1.0, 0, 0]])
+    assert pose_filter.observable
+    pose_filter.update(**still, landmarks=[[1.0, 0, 0]])  # the second vector is 0.12 s old
+    assert "found 1 vector and 1 landmark" in pose_filter.why_unobservable
+    pose_filter.reset()
+    assert not pose_filter.observable
+
+
+def test_a_sensor_without_weight_fixes_nothing(result):
+    pose_filter = posegsa.PoseFilter(result, **START, vector_weights=[1.0, 0.0])
+    pose_filter.update(
+        time_step=0.01,
+        angular_velocity=np.zeros(3),
+        velocity=np.zeros(3),
+        vectors=np.eye(3)[:2],
+        landmarks=[[1.0, 0, 0]],
+    )
+    assert "found 1 vector and 1 landmark" in pose_filter.why_unobservable
+    pose_filter.update(
+        time_step=0.01,
+        angular_velocity=np.zeros(3),
+        velocity=np.zeros(3),
+        vectors=np.eye(3)[:2],
+        vector_weights=1.0,  # of this sample, instead
+    )
+    assert pose_filter.observable
+
+
+# Going back and going on --------------------------------------------------------------------------
+
+
+def test_a_checkpoint_goes_on_to_the_same_bits(result, tmp_path):
+    steps, samples, _ = stream(result)
+    samples["angular_velocity"][21] = np.nan  # held over the checkpoint
+    one, other = (posegsa.PoseFilter(result, **START) for _ in range(2))
+    fed(one, steps, samples, slice(21))
+    with (tmp_path / "filter.npz").open("wb") as file:
+        np.savez(file, **one.checkpoint())
+    expected = fed(one, steps, samples, slice(21, N))
+    with np.load(tmp_path / "filter.npz") as checkpoint:
+        other.restore(checkpoint)
+    for got, want in zip(fed(other, steps, samples, slice(21, N)), expected, strict=True):
+        np.testing.assert_array_equal(got.rotation, want.rotation)
+        np.testing.assert_array_equal(got.position, want.position)
+    assert (other.time, other.gain, other.observable) == (one.time, one.gain, one.observable)
+
+
+def test_reset_begins_anew(result, pose_filter):
+    steps, samples, _ = stream(result)
+    first = fed(pose_filter, steps, samples)[-1]
+    pose_filter.reset()
+    assert pose_filter.time == 0
+    np.testing.assert_array_equal(pose_filter.pose.position, START["position"])
+    np.testing.assert_array_equal(fed(pose_filter, steps, samples)[-1].position, first.position)
+    pose_filter.reset(rotation=np.eye(3), position=[1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(pose_filter.pose.rotation, np.eye(3))
+    np.testing.assert_array_equal(pose_filter.pose.position, [1.0, 2.0, 3.0])
+    with pytest.raises(ArgumentError, match="rotation, position: one without the other"):
+        pose_filter.reset(rotation=np.eye(3))
+
+
+def test_what_is_returned_is_the_callers_own(pose_filter):
+    pose = pose_filter.pose
+    pose.position[:] = 7
+    pose_filter.bias[:] = 7
+    pose_filter.checkpoint()["record"][:] = 7
+    np.testing.assert_array_equal(pose_filter.pose.position, START["position"])
+    assert not pose_filter.bias.any()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("ages"), "checkpoint: without 'ages'"),
+        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 1"),
+        (lambda c: c.update(record=c["record"][1:]), "record of float64"),
+        (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
+    ],
+)
+def test_a_checkpoint_of_something_else_is_refused(pose_filter, change, message):
+    checkpoint = pose_filter.checkpoint()
+    change(checkpoint)
+    with pytest.raises(ArgumentError, match=message):
+        pose_filter.restore(checkpoint)
+
+
+# What is refused ----------------------------------------------------------------------------------
+
+
+def test_a_result_tuned_on_true_errors_is_refused():
+    with pytest.raises(ArgumentError, match=r"true errors.*which no vehicle knows"):
+        posegsa.PoseFilter(tuned(K, "gain.signal=pose"), **START)
+
+
+def test_what_a_result_warns_of_is_said(result):
+    worse = dataclasses.replace(result, trust=trust(sensitive=True))
+    with pytest.warns(PosegsaWarning, match="the result says: SENSITIVE"):
+        posegsa.PoseFilter(worse, **START)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"settings": 5}, "settings, signal: given beside a result"),
+        ({"rotation": np.ones((3, 3))}, "rotation: must be a rotation"),
+        ({"position": [0, 0]}, "position: must have the shape"),
+        ({"vector_references": np.ones((2, 2))}, "vector_references: must have the shape"),
+        ({"vector_references": np.zeros((2, 3))}, "vector_references: must not be zero"),
+        ({"landmark_weights": -1}, "landmark_weights: must not be negative, got -1"),
+        ({"landmark_weights": [1.0, 2.0]}, "landmark_weights: must have the shape"),
+        ({"hold_time": -1.0}, "hold_time = -1.0; allowed"),
+        ({"observable_window": math.nan}, "observable_window = nan; allowed"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(result, change, message):
+    with pytest.raises((ArgumentError, MeasurementError), match=message):
+        posegsa.PoseFilter(result, **{**START, **change})
+
+
+def test_bad_sources_are_refused(result):
+    settings = posegsa.filter_settings(tuned(K).experiment)
+    for source, given, message in (
+        (7.0, {}, "settings: None; allowed: the filter's"),
+        (-7.0, {"settings": settings}, "source, a constant gain = -7.0"),
+        ("K", {"settings": settings}, "source, settings or signal: holds <U1"),
+        (result.controller, {"settings": settings}, "signal: None; allowed"),
+        (7.0, {"settings": settings}, "settings.vectors.weights: 2 of them; allowed: 0"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            posegsa.PoseFilter(source, **START, **given)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time_step": 0.0}, "time_step: must be positive, got 0 s"),
+        ({"time_step": math.nan}, "time_step: must be finite"),
+        ({"time_step": None}, "time_step: must be an array of numbers|must be finite"),
+        ({"velocity": [0.0, np.inf, 0.0]}, "velocity: must be within float64's range"),
+        ({"angular_velocity": "fast"}, "angular_velocity: must be an array of numbers"),
+        ({"vectors": np.zeros((3, 3))}, r"vectors: must have the shape \(2, 3\), got \(3, 3\)"),
+        ({"landmarks": [[np.inf, 0, 0]]}, "landmarks: must be within"),
+        ({"vector_weights": [1.0, -2.0]}, "vector_weights: must not be negative"),
+    ],
+)
+def test_a_bad_sample_is_refused_and_changes_nothing(pose_filter, change, message):
+    sample = {"time_step": 0.01, "angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    pose_filter.update(**sample)
+    before = pose_filter.checkpoint()
+    with pytest.raises(MeasurementError, match=message):
+        pose_filter.update(**sample | change)
+    for name, array in pose_filter.checkpoint().items():
+        np.testing.assert_array_equal(array, before[name])
+
+
+def test_numbers_beyond_float32_are_refused_by_name():
+    result = tuned(K)
+    for given, message in (
+        ({"position": [1e300, 0.0, 0.0]}, "position or bias: must be within float32's range"),
+        ({"landmark_references": [[1e300, 0.0, 0.0]]}, "landmark_references: must be within float"),
+    ):
+        with pytest.raises(MeasurementError, match=message):
+            posegsa.PoseFilter(result, **{**START, **given})
+    pose_filter = posegsa.PoseFilter(result, **START)
+    still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    for given, message in (
+        ({"time_step": 1e-60}, "time_step: must be positive, got 1e-60 s"),
+        ({"time_step": 1e60}, "time_step: must be within float32's range"),
+        ({"time_step": 0.01, "vectors": np.full((2, 3), 1e300)}, "vectors: must be within float32"),
+    ):
+        with pytest.raises(MeasurementError, match=message):
+            pose_filter.update(**{**still, **given})
