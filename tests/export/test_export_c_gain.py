@@ -17,7 +17,7 @@ from schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tune
 from setups import corner_vectors
 
 import posegsa
-from posegsa.export import export_c
+from posegsa.export import export_c_gain
 from posegsa.judging.result import TuneResult
 from posegsa.words import toml
 
@@ -120,7 +120,7 @@ def in_c(gain: Gain, real: str, given: np.ndarray) -> np.ndarray:
 def test_the_c_gain_is_the_jax_gain(compiled, case, real):
     k, settings = CASES[case]
     result = tuned(k, *settings)
-    library = compiled(export_c(result), real)
+    library = compiled(export_c_gain(result), real)
     given = inputs()
     got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
     np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
@@ -136,7 +136,7 @@ def test_the_c_gain_is_the_jax_gain(compiled, case, real):
 def test_the_c_gain_of_a_run_in_float64(compiled, real):
     result = tuned(DRAWN[0], *GAPS, dtype="float64")
     assert (result.parameters != result.parameters.astype(np.float32)).any()
-    gain, given = compiled(export_c(result), real).posegsa_gain, inputs()
+    gain, given = compiled(export_c_gain(result), real).posegsa_gain, inputs()
     np.testing.assert_allclose(
         in_c(gain, real, given), in_python(result, real, given), rtol=TOLERANCE[real]
     )
@@ -150,9 +150,9 @@ def test_the_c_gain_where_the_compiler_fuses_multiply_and_add(compiled, real):
     for k in (DRAWN[0], corner_vectors(4)[3], corner_vectors(12, seed=9)[7]):
         result, given = tuned(k, *GAPS), inputs()
         try:  # where such instructions are not in every processor of a kind
-            library = compiled(export_c(result), real, *how, "-march=native")
+            library = compiled(export_c_gain(result), real, *how, "-march=native")
         except subprocess.CalledProcessError:
-            library = compiled(export_c(result), real, *how)
+            library = compiled(export_c_gain(result), real, *how)
         got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
         np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
 
@@ -162,7 +162,7 @@ def test_the_c_gain_where_the_compiler_fuses_multiply_and_add(compiled, real):
 @pytest.mark.parametrize("settings", [(), GAPS, MIDRANGE, SAMPLED], ids=str)
 def test_the_c_gain_at_the_edges(compiled, settings, real):
     result = tuned(DRAWN[0], *settings)
-    gain = compiled(export_c(result), real).posegsa_gain
+    gain = compiled(export_c_gain(result), real).posegsa_gain
     ends = [0.0, 1.0, -0.0, -3.5, 7.0, 1e30, -1e30, np.inf, -np.inf, 1e-40, 0.5]
     given = np.array([(e, r, 7.25) for e in ends for r in ends]).T
     np.testing.assert_allclose(
@@ -180,15 +180,15 @@ def test_the_c_gain_at_the_edges(compiled, settings, real):
 def test_the_c_gain_holds_or_takes_the_mid_range_in_a_gap(compiled):
     held, middle = (tuned(np.array(NO_WIDTH), *WIDE, *extra) for extra in ((), MIDRANGE))
     error, rate = 0.55, 0.2  # between the terms at 0.5 and from 0.6
-    assert compiled(export_c(held), "double").posegsa_gain(error, rate, 7.25) == 7.25
-    assert compiled(export_c(middle), "double").posegsa_gain(error, rate, 7.25) == 51
+    assert compiled(export_c_gain(held), "double").posegsa_gain(error, rate, 7.25) == 7.25
+    assert compiled(export_c_gain(middle), "double").posegsa_gain(error, rate, 7.25) == 51
 
 
 @needs_cc
 @pytest.mark.parametrize("real", PRECISIONS)
 @pytest.mark.parametrize("settings", [(), SAMPLED], ids=["exact", "sampled"])
 def test_the_c_gain_is_never_nan_and_stays_inside_the_output(compiled, settings, real):
-    gain = compiled(export_c(tuned(np.array(TINY), *WIDE, *settings)), real).posegsa_gain
+    gain = compiled(export_c_gain(tuned(np.array(TINY), *WIDE, *settings)), real).posegsa_gain
     rng = np.random.default_rng(0)
     given = np.stack([*10.0 ** rng.uniform(-46, 1, (2, 4000)), np.full(4000, 7.25)])
     given[:2, ::7] = 0
@@ -203,7 +203,7 @@ def test_the_c_file_is_cpp_too(tmp_path, settings):
     if compiler is None:
         pytest.skip("there is no C++ compiler")
     path = tmp_path / "gain.cpp"
-    path.write_text(export_c(tuned(K, *settings)), encoding="ascii")
+    path.write_text(export_c_gain(tuned(K, *settings)), encoding="ascii")
     for real in PRECISIONS:
         options = [*WARNINGS, "-fsyntax-only", f"-DPOSEGSA_REAL={real}"]
         subprocess.run([compiler, *options, path], check=True)
@@ -211,7 +211,7 @@ def test_the_c_file_is_cpp_too(tmp_path, settings):
 
 @pytest.mark.parametrize("settings", [(), SAMPLED], ids=["exact", "sampled"])
 def test_the_c_file_includes_nothing_and_remembers_nothing(settings):
-    code = export_c(tuned(K, *settings)).split("*/", 1)[1]
+    code = export_c_gain(tuned(K, *settings)).split("*/", 1)[1]
     assert "#include" not in code
     statics = re.findall(r"^\s*static .*", code, re.MULTILINE)
     assert statics
@@ -220,7 +220,7 @@ def test_the_c_file_includes_nothing_and_remembers_nothing(settings):
 
 def head(result: TuneResult) -> str:
     """The head comment's words, without its line breaks."""
-    return " ".join(export_c(result).split("*/", 1)[0].replace("\n *", " ").split())
+    return " ".join(export_c_gain(result).split("*/", 1)[0].replace("\n *", " ").split())
 
 
 def test_the_head_comment_says_what_it_is_worth():
