@@ -107,7 +107,8 @@ def filter_to_c(
             does what can't be written as scalar arithmetic.
         MeasurementError: vectors or landmarks are no finite numbers, or a vector is 0.
     """
-    check_schedule(schedule)
+    with jax.enable_x64(True):
+        check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
     check_type("signal", signal, SignalSettings)
     check_name(name)
@@ -117,6 +118,8 @@ def filter_to_c(
             "filter can't run outside a simulation",
             '"measured"; tune with gain.signal = "measured"',
         )
+    with jax.enable_x64(True):
+        initial_gain = float(schedule.initial_gain())
     known = references(vectors, landmarks, settings)
     step = Step(known, settings, signal, schedule)
     uses_time = any(piece.code.mentions("now->time") for piece in step.pieces.values())
@@ -139,7 +142,7 @@ def filter_to_c(
         "functions": sorted(functions),
         "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
         "calls": {key: piece.call for key, piece in step.pieces.items()},
-        "initial_gain": repr(float(np.asarray(schedule.initial_gain()))),
+        "initial_gain": repr(initial_gain),
         "controller": "",
     }
     if fuzzy:

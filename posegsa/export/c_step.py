@@ -33,8 +33,8 @@ from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, 
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
-"""A vector that a filter does not have. (The model's records hold arrays. Here they hold what stands
-for each number in C, an `export.scalar_c.Argument`, and so it is `Any` to the type checker.)"""
+"""A vector that a filter does not have. (The model's records hold arrays; here they hold what
+stands for a number in C, an `export.scalar_c.Argument`, and so it is `Any` to the type checker.)"""
 
 _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
@@ -312,7 +312,7 @@ class Step:
                 curvature=_scalar("w->curvature" if some else 0.0),
                 scale=_scalar("w->scale" if some else 0.0),
             ),
-            freed=self._each_vector("w->freed"),
+            freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self._vectors,
             landmark_weights=_numbered("w->landmark_weights", self._landmarks),
         )
 

@@ -2,7 +2,7 @@
  * height: F(h) = D h - (u + v) h^2/2 and M(h) = 1/2 [(c_i^2 - a_j^2) h - (c_i v + a_j u) h^2 +
  * (v^2 - u^2) h^3/3] with u = b_j - a_j, v = c_i - b_i, D = c_i - a_j, up to where they cross. */
 static inline void posegsa_add_overlap(int i, int j, posegsa_real height, posegsa_real sign,
-                                posegsa_real *area, posegsa_real *moment)
+                                       posegsa_real *area, posegsa_real *moment)
 {
     const posegsa_real a = posegsa_output_terms[j][0];
     const posegsa_real c = posegsa_output_terms[i][2];
@@ -25,8 +25,8 @@ static inline void posegsa_add_overlap(int i, int j, posegsa_real height, posegs
 
 /* Area and first moment under the union of the clipped output terms, by inclusion and exclusion:
  * terms i < j overlap above the tallest one between them. */
-static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS], posegsa_real *area,
-                              posegsa_real *moment)
+static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS],
+                                     posegsa_real *area, posegsa_real *moment)
 {
     int i, j;
     *area = 0;

@@ -14,8 +14,8 @@ static inline void posegsa_add(posegsa_real x, posegsa_real *sum, posegsa_real *
 }
 
 /* Area and first moment under the clipped output terms by samples, the spacing being 1. */
-static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS], posegsa_real *area,
-                              posegsa_real *moment)
+static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS],
+                                     posegsa_real *area, posegsa_real *moment)
 {
     const posegsa_real range = posegsa_high - posegsa_low;
     posegsa_real area_excess = 0, moment_excess = 0;

@@ -42,7 +42,8 @@ static inline posegsa_real posegsa_membership(posegsa_real x, const posegsa_real
     return posegsa_middle_gain;
 }
 
-{{ linkage }}posegsa_real posegsa_gain(posegsa_real error, posegsa_real rate, posegsa_real last_gain)
+{{ linkage }}posegsa_real posegsa_gain(posegsa_real error, posegsa_real rate,
+                                       posegsa_real last_gain)
 {
     posegsa_real of_error[POSEGSA_INPUTS], of_rate[POSEGSA_INPUTS];
     posegsa_real heights[POSEGSA_OUTPUTS] = {0};

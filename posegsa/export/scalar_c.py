@@ -67,6 +67,7 @@ _INFIX = {
     **{"eq": ("==", 3), "ne": ("!=", 3), "and": ("&&", 2), "or": ("||", 1)},
 }
 """C's operators and how strongly they bind, by JAX's names."""
+_ARITHMETIC, _ARITHMETIC_BINDS = ("add", "sub", "mul", "div"), 5
 _PREDICATES = ("lt", "gt", "le", "ge", "eq", "ne", "and", "or", "not", "is_finite")
 FUNCTIONS = {
     **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
@@ -330,8 +331,11 @@ class _Writer:
         name, of = value.operation.name, value.operation.of
         if name in _INFIX:
             sign, strength = _INFIX[name]
-            # From left to right: the right one has to bind more strongly.
-            left, right = self._bound(of[0], strength), self._bound(of[1], strength + 1)
+            # From left to right: the right one has to bind more strongly. Compilers warn of
+            # comparisons and logic inside each other without parentheses.
+            arithmetic = name in _ARITHMETIC
+            least = strength if arithmetic else _ARITHMETIC_BINDS
+            left, right = self._bound(of[0], least), self._bound(of[1], least + arithmetic)
             return f"{left} {sign} {right}", strength
         if name in ("neg", "not"):
             return f"{'-' if name == 'neg' else '!'}{self._bound(of[0], 8)}", 7
