@@ -12,7 +12,7 @@ static inline void posegsa_add_overlap(int i, int j, posegsa_real height, posegs
     const posegsa_real slope = u + v;
     const posegsa_real half = POSEGSA_C(0.5);
     posegsa_real h = posegsa_min(height, 1);
-    if (!(width > 0)) {
+    if (!(width > 0) || !(height > 0)) { /* nothing to add */
         return;
     }
     if (slope > 0) {
@@ -33,12 +33,17 @@ static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS]
     *moment = 0;
     for (i = 0; i < POSEGSA_OUTPUTS; ++i) {
         posegsa_real between = 0;
+        if (!(heights[i] > 0)) { /* most terms do not fire */
+            continue;
+        }
         posegsa_add_overlap(i, i, heights[i], 1, area, moment);
         for (j = i + 1; j < POSEGSA_OUTPUTS; ++j) {
-            const posegsa_real both = posegsa_min(heights[i], heights[j]);
-            posegsa_add_overlap(i, j, both, -1, area, moment);
-            posegsa_add_overlap(i, j, posegsa_min(both, between), 1, area, moment);
-            between = posegsa_max(between, heights[j]);
+            if (heights[j] > 0) {
+                const posegsa_real both = posegsa_min(heights[i], heights[j]);
+                posegsa_add_overlap(i, j, both, -1, area, moment);
+                posegsa_add_overlap(i, j, posegsa_min(both, between), 1, area, moment);
+                between = posegsa_max(between, heights[j]);
+            }
         }
     }
 }

@@ -64,7 +64,7 @@ static inline posegsa_real posegsa_membership(posegsa_real x, const posegsa_real
         of_rate[i] = posegsa_membership(rate, posegsa_input_terms[i]);
     }
     for (r = 0; r < POSEGSA_INPUTS; ++r) {
-        for (e = 0; e < POSEGSA_INPUTS; ++e) {
+        for (e = 0; of_rate[r] > 0 && e < POSEGSA_INPUTS; ++e) { /* few rows fire */
             const int output = posegsa_rules[r][e];
             const posegsa_real fired = posegsa_min(of_rate[r], of_error[e]);
             heights[output] = posegsa_max(heights[output], fired);
