@@ -36,12 +36,17 @@ def _export(options: argparse.Namespace) -> int:
     if options.out is None:
         sys.stdout.write(text)
         return 0
-    try:
-        with Path(options.out).open("w" if options.overwrite else "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise PosegsaError(f"{options.out}: is there already; --overwrite replaces it") from None
-    except OSError as error:
-        raise PosegsaError(f"{options.out}: cannot be written: {error.strerror}") from None
+    write_new(Path(options.out), text, overwrite=options.overwrite)
     print(f"Written: {options.out}")
     return 0
+
+
+def write_new(path: Path, text: str, *, overwrite: bool) -> None:
+    """Write a file, and refuse one that is there already unless it may be overwritten."""
+    try:
+        with path.open("w" if overwrite else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise PosegsaError(f"{path}: is there already; --overwrite replaces it") from None
+    except OSError as error:
+        raise PosegsaError(f"{path}: cannot be written: {error.strerror}") from None

@@ -17,7 +17,12 @@ __all__ = [
     "filter_to_c",
 ]
 
-FORMATS = {"json": export_json, "csv": export_csv, "c": export_c, "c-gain": export_c_gain}
+FORMATS = {
+    "json": export_json,
+    "csv": export_csv,
+    "c": export_c,
+    "c-gain": export_c_gain,
+}
 """What `export` writes, by name."""
 NAMED = ("c", "c-gain")
 """Formats whose names begin with one that can be chosen."""

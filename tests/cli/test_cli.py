@@ -18,6 +18,7 @@ import pytest
 from experiments import TINY
 
 from posegsa.cli.command import main
+from posegsa.export import FORMATS
 from posegsa.judging.evaluation import CONTENDERS
 from posegsa.saving.run import load
 
@@ -194,19 +195,22 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     run = str(finished[0] / "posegsa-run")
     assert main(["export", run, "--format", "json"]) == 0
     json.loads(capsys.readouterr().out)
-    for form in ("csv", "c", "c-gain"):
+    for form in FORMATS:
         path = tmp_path / f"gain.{form}"
         assert main(["export", run, "--format", form, "--out", str(path)]) == 0
         assert path.stat().st_size > 1000
-    before = path.read_text()
-    again = ["export", run, "--format", "c", "--name", "own", "--out", str(path)]
+    written = path.read_text("utf-8")
+    path.write_text("mine", "utf-8")
+    again = ["export", run, "--format", form, "--out", str(path)]
     assert main(again) == 2
     assert "is there already; --overwrite replaces it" in capsys.readouterr().err
-    assert path.read_text() == before
+    assert path.read_text("utf-8") == "mine"
     assert main([*again, "--overwrite"]) == 0
-    assert "own_step" in path.read_text()
+    assert path.read_text("utf-8") == written
     assert main(["export", run, "--format", "c", "--out", str(tmp_path / "no" / "such")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+    assert main(["export", run, "--format", "c", "--name", "own"]) == 0
+    assert "own_step" in capsys.readouterr().out
 
 
 @pytest.mark.quick

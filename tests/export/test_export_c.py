@@ -8,9 +8,11 @@ much as JAX in float32 is, and by a few units of rounding.
 
 import re
 import subprocess
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -572,6 +574,15 @@ def test_the_head_says_what_it_is_and_what_warns_of_it():
     assert "WARNING: past the time that it was tuned for it is worse than constant" in head(worse)
     sensitive = trust(cost_float32=40.5, cost_float64=44.0, cost_perturbed=40.5, sensitive=True)
     assert "WARNING: SENSITIVE" in head(recommended_result(trust=sensitive))
+
+
+def test_the_page_shows_the_example_and_its_python_runs():
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text("utf-8")
+    assert f"```c\n{textwrap.dedent(example(everything()['recommended'].header()))}```" in page
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)  # the page's own text
+    assert "posegsa_schedule_gain = 10;" in names["text"]
 
 
 @pytest.mark.quick
