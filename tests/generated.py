@@ -243,7 +243,6 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "plot_input_terms": lambda: posegsa.plot_input_terms(hostile()),
         "plot_output_terms": lambda: posegsa.plot_output_terms(hostile()),
         "export_c": lambda: posegsa.export_c(hostile()),
-        "export_c name": lambda: posegsa.export_c(result, name=hostile()),
         "export_c_gain": lambda: posegsa.export_c_gain(hostile()),
         "filter_to_c": lambda: posegsa.filter_to_c(
             any_of(result.schedule), settings, signal, vectors=hostile(), landmarks=hostile()

@@ -56,6 +56,7 @@ def export_c(result: TuneResult, name: str = NAME) -> str:
             true errors, which no vehicle knows.
     """
     check_type("result", result, TuneResult)
+    check_name(name)
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     scenario = experiment.scenario
     with jax.enable_x64(True):
