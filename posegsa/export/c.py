@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa import config
-from posegsa.arguments import check_type, refuse
+from posegsa.arguments import check_type, fitting, refuse
 from posegsa.export.c_gain import controller_values
 from posegsa.export.c_step import References, Step, constants, references
 from posegsa.export.c_text import (
@@ -119,7 +119,7 @@ def filter_to_c(
             "filter can't run outside a simulation",
             '"measured"; tune with gain.signal = "measured"',
         )
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), fitting("filter_to_c: schedule"):
         initial_gain = float(schedule.initial_gain())
     known = references(vectors, landmarks, settings)
     step = Step(known, settings, signal, schedule)

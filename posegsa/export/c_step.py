@@ -330,15 +330,10 @@ def _signal(
     state: FilterState, sample: Sample, seen: Seen, memory: SignalMemory, settings: SignalSettings
 ) -> tuple[tuple[Any, Any], SignalMemory]:
     """What a schedule is shown, and the memory after it."""
-    shown = []
-
-    def schedule(inputs: ScheduleInputs) -> Gains:
-        shown.append(inputs)
-        return Gains(inputs.last)
-
-    errors = measured_errors(state, sample, seen)
+    errors, step = measured_errors(state, sample, seen), sample.time_step
+    # Which gain a schedule asks for then is of no concern here, nor the time that it looks at.
     _, inputs, after = scheduled_gain(
-        schedule, memory, errors, sample.time_step, sample.time_step, settings
+        lambda inputs: Gains(inputs.last), memory, errors, step, step, settings
     )
     return (inputs.error, inputs.rate), after
 

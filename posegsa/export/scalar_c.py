@@ -121,16 +121,33 @@ class _Trace:
 
     def _applied(self, equation: core.JaxprEqn, given: list[_Value]) -> _Value:
         name, params = equation.primitive.name, equation.params
-        if any(getattr(var.aval, "shape", ()) for var in equation.outvars):
-            refuse(f"a step with the operation {name!r} on arrays", "operations on scalars")
+        for var in equation.outvars:
+            if getattr(var.aval, "shape", ()):
+                refuse(f"a step with the operation {name!r} on arrays", "operations on scalars")
+            if not _is_real(var) and not _is_truth(var):
+                refuse(f"a step with the operation {name!r} on integers", "real numbers and truths")
+        if name == "convert_element_type":
+            before, after = map(_is_truth, (equation.invars[0], equation.outvars[0]))
+            if before and not after:
+                return self.made("select_n", given[0], self.number(0.0), self.number(1.0))
+            if after and not before:
+                return self.made("ne", given[0], self.number(0.0))
         if name in _AS_IT_IS:
             return given[0]
-        if name == "integer_pow" and params["y"] in (2, 3):
-            square = self.made("mul", given[0], given[0])
-            return square if params["y"] == 2 else self.made("mul", square, given[0])
+        if name == "integer_pow":
+            power = self._power(given[0], abs(params["y"]))
+            return power if params["y"] >= 0 else self.made("div", self.number(1.0), power)
         if name == "square":
-            return self.made("mul", given[0], given[0])
+            return self._power(given[0], 2)
         return self.made(name, *given, origin=_function_of(equation))
+
+    def _power(self, value: _Value, exponent: int) -> _Value:
+        """A value to a whole power from 1, by squares; 1 to the power of 0."""
+        if exponent < 2:
+            return value if exponent else self.number(1.0)
+        half = self._power(value, exponent // 2)
+        square = self.made("mul", half, half)
+        return self.made("mul", square, value) if exponent % 2 else square
 
     def made(self, name: str, *of: _Value, origin: str = "") -> _Value:
         """An operation, or what is known of it already."""
@@ -183,6 +200,14 @@ class _Trace:
 
     def _once(self, key: tuple[Any, ...], **fields: Any) -> _Value:
         return self._made.setdefault(key, _Value(**fields))
+
+
+def _is_truth(var: Any) -> bool:
+    return var.aval.dtype == bool
+
+
+def _is_real(var: Any) -> bool:
+    return np.issubdtype(var.aval.dtype, np.floating)
 
 
 def _function_of(equation: core.JaxprEqn) -> str:

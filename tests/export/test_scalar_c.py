@@ -94,6 +94,7 @@ def test_numbers_of_float32_are_written_as_short_as_they_are():
         (lambda a: jnp.interp(a, jnp.arange(3.0), jnp.ones(3)), "allowed"),
         (lambda a: a + np.ones(2)[0] * jnp.ones(3)[0], "on arrays"),
         (lambda a: 1.0 if a > 0 else 2.0, "can't be written in C"),
+        (lambda a: a * (a.astype(int) + 1).astype(a.dtype), "on integers"),
         (jax.scipy.special.gammaln, "'lgamma'"),
     ],
 )
@@ -116,9 +117,10 @@ def test_the_c_computes_what_the_function_does(tmp_path):
             jnp.round(a) + jnp.floor(b) + jax.lax.rsqrt(1 + b * b),
             jnp.where(far != (b < 0), a, -b),
             jnp.clip(a, -1.0, 1.0) + jnp.minimum(a, b) * jnp.maximum(a, b),
+            a**5 - (2 + b * b) ** -3 + a**0 + far.astype(a.dtype) * b,
         )
 
-    count = 6
+    count = 7
     code = written(function, ("x[0]", "x[1]"), tuple(f"y[{i}]" for i in range(count)))
     functions = "".join(
         f"static double posegsa_{f}(double x) {{ return {f}(x); }}\n" for f in code.functions
