@@ -32,7 +32,8 @@ def need(compiler: str) -> str:
 def sanitizers(compiler: str) -> tuple[str, ...]:
     """What makes a compiler watch memory and undefined behaviour; nothing where it can't."""
     command = [compiler, "-x", "c", "-", *SANITIZERS, "-o", "/dev/null"]
-    done = subprocess.run(command, input="int main(void){return 0;}", text=True, check=False)
+    empty = "int main(void) { return 0; }"
+    done = subprocess.run(command, input=empty, text=True, check=False, capture_output=True)
     return tuple(SANITIZERS) if done.returncode == 0 else ()
 
 

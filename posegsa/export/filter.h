@@ -38,7 +38,8 @@
  * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
  * its last value. Any other number that is NaN or infinite, a negative weight and a dt that is not
  * above 0 are refused with POSEGSA_INVALID_INPUT, and the state stays as it was; so it does where
- * the estimate would overflow, with POSEGSA_NOT_FINITE. Pointers must be valid.
+ * the estimate would overflow, with POSEGSA_NOT_FINITE. A refused sample moves nothing: let the
+ * next dt cover its time too. Pointers must be valid.
  *
  * PRECISION, MEMORY, THREADS
  * posegsa_real is double; compile with -DPOSEGSA_REAL=float for single precision. No heap, no

@@ -335,7 +335,7 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
     header = export_c(recommended_result())
     m, exact, single = simulated_runs()
     for real, dtype in (("double", np.float64), ("float", np.float32)):
-        options = options_of(case, f"-DPOSEGSA_REAL={real}")
+        options = options_of(case, f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
         program = build(header, *options, compiler=compiler)
         found = run_c(program, case.layout, START, rows_of(case, m, dtype))
         assert (found.code == CODES["ok"]).all()
