@@ -153,6 +153,8 @@ class _Trace:
         """An operation, or what is known of it already."""
         if name == "rsqrt":
             return self.made("div", self.number(1.0), self.made("sqrt", *of, origin=origin))
+        if name == "select_n":
+            of = (of[0], _within(of[1], of[0], False), _within(of[2], of[0], True))
         simple = self._simplified(name, *of)
         if simple is not None:
             return simple
@@ -200,6 +202,15 @@ class _Trace:
 
     def _once(self, key: tuple[Any, ...], **fields: Any) -> _Value:
         return self._made.setdefault(key, _Value(**fields))
+
+
+def _within(value: _Value, condition: _Value, holds: bool) -> _Value:
+    """A value where it is known whether a condition holds: a choice by the same one is made."""
+    chosen = value.operation
+    while chosen is not None and chosen.name == "select_n" and chosen.of[0] is condition:
+        value = chosen.of[2 if holds else 1]
+        chosen = value.operation
+    return value
 
 
 def _is_truth(var: Any) -> bool:

@@ -576,6 +576,18 @@ def test_the_head_says_what_it_is_and_what_warns_of_it():
     assert "WARNING: SENSITIVE" in head(recommended_result(trust=sensitive))
 
 
+def test_every_number_says_what_it_is():
+    for case in everything().values():
+        numbers = case.header().split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
+        defined = [i for i, line in enumerate(numbers) if line.startswith("static const")]
+        unsaid = [numbers[i] for i in defined if not re.fullmatch(r"/\* .+ \*/", numbers[i - 1])]
+        # A schedule's own numbers have only their names.
+        assert all(
+            line.startswith("static const posegsa_real posegsa_schedule_") for line in unsaid
+        )
+        assert len(defined) - len(unsaid) >= 5
+
+
 def test_the_page_shows_the_example_and_its_python_runs():
     page = (Path(__file__).parents[2] / "docs" / "export.md").read_text("utf-8")
     assert f"```c\n{textwrap.dedent(example(everything()['recommended'].header()))}```" in page

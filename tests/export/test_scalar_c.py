@@ -64,6 +64,14 @@ def test_what_is_known_is_computed_and_what_no_one_wants_is_left_out():
     assert lines(function, (2.0, 3.0), ("y", None)) == ["y = 2;"]
 
 
+def test_a_choice_within_a_choice_by_the_same_condition_is_made():
+    def function(a):
+        some = a > 0
+        return choose(some, choose(some, 3 * a, 0.0) * 1.0, choose(some, 5.0, -a))
+
+    assert lines(function, ("x",), "y") == ["y = x > 0 ? 3 * x : -x;"]
+
+
 @pytest.mark.parametrize(
     ("number", "text"),
     [
