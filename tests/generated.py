@@ -257,6 +257,10 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "plot_input_terms": lambda: posegsa.plot_input_terms(hostile()),
         "plot_output_terms": lambda: posegsa.plot_output_terms(hostile()),
         "export_c": lambda: posegsa.export_c(hostile()),
+        "export_c_gain": lambda: posegsa.export_c_gain(hostile()),
+        "filter_to_c": lambda: posegsa.filter_to_c(
+            any_of(result.schedule), settings, signal, vectors=hostile(), landmarks=hostile()
+        ),
         "export_json": lambda: posegsa.export_json(hostile()),
         "export_csv": lambda: posegsa.export_csv(hostile()),
         "export_fis": lambda: posegsa.export_fis(hostile()),

@@ -1,7 +1,8 @@
-"""A tuned schedule out of Python, in one of `FORMATS`."""
+"""A tuned filter, or its schedule, out of Python, in one of `FORMATS`."""
 
 from posegsa.errors import PosegsaError
-from posegsa.export.c import export_c
+from posegsa.export.c import export_c, filter_to_c
+from posegsa.export.c_gain import export_c_gain
 from posegsa.export.controllers import export_fcl, export_fis, export_fll, export_fml
 from posegsa.export.tables import SCHEMA, export_csv, export_json
 from posegsa.judging.result import TuneResult
@@ -11,32 +12,46 @@ __all__ = [
     "SCHEMA",
     "export",
     "export_c",
+    "export_c_gain",
     "export_csv",
     "export_fcl",
     "export_fis",
     "export_fll",
     "export_fml",
     "export_json",
+    "filter_to_c",
 ]
 
 FORMATS = {
     "json": export_json,
     "csv": export_csv,
     "c": export_c,
+    "c-gain": export_c_gain,
     "fis": export_fis,
     "fll": export_fll,
     "fcl": export_fcl,
     "fml": export_fml,
 }
-"""What `export` writes, by name; the name is also the file's usual extension."""
+"""What `export` writes, by name."""
+NAMED = ("c", "c-gain")
+"""Formats whose names begin with one that can be chosen."""
 
 
-def export(result: TuneResult, format: str) -> str:
-    """The text of a tuned schedule in one of `FORMATS`.
+def export(result: TuneResult, format: str, name: str | None = None) -> str:
+    """The text of a tuned filter or of its schedule in one of `FORMATS`.
+
+    Args:
+        result: what was tuned.
+        format: of `FORMATS`.
+        name: what the names in a file of C begin with; default "posegsa".
 
     Raises:
-        PosegsaError: There is no such format.
+        PosegsaError: There is no such format, or it has no names that could begin with one.
     """
     if not isinstance(format, str) or format not in FORMATS:
         raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
-    return FORMATS[format](result)
+    if name is None:
+        return FORMATS[format](result)
+    if format not in NAMED:
+        raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(NAMED)}")
+    return FORMATS[format](result, name=name)

@@ -1,184 +1,172 @@
-"""The schedule as one C99 file that includes nothing, allocates nothing and remembers nothing.
+"""The whole filter as one header of C99: state, `posegsa_init`, `posegsa_step`.
 
-The code mirrors `posegsa.model.fuzzy` operation by operation, so that both agree to rounding even
-where few rules fire, and weakly: there a gain depends on differences of small heights. It stands in
-`gain.c` and `centroid_*.c`; each `$name` in them is filled in here.
+The arithmetic of its step is not written a second time: the model's own functions are traced for
+one agent, part by part, and printed as C (`export.scalar_c`). So every law, signal and schedule
+that a configuration can have is exported as the Python filter computes it, and a change of the
+model is a change of the export.
+
+In parts, since the whole step in one trace is 2300 operations, of which half are fuzzy rules
+without their tables and each sub-step is a copy. So a sub-step is one function that a loop calls,
+and the controller stands in `controller.c`, by hand, with its tables. By hand is also what is no
+arithmetic: checks of the input, what is missing, the return codes (`filter.h`).
 """
 
-import textwrap
-from collections.abc import Collection, Iterable, Sequence
-from functools import partial
-from importlib.resources import files
-from string import Template
+from collections.abc import Iterable, Sequence
 
+import jax
 import numpy as np
+from jax.typing import ArrayLike
 
-from posegsa.arguments import check_type
-from posegsa.config import PARAMETERS, TERMS, Experiment
-from posegsa.export.tables import INFERENCE, costs
+from posegsa import config
+from posegsa.arguments import check_type, fitting, refuse
+from posegsa.export.c_gain import controller_values
+from posegsa.export.c_step import References, Step, constants, references
+from posegsa.export.c_text import (
+    NAME,
+    check_name,
+    comment,
+    origin,
+    renamed,
+    settings_of,
+    templates,
+    worth,
+    wrapped,
+)
 from posegsa.judging.result import VERSION, TuneResult
-from posegsa.settings.fields import Section
-from posegsa.words import counted, text_table, toml
-
-_wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyphens=False)
-"""Lines of the comment's text."""
-_NO_RULE = {"hold": "last_gain", "midrange": "posegsa_initial_gain()"}
-_END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
-
-_FORMULAS = {
-    "measured": """\
-    attitude = 3 / (8 sum_i s_i) sum_i s_i |R_est v_i^B - v_i^I|^2   [no unit]
-        over the vectors i measured in this sample, s_i their weights; without any its last value,
-        0 at first
-    position = sum_i w_i |T_est y_i - p_i| / sum_i w_i   [m]
-        over the landmarks i measured in this sample, w_i their weights; likewise""",
-    "pose": """\
-    attitude = tr(I - R_err) / 4, R_err = R_est R^T   [0 to 1, no unit]
-    position = |P_est - R_err P|   [m]""",
-}
-_SYMBOLS = {
-    "measured": "R_est: estimated attitude, body to inertial frame; T_est y = R_est y + P_est [m]; "
-    "v_i^B: vector as the filter uses it, body frame; v_i^I: the same vector, inertial frame; y_i: "
-    "landmark as measured, body frame [m]; p_i: its place, inertial frame [m]. In the run's "
-    "scenario:",
-    "pose": "An oracle, for simulation only: R (body to inertial frame) and P [m] are the TRUE "
-    "attitude and position, R_est and P_est the estimated ones. A vehicle does not have them.",
-}
+from posegsa.model.filter import FilterSettings
+from posegsa.model.schedules import FuzzyGain, GainSchedule, check_schedule
+from posegsa.model.signal import SignalSettings
+from posegsa.search.build import filter_settings, signal_settings
+from posegsa.words import counted
 
 
-def export_c(result: TuneResult) -> str:
-    """A C99 file with `posegsa_gain` and `posegsa_initial_gain`.
+def export_c(result: TuneResult, name: str = NAME) -> str:
+    """C99 header with the whole filter: state, `posegsa_init`, `posegsa_step`.
 
-    It computes in `POSEGSA_REAL`, which is double unless it is defined as float when compiling.
-    Its head comment says how the inputs are formed, in which units, and what the schedule is worth.
+    It includes nothing but `<math.h>`, allocates nothing, and computes in `POSEGSA_REAL`, which is
+    double unless it is defined as float when compiling. Its head comment says how it is used and
+    what the filter is worth.
+
+    Args:
+        result: the tuned filter, for the vectors and landmarks of its experiment.
+        name: what all names in the file begin with.
+
+    Raises:
+        ArgumentError: Not a result, no name that C could take, or a result that was tuned on the
+            true errors, which no vehicle knows.
     """
     check_type("result", result, TuneResult)
-    experiment, controller = result.tuned, result.controller
-    run, search = experiment.run, experiment.search
-    low, high = map(float, controller.output_range)
-    origin = (
-        f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
-        f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
-    )
-    parameters = zip(PARAMETERS, result.parameters.tolist(), strict=True)
-    here = files("posegsa.export")
-    centroid = Template((here / f"centroid_{controller.centroid}.c").read_text("utf-8"))
-    return Template((here / "gain.c").read_text("utf-8")).substitute(
-        origin=_comment(_wrapped(origin)),
-        costs=_comment(_costs(result)),
-        inference=_comment([INFERENCE, *_settings(experiment.fuzzy, without=["rules"])]),
-        signal=_comment(_signal(experiment)),
-        filter=_comment(_settings(experiment.filter)),
-        parameters=_comment(_wrapped(", ".join(f"{name}={k!r}" for name, k in parameters))),
-        centroid=centroid.substitute(
-            points=controller.sampled_points,
-            end_weight=_END_WEIGHT[controller.sampled_rule],
-            low=repr(low),
-            high=repr(high),
-        ),
-        inputs=len(controller.input_terms),
-        outputs=len(controller.output_terms),
-        input_terms=_terms(controller.input_terms),
-        output_terms=_terms(controller.output_terms),
-        rules=_rows([map(str, row) for row in controller.rules], [f"rate {t}" for t in TERMS]),
-        # As JAX has it: formed in double, then rounded.
-        initial_gain=repr(1 + 0.5 * (low + high)),
-        no_rule=_NO_RULE[controller.no_rule],
+    check_name(name)
+    experiment = config.override(result.tuned, ["run.dtype=float64"])
+    scenario = experiment.scenario
+    with jax.enable_x64(True):
+        settings = filter_settings(experiment)
+        signal = signal_settings(experiment.gain, np.dtype("float64"))
+    return filter_to_c(
+        result.schedule,
+        settings,
+        signal,
+        vectors=np.reshape([vector.direction for vector in scenario.vectors], (-1, 3)),
+        landmarks=np.reshape([landmark.position for landmark in scenario.landmarks], (-1, 3)),
+        name=name,
+        about=origin(result),
+        worth=worth(result),
+        details=settings_of(experiment.filter) + settings_of(experiment.gain),
     )
 
 
-def _terms(terms: object) -> str:
-    """Terms as rows of a C table; a float32 is written so that reading it as float is exact."""
-    values = np.asarray(terms).tolist()
-    return _rows([[f"POSEGSA_C({x!r})" for x in term] for term in values], TERMS)
+def filter_to_c(
+    schedule: GainSchedule,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    *,
+    vectors: ArrayLike | None = None,
+    landmarks: ArrayLike | None = None,
+    name: str = NAME,
+    about: Iterable[str] = (),
+    worth: Iterable[str] = ("Not known: a filter made by hand.",),
+    details: Iterable[str] = (),
+) -> str:
+    """A filter with any schedule as a header of C99, as `export_c` writes that of a result.
 
+    Without landmarks it is one of the attitude alone.
 
-def _rows(rows: Iterable[Iterable[str]], names: Sequence[str]) -> str:
-    named = zip(map(", ".join, rows), names, strict=True)
-    return "\n".join(f"    {{{row}}}, /* {name} */" for row, name in named)
+    Args:
+        schedule: of the gain: `FuzzyGain`, `ConstantGain`, `SmoothGain`, `SwitchGain`, or one of
+            your own whose step is arithmetic of scalars.
+        settings: of the filter.
+        signal: of the error signal; "measured".
+        vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
+        landmarks: (m, 3) p_i, inertial frame [m].
+        name: what all names in the file begin with.
+        about: lines of the head comment on where it comes from,
+        worth: on what it is worth,
+        details: and on its settings.
 
-
-def _comment(lines: Iterable[str]) -> str:
-    """Lines of a block comment; none of them can end it early, or begin another."""
-    safe = (line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
-    return "\n".join(f" * {line}".rstrip() for line in safe)
-
-
-def _costs(result: TuneResult) -> list[str]:
-    names = {
-        "tuned": "  this schedule",
-        "constant": f"  best constant gain {result.constant_gain:.4g}/s",
-    }
-    found, rows = costs(result), [["Cost", "training", "held out", "95 % interval", "worst"]]
-    for key, name in names.items():
-        numbers = (found[key][of] for of in ("training_mean", "held_out_mean", "held_out_worst"))
-        training, held_out, worst = (f"{number:.5g}" for number in numbers)
-        interval = "[{:.5g}, {:.5g}]".format(*found[key]["held_out_interval"])
-        rows.append([name, training, held_out, interval, worst])
-    lines = text_table(rows).splitlines()
-    lines += _wrapped(
-        f"Means over {counted(len(result.training_costs), 'training scenario')} and over "
-        f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
-        "held-out ones."
-    )
-    for warning in result.warnings():
-        lines += _wrapped(f"WARNING: {warning}.")
-    return lines
-
-
-def _signal(experiment: Experiment) -> list[str]:
-    """How the inputs come from measurements, with the run's constants."""
-    gain = experiment.gain
-    smoothed = (
-        f"e = before + dt / ({gain.smoothing!r} s + dt) (now - before)   [smoothed; dt: the time "
-        "since the last sample]"
-    )
-    return [
-        *_FORMULAS[gain.signal].splitlines(),
-        f"    now = attitude + {gain.position_weight!r} x position",
-        f"    {smoothed if gain.smoothing > 0 else 'e = now'}",
-        f"    error = e / {gain.error_scale!r}",
-        f"    rate = |e - before|{' / dt' if gain.rate == 'per_second' else ''} "
-        f"x {gain.rate_scale!r}",
-        "    before is e of the sample before, and now at the first sample: there rate is 0",
-        *_wrapped(_SYMBOLS[gain.signal]),
-        *(_known(experiment) if gain.signal == "measured" else []),
-        *_settings(gain),
-    ]
-
-
-def _known(experiment: Experiment) -> list[str]:
-    """The vectors and landmarks of the run, with their weights."""
-    scenario, used = experiment.scenario, experiment.filter
-    rows = [
-        f"  v_{i}^I = {vector.direction}, weight {vector.weight!r}"
-        for i, vector in enumerate(scenario.vectors, start=1)
-    ]
-    if used.cross_vector:
-        rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {used.cross_vector_weight!r}")
-    if used.vector_bias == "estimated":
-        rows += [
-            "  c_i, its estimated bias, is taken off each measured vector first, body frame:",
-            "      dc_i/dt = gamma_c (v_i^B as measured - c_i - R_est^T v_i^I) - leak c_i,",
-            "      gamma_c, leak and bound as vector_bias_... below, R_est before the step",
-        ]
-    if used.normalise_vectors:
-        rows.append("  all of them at length one, v_i^B and v_i^I")
-    rows += [
-        f"  p_{i} = {landmark.position} m, weight {landmark.weight!r}"
-        for i, landmark in enumerate(scenario.landmarks, start=1)
-    ]
-    return rows
-
-
-def _settings(section: Section, without: Collection[str] = ()) -> list[str]:
-    return [
-        line
-        for name, value, description in section.described()
-        if name not in without
-        for line in _wrapped(
-            f"{name} = {toml(value)}. {description}",
-            initial_indent="  ",
-            subsequent_indent="      ",
+    Raises:
+        ArgumentError: An argument is of another type, they do not fit together, or the schedule
+            does what can't be written as scalar arithmetic.
+        MeasurementError: vectors or landmarks are no finite numbers, or a vector is 0.
+    """
+    with jax.enable_x64(True):
+        check_schedule(schedule)
+    check_type("settings", settings, FilterSettings)
+    check_type("signal", signal, SignalSettings)
+    check_name(name)
+    if signal.signal == "pose":
+        refuse(
+            'signal = "pose": the gain looks at the true errors, which no vehicle knows, so the '
+            "filter can't run outside a simulation",
+            '"measured"; tune with gain.signal = "measured"',
         )
+    with jax.enable_x64(True), fitting("filter_to_c: schedule"):
+        initial_gain = float(schedule.initial_gain())
+    known = references(vectors, landmarks, settings)
+    step = Step(known, settings, signal, schedule)
+    uses_time = any(piece.code.mentions("now->time") for piece in step.pieces.values())
+    fuzzy = isinstance(schedule, FuzzyGain)
+    functions = {"sqrt"}.union(*(piece.code.functions for piece in step.pieces.values()))
+    values = {
+        "file": f"{name}.h",
+        "attitude_only": step.attitude_only,
+        "origin": comment([*about] or [f"Written by posegsa {VERSION}."]),
+        "purpose": comment(_purpose(known, settings, step)),
+        "worth": comment(worth),
+        "settings": comment(details),
+        "vectors": len(known.vectors),
+        "landmarks": len(known.landmarks),
+        "substeps": settings.substeps,
+        "learns": step.learns,
+        "uses_time": uses_time,
+        "fuzzy": fuzzy,
+        "constants": constants(step, known),
+        "functions": sorted(functions),
+        "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
+        "calls": {key: piece.call for key, piece in step.pieces.items()},
+        "initial_gain": repr(initial_gain),
+        "controller": "",
+    }
+    if fuzzy:
+        controller = controller_values(schedule.controller)
+        template = templates().get_template("controller.c")
+        values["controller"] = template.render(linkage="static inline ", **controller)
+    return renamed(templates().get_template("filter.h").render(values), name)
+
+
+def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequence[str]:
+    """What goes in and what comes out, in words."""
+    sensors = [
+        counted(len(known.vectors), "vector") if len(known.vectors) else "",
+        counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",
     ]
+    rates = "angular velocity" if step.attitude_only else "angular and linear velocity"
+    out = "attitude" if step.attitude_only else "attitude and position"
+    biases = "that velocity's bias" if step.attitude_only else "the velocities' biases"
+    if step.learns:
+        biases += " and the vectors'"
+    return wrapped(
+        f"From measured {rates}, {' and '.join(filter(None, sensors))} of known "
+        f"{'direction' if step.attitude_only else 'direction or place'} it estimates {out}, and "
+        f"{biases}. Law: {settings.law}; {counted(settings.substeps, 'sub-step')} a sample. The "
+        f"equations stand in posegsa's posegsa/model/filter.py."
+    )

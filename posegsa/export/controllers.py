@@ -11,8 +11,9 @@ from posegsa.exchange.fcl import to_fcl
 from posegsa.exchange.fis import to_fis
 from posegsa.exchange.fll import to_fll
 from posegsa.exchange.fml import to_fml
-from posegsa.export.c import _costs, _signal, _wrapped
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.export.c_gain import signal_in_words
+from posegsa.export.c_text import origin, worth
+from posegsa.judging.result import TuneResult
 from posegsa.model.fuzzy import FuzzyController
 
 
@@ -52,18 +53,13 @@ def _written(source: TuneResult | FuzzyController, write: Callable[..., str]) ->
 
 def _about(result: TuneResult) -> list[str]:
     """Where a schedule comes from, what it is worth and how its inputs are formed."""
-    experiment = result.tuned
-    run, search = experiment.run, experiment.search
     return [
-        *_wrapped(
-            f"Gain controller of a pose filter. Written by posegsa {VERSION}. Tuned with posegsa "
-            f"{result.version} in {run.dtype}: {search.optimiser}, {search.size_in_words()}, seed "
-            f"{run.seed}."
-        ),
+        "Gain controller of a pose filter.",
+        *origin(result),
         "",
-        *_costs(result),
+        *worth(result),
         "",
         "Inputs, both without a unit:",
-        *_signal(experiment),
+        *signal_in_words(result.tuned),
         "",
     ]

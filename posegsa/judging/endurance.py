@@ -1,5 +1,6 @@
 """How a tuned filter fares long after the window that it was tuned for."""
 
+import math
 import warnings
 from itertools import pairwise
 from typing import Annotated, NamedTuple
@@ -91,9 +92,9 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
         half = np.sqrt(np.clip(np.asarray(tracks.attitude, np.float64), 0, 1))
         squares = np.degrees(2 * np.arcsin(half)) ** 2, np.asarray(tracks.position, np.float64) ** 2
         attitude, position = (
-            np.sqrt(
+            np.array(
                 [
-                    np.mean(square[:, (time >= begin) & (time < end)])
+                    math.sqrt(np.mean(square[:, (time >= begin) & (time < end)]))
                     for begin, end in pairwise(edges)
                 ]
             )

@@ -396,6 +396,61 @@ def _following(law: GainLaw, used: Array) -> Array | float:
     return {"fixed": 1.0, "linear": relative, "quadratic": relative * relative}[law]
 
 
+def limited_correction(
+    state: FilterState,
+    sample: Sample,
+    seen: Seen,
+    gain: Array,
+    h: Array,
+    settings: FilterSettings,
+) -> tuple[Correction, Array]:
+    """W at an estimate, and the gain K [1/s] that is used with it over a sub-step of h [s]."""
+    U = innovation(state, sample, seen)
+    W = correction(state, U, settings.law)
+    # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
+    # without a limit that is infinite: then neither a value nor a derivative comes from them.
+    length = h * U.curvature
+    limited = (length > 0) & jnp.isfinite(settings.gain_limit)
+    limit = choose(limited, settings.gain_limit, 1.0) / choose(limited, length, 1.0)
+    return W, choose(limited, minimum(limit, gain), gain)
+
+
+def displacement(
+    state: FilterState, sample: Sample, W: Correction, used: Array, h: Array, moving: Array | None
+) -> tuple[Vec3, Vec3]:
+    """How a sub-step moves the estimate, [rad] and [m] in the body frame.
+
+    Args:
+        state: estimate.
+        sample: what was measured.
+        W: its correction.
+        used: gain K [1/s] that it is used with, over h.
+        h: length of the sub-step [s].
+        moving: time [s] over which the measured velocity moves the estimate; None for none.
+    """
+    omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
+    if moving is not None:
+        omega = add(omega, scale(moving, subtract(sample.angular_velocity, state.bias_angular)))
+        v = add(v, scale(moving, subtract(sample.velocity, state.bias_linear)))
+    return omega, v
+
+
+def learnt_biases(
+    state: FilterState,
+    sample: Sample,
+    W: Correction,
+    used: Array,
+    h: Array,
+    settings: FilterSettings,
+) -> tuple[Vec3, Vec3]:
+    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s]."""
+    gamma_angular, gamma_linear = bias_gains(used, sample, settings)
+    return (
+        add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
+        add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
+    )
+
+
 def observe(
     state: FilterState, sample: Sample, seen: Seen, gains: Gains, settings: FilterSettings
 ) -> tuple[FilterState, Array]:
@@ -423,33 +478,22 @@ def observe(
     used_total = jnp.zeros_like(gain)
     before = state
     for j in range(n):
-        U = innovation(state, sample, seen)
-        W = correction(state, U, settings.law)
-        # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
-        # without a limit that is infinite: then neither a value nor a derivative comes from them.
-        length = h * U.curvature
-        limited = (length > 0) & jnp.isfinite(settings.gain_limit)
-        limit = choose(limited, settings.gain_limit, 1.0) / choose(limited, length, 1.0)
-        used = choose(limited, minimum(limit, gain), gain)
+        W, used = limited_correction(state, sample, seen, gain, h, settings)
         used_total = used_total + used
-        omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
-        if j == n - 1:
-            omega = add(omega, scale(dt, subtract(sample.angular_velocity, state.bias_angular)))
-            v = add(v, scale(dt, subtract(sample.velocity, state.bias_linear)))
+        omega, v = displacement(state, sample, W, used, h, dt if j == n - 1 else None)
         attitude, place = move(state.attitude, state.place, omega, v)
-        gamma_angular, gamma_linear = bias_gains(used, sample, settings)
+        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings)
         state = state._replace(
-            attitude=attitude,
-            place=place,
-            bias_angular=add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
-            bias_linear=add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
+            attitude=attitude, place=place, bias_angular=bias_angular, bias_linear=bias_linear
         )
     used = used_total / n
-    vector_biases, turning = _learn(before, sample, seen, gains.learning, used, settings)
+    vector_biases, turning = learnt_vector_biases(
+        before, sample, seen, gains.learning, used, settings
+    )
     return state._replace(vector_biases=vector_biases, turning=turning), used
 
 
-def _learn(
+def learnt_vector_biases(
     state: FilterState,
     sample: Sample,
     seen: Seen,
@@ -457,7 +501,7 @@ def _learn(
     used: Array,
     settings: FilterSettings,
 ) -> tuple[tuple[Vec3, ...], Vec3 | tuple[()]]:
-    """One step of the vectors' bias law: c_i, and the low-passed angular velocity, after it."""
+    """Estimates c_i after a step of the vectors' bias law, and the low-passed angular velocity."""
     law, turning = settings.vector_bias, state.turning
     if law is None or isinstance(sample.vectors, Wahba) or not turning:
         return state.vector_biases, turning

@@ -171,7 +171,14 @@ def move(q: Quaternion, P: Vec3, omega: Vec3, v: Vec3) -> tuple[Quaternion, Vec3
     Exact for a constant twist: R exp([omega]x) and P + R V(omega) v with
     V = I + (1 - cos t)/t^2 [omega]x + (t - sin t)/t^3 [omega]x^2.
     """
-    half_cos, half_sinc, b, c = exp_coefficients(dot(omega, omega))
+    return displaced(q, P, omega, v, exp_coefficients(dot(omega, omega)))
+
+
+def displaced(
+    q: Quaternion, P: Vec3, omega: Vec3, v: Vec3, coefficients: tuple[Array, Array, Array, Array]
+) -> tuple[Quaternion, Vec3]:
+    """`move` with the coefficients of the exponential at |omega|^2 (`exp_coefficients`)."""
+    half_cos, half_sinc, b, c = coefficients
     turned = cross(omega, v)
     displacement = add(v, add(scale(b, turned), scale(c, cross(omega, turned))))
     x, y, z = scale(half_sinc, omega)

@@ -211,6 +211,8 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     assert path.read_text("utf-8") == written
     assert main(["export", run, "--format", "c", "--out", str(tmp_path / "no" / "such")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+    assert main(["export", run, "--format", "c", "--name", "own"]) == 0
+    assert "own_step" in capsys.readouterr().out
 
 
 @pytest.mark.quick

@@ -16,7 +16,7 @@ from schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, input
 import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaError
-from posegsa.export import FORMATS, SCHEMA, export, export_c, export_csv, export_json
+from posegsa.export import FORMATS, SCHEMA, export, export_c_gain, export_csv, export_json
 from posegsa.model.fuzzy import FuzzyController
 
 pytestmark = pytest.mark.quick
@@ -105,7 +105,7 @@ def test_what_is_worse_past_its_window_is_exported_with_the_warning():
     worse = tuned(K, endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])))
     (warning,) = json.loads(export_json(worse))["warnings"]
     assert warning.endswith("worse than constant gains: attitude from 60 to 120 s")
-    written = " ".join(line.removeprefix(" * ") for line in export_c(worse).splitlines())
+    written = " ".join(line.removeprefix(" * ") for line in export_c_gain(worse).splitlines())
     assert f"WARNING: {warning}." in written
 
 
@@ -115,7 +115,7 @@ def test_what_was_tuned_too_is_in_json_and_c():
     data = json.loads(export_json(result))
     assert data["tuned_too"] == also
     assert data["gain"]["error_scale"] == 0.75 != result.experiment.gain.error_scale
-    text = export_c(result)
+    text = export_c_gain(result)
     assert "error = e / 0.75\n" in text
     assert "m, weight 0.375\n" in text
 
@@ -144,8 +144,11 @@ def test_a_resolution_below_two_is_refused():
 
 
 def test_formats_by_name():
-    assert list(FORMATS) == ["json", "csv", "c", "fis", "fll", "fcl", "fml"]
+    assert list(FORMATS) == ["json", "csv", "c", "c-gain", "fis", "fll", "fcl", "fml"]
     result = tuned(K)
-    assert export(result, "c") == export_c(result)
+    assert export(result, "c-gain", name="own") == export_c_gain(result, name="own")
+    assert export(result, "json") == export_json(result)
     with pytest.raises(PosegsaError, match=r"format: must be one of json, csv, c, .*, got 'xls'"):
         export(result, "xls")
+    with pytest.raises(PosegsaError, match="name = 'own'; allowed: only with c or c-gain"):
+        export(result, "json", name="own")

@@ -1,261 +1,606 @@
-"""A tuned schedule out of Python as C: the compiled file against the JAX controller."""
+"""The whole filter as C: the compiled header against the Python filter, step by step.
 
-import ctypes
-import dataclasses
-import itertools
+Both forget: a rounding error of one step dies out over the next ones, so that runs of any length
+can be compared number by number. In double they agree to 1e-12 of the largest magnitude that a
+quantity has in the run. In float both are off the run in double; the C may be off by four times as
+much as JAX in float32 is, and by a few units of rounding.
+"""
+
 import re
-import shutil
 import subprocess
+import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluations import trust
-from schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
-from setups import corner_vectors
+from compiled_c import (
+    COMPILERS,
+    WARNINGS,
+    Build,
+    Layout,
+    States,
+    compile_c,
+    need,
+    needs_cc,
+    rotation_matrices,
+    run_c,
+    sanitizers,
+)
+from compiled_c import build as build
+from evaluations import endurance, trust
+from filters import settings, vector_bias, vector_settings
+from schedules import K, tuned
+from scipy.spatial.transform import Rotation
+from setups import fuzzy
 
 import posegsa
-from posegsa.export import export_c
+from posegsa import config
+from posegsa.errors import ArgumentError, MeasurementError
+from posegsa.export import export_c, filter_to_c
 from posegsa.judging.result import TuneResult
-from posegsa.words import toml
+from posegsa.model.filter import FilterSettings, initial_state
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, run_filter
+from posegsa.model.schedules import ConstantGain, GainSchedule, KnotGain, SmoothGain, SwitchGain
+from posegsa.model.signal import SignalSettings
+from posegsa.search.build import filter_settings, signal_settings
 
-CC = shutil.which("cc") or shutil.which("gcc")
-WARNINGS = [
-    *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wfloat-conversion"),
-    *("-Wdouble-promotion", "-Werror"),
-]
-needs_cc = pytest.mark.skipif(CC is None, reason="there is no C compiler")
-PRECISIONS = {"float": (np.float32, ctypes.c_float), "double": (np.float64, ctypes.c_double)}
-TOLERANCE = {"float": 1e-5, "double": 1e-12}
-"""Relative; measured are 0 for the exact centroid, and 4e-7 and 7e-16 for the sampled one."""
+SAMPLES = 10_000
+START = np.array([0.5, -0.5, 0.5, 0.5, 1.0, -2.0, 3.0])
+"""Quaternion and position [m]."""
+VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0], [-0.3, 2.0, 0.4]])
+LANDMARKS = np.array([[0.5, 1.41, 1.0], [-2.0, 0.3, 0.8], [1.0, -3.0, 0.1]])
+QUANTITIES = ("rotation", "position", "bias", "vector_bias", "gain_used")
+CODES = {"ok": 0, "invalid input": 1, "not finite": 2}
 
-WIDE = (f"parameters.lower={[0.0] * 22}", f"parameters.upper={[1.0] * 11 + [100.0] * 11}", *GAPS)
-"""Boxes as wide as the universes, so that any ordered terms are a vector."""
-NO_WIDTH = [
-    *(0.0, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.5, 0.6, 0.6, 0.6),
-    *(0.0, 10.0, 10.0, 10.0, 10.0, 40.0, 40.0, 70.0, 70.0, 70.0, 100.0),
-]
-"""Vertical edges, terms of no width among others, and gaps."""
-SPIKES = [
-    *(0.1, 0.1, 0.2, 0.3, 0.2, 0.4, 0.6, 0.5, 0.8, 0.9, 0.8),
-    *(0.0, 0.0, 0.0, 0.0, 40.0, 40.0, 40.0, 40.0, 40.0, 40.0, 100.0),
-]
-"""Output terms all of no width: rules fire over no area."""
-TINY = [
-    *(1e-39, 0.0, 1e-39, 1e-12, 1e-30, 1e-12, 1e-7, 1e-12, 0.5, 0.5, 0.5),
-    *(1e-38, 1e-39, 1e-38, 1e-30, 1e-30, 1e-12, 1e-12, 50.0, 50.0, 50.0, 50.0),
-]
-"""Widths down to below the least normal number of float."""
-
-CASES = {
-    "exact": (K, ()),
-    "another": (DRAWN[2], ()),
-    "gaps, hold": (DRAWN[0], GAPS),
-    "other gaps, hold": (DRAWN[3], GAPS),
-    "gaps, midrange": (DRAWN[1], MIDRANGE),
-    "corner": (corner_vectors(2)[1], ()),
-    "corner, gaps": (corner_vectors(4)[3], GAPS),
-    "sampled": (DRAWN[2], SAMPLED),
-    "sampled, gaps, midrange": (DRAWN[0], (*SAMPLED, *MIDRANGE)),
-    "trapezoid": (
-        DRAWN[1],
-        (*SAMPLED, "fuzzy.sampled_rule=trapezoid", "fuzzy.sampled_points=201"),
-    ),
-    "disordered": (DRAWN[3], (*SAMPLED, *GAPS, "fuzzy.ordering=false")),
-    "another range, gaps": (DRAWN[0], ("parameters.gain_range=[0.0,300.0]", *MIDRANGE)),
-    "no width, gaps": (np.array(NO_WIDTH), WIDE),
-    "no width, sampled, gaps": (np.array(NO_WIDTH), (*SAMPLED, *WIDE)),
-    "spikes": (np.array(SPIKES), WIDE),
-}
-"""Vectors k and settings; "gaps" where some inputs fire no rule."""
-
-Gain = Callable[[float, float, float], float]
+RECOMMENDED = (
+    *("filter.vector_bias=estimated", "filter.vector_bias_law=linear", "filter.gamma=2.5"),
+    *("filter.gamma_law=quadratic", "filter.substeps=2", "filter.cross_vector=true"),
+    *("gain.smoothing=1.5", "gain.error_scale=0.3", "filter.excitation=0.1"),
+)
+"""The recommended filter, on the paper's sensors."""
+ALSO = {"filter.vector_bias_gain": 0.4375, "filter.cross_vector_weight": 0.75}
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory) -> Callable[..., ctypes.CDLL]:
-    """Compiles an exported file in one precision, without a warning, and loads it."""
-    folder, count = tmp_path_factory.mktemp("c"), itertools.count()
+@dataclass(frozen=True)
+class Case:
+    """A filter, in Python and for the export."""
 
-    def build(source: str, real: str, *how: str) -> ctypes.CDLL:
-        path = folder / f"gain{next(count)}.c"
-        path.write_text(source, encoding="ascii")
-        library = path.with_suffix(".so")
-        how = how or ("-std=c99", "-O1")
-        options = [*how, *WARNINGS, "-shared", "-fPIC", f"-DPOSEGSA_REAL={real}"]
-        subprocess.run([CC, *options, path, "-o", library], check=True)
-        loaded = ctypes.CDLL(str(library))
-        number = PRECISIONS[real][1]
-        loaded.posegsa_gain.argtypes, loaded.posegsa_gain.restype = [number] * 3, number
-        loaded.posegsa_initial_gain.argtypes = []
-        loaded.posegsa_initial_gain.restype = number
-        return loaded
+    schedule: GainSchedule
+    settings: FilterSettings
+    signal: SignalSettings
+    vectors: np.ndarray
+    landmarks: np.ndarray
+    layout: Layout
 
-    return build
-
-
-def in_python(result: TuneResult, real: str, given: np.ndarray) -> np.ndarray:
-    """Gains of the result's controller in a precision, its terms cast to it."""
-    dtype = PRECISIONS[real][0]
-    with jax.enable_x64(real == "double"):
-        controller = result.controller
-        controller = dataclasses.replace(
-            controller,
-            input_terms=jnp.asarray(np.asarray(controller.input_terms, dtype)),
-            output_terms=jnp.asarray(np.asarray(controller.output_terms, dtype)),
+    def header(self) -> str:
+        return filter_to_c(
+            self.schedule,
+            self.settings,
+            self.signal,
+            vectors=self.vectors if len(self.vectors) else None,
+            landmarks=self.landmarks if len(self.landmarks) else None,
         )
-        return evaluated(controller, given)
+
+    def at(self, dtype: str) -> "Case":
+        """The same at another precision."""
+        chosen = {
+            name: jax.tree.map(lambda a: jnp.asarray(np.asarray(a, np.float64), dtype), record)
+            for name, record in vars(self).items()
+            if name in ("schedule", "settings", "signal")
+        }
+        return replace(self, **chosen)
 
 
-def in_c(gain: Gain, real: str, given: np.ndarray) -> np.ndarray:
-    dtype = PRECISIONS[real][0]
-    return np.array([gain(*case) for case in given.astype(dtype).T.tolist()], dtype)
+def signal(**numbers: Any) -> SignalSettings:
+    values = {"position_weight": 0.3, "smoothing": 0.0, "error_scale": 0.4, "rate_scale": 2.0}
+    texts = {"signal": "measured", "rate": "per_sample"}
+    for name, value in numbers.items():
+        (texts if isinstance(value, str) else values)[name] = value
+    return SignalSettings(**texts, **{k: jnp.asarray(v, np.float64) for k, v in values.items()})
 
 
-@needs_cc
-@pytest.mark.parametrize("real", PRECISIONS)
-@pytest.mark.parametrize("case", CASES)
-def test_the_c_gain_is_the_jax_gain(compiled, case, real):
-    k, settings = CASES[case]
-    result = tuned(k, *settings)
-    library = compiled(export_c(result), real)
-    given = inputs()
-    got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
-    np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
-    initial = library.posegsa_initial_gain()
-    assert initial == result.controller.initial_gain()
-    if "gaps" in case:
-        idle = given[2].astype(got.dtype) if result.controller.no_rule == "hold" else initial
-        assert 0.01 < (got == idle).mean() < 0.9
+def recommended_result(*more: str, **fields: Any) -> TuneResult:
+    return tuned(K, *RECOMMENDED, *more, also=ALSO, **fields)
 
 
-@needs_cc
-@pytest.mark.parametrize("real", PRECISIONS)
-def test_the_c_gain_of_a_run_in_float64(compiled, real):
-    result = tuned(DRAWN[0], *GAPS, dtype="float64")
-    assert (result.parameters != result.parameters.astype(np.float32)).any()
-    gain, given = compiled(export_c(result), real).posegsa_gain, inputs()
-    np.testing.assert_allclose(
-        in_c(gain, real, given), in_python(result, real, given), rtol=TOLERANCE[real]
+def recommended() -> Case:
+    """As `TuneResult` has it; what is exported of it is `export_c`'s."""
+    result = recommended_result()
+    experiment = config.override(result.tuned, ["run.dtype=float64"])
+    scenario = experiment.scenario
+    return Case(
+        schedule=result.schedule,
+        settings=filter_settings(experiment),
+        signal=signal_settings(experiment.gain, np.float64),
+        vectors=np.array([v.direction for v in scenario.vectors]),
+        landmarks=np.array([p.position for p in scenario.landmarks]),
+        layout=Layout(2, 1, learns=True),
     )
 
 
-@needs_cc
-@pytest.mark.parametrize("real", PRECISIONS)
-def test_the_c_gain_where_the_compiler_fuses_multiply_and_add(compiled, real):
-    how = ("-std=gnu99", "-O3", "-ffp-contract=fast")
-    # The last has an output term of no width at 0, beside one whose input term has its foot at 0.
-    for k in (DRAWN[0], corner_vectors(4)[3], corner_vectors(12, seed=9)[7]):
-        result, given = tuned(k, *GAPS), inputs()
-        try:  # where such instructions are not in every processor of a kind
-            library = compiled(export_c(result), real, *how, "-march=native")
-        except subprocess.CalledProcessError:
-            library = compiled(export_c(result), real, *how)
-        got, expected = in_c(library.posegsa_gain, real, given), in_python(result, real, given)
-        np.testing.assert_allclose(got, expected, rtol=TOLERANCE[real])
-
-
-@needs_cc
-@pytest.mark.parametrize("real", PRECISIONS)
-@pytest.mark.parametrize("settings", [(), GAPS, MIDRANGE, SAMPLED], ids=str)
-def test_the_c_gain_at_the_edges(compiled, settings, real):
-    result = tuned(DRAWN[0], *settings)
-    gain = compiled(export_c(result), real).posegsa_gain
-    ends = [0.0, 1.0, -0.0, -3.5, 7.0, 1e30, -1e30, np.inf, -np.inf, 1e-40, 0.5]
-    given = np.array([(e, r, 7.25) for e in ends for r in ends]).T
-    np.testing.assert_allclose(
-        in_c(gain, real, given), in_python(result, real, given), rtol=TOLERANCE[real]
+def printed() -> Case:
+    """The paper's law and its choices: nothing learnt, nothing normalised, no limit."""
+    low = np.array([[0, 0, 1], [0.5, 1, 2], [1, 2, 3], [2, 3, 4], [3.5, 5, 5]]) / 2
+    high = np.array([[0, 0, 0.2], [0.1, 0.2, 0.4], [0.3, 0.4, 0.6], [0.5, 0.7, 0.9], [0.8, 1, 1]])
+    controller = fuzzy(
+        *(high, low),
+        output_range=(0.0, 2.5),
+        centroid="sampled",
+        sampled_points=31,
+        sampled_rule="trapezoid",
     )
-    assert gain(-3.5, 7.0, 7.25) == gain(0.0, 1.0, 7.25)
-    initial = float(result.controller.initial_gain())
-    for error, rate in ((np.nan, 0.5), (0.5, np.nan), (np.nan, np.nan)):
-        assert gain(error, rate, 7.25) == 7.25, "NaN holds the last gain"
-        assert gain(error, rate, np.nan) == initial, "and without one it is the initial gain"
-    assert not np.isnan(gain(0.5, 0.5, np.nan))
+    return Case(
+        schedule=posegsa.FuzzyGain(controller),
+        settings=settings(
+            law="printed",
+            substeps=1,
+            gain_limit=None,
+            gamma=(0.1, 0.2),
+            vectors=vector_settings(weights=(0.5, 1.0, 0.25)),
+            landmark_weights=(0.2, 0.3),
+        ),
+        signal=signal(rate="per_second", rate_scale=0.5),
+        vectors=VECTORS,
+        landmarks=LANDMARKS[:2],
+        layout=Layout(3, 2, learns=False),
+    )
+
+
+def attitude_only() -> Case:
+    """Vectors alone, a smooth gain, a bias law with a leak that follows the gain's square."""
+    learnt = vector_bias(gain=0.3, leak=0.05, bound=0.3, follows="quadratic")
+    return Case(
+        schedule=SmoothGain(*(jnp.asarray(x, np.float64) for x in (3.0, 20.0, 0.4))),
+        settings=settings(
+            gamma_law="linear",
+            substeps=3,
+            vectors=vector_settings(cross_weight=0.5, normalise=True, each_agent=True),
+            learnt=learnt,
+        ),
+        signal=signal(smoothing=0.4, position_weight=0.0),
+        vectors=VECTORS[:2],
+        landmarks=LANDMARKS[:0],
+        layout=Layout(2, 0, learns=True),
+    )
+
+
+def landmarks_alone() -> Case:
+    """No vectors, a gain that changes with time, gamma of its own for each velocity."""
+    numbers = {"before": 12.0, "after": 4.0, "time": 12.3456, "learning_time": 5.4321}
+    return Case(
+        schedule=SwitchGain(**{k: jnp.asarray(v, np.float64) for k, v in numbers.items()}),
+        settings=settings(gamma_law="linear", substeps=2, gamma=(1.0, 3.0)),
+        signal=signal(),
+        vectors=VECTORS[:0],
+        landmarks=LANDMARKS,
+        layout=Layout(0, 3, learns=False, time=True),
+    )
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "recommended": recommended,
+    "printed": printed,
+    "attitude only": attitude_only,
+    "landmarks alone": landmarks_alone,
+}
+
+
+# What the sensors say -----------------------------------------------------------------------------
+
+
+def sensed(case: Case, step: np.ndarray, missing: float = 0.0) -> Measurements:
+    """What a body that turns and moves all the time measures, with noise and biases, at steps (N,).
+
+    A share `missing` of vectors and landmarks has weight 0, and NaN for its value.
+    """
+    rng, N = np.random.default_rng(1), len(step)
+    time = np.cumsum(step)
+    angles = np.sin(time[:, None] * [0.7, 0.5, 0.3]) * [2.0, 1.2, 2.5] + 0.2 * time[:, None]
+    R = Rotation.from_euler("zyx", np.append(angles, angles[-1:], axis=0))
+    P = np.sin(time[:, None] * [0.2, 0.3, 0.1]) * [3.0, 2.0, 1.0]
+    P = np.append(P, P[-1:], axis=0)
+    omega = (R[:-1].inv() * R[1:]).as_rotvec() / step[:, None]
+    v = R[:-1].inv().apply(np.diff(P, axis=0)) / step[:, None]
+
+    def seen(inertial: np.ndarray, bias: float) -> tuple[np.ndarray, np.ndarray]:
+        """Body coordinates of (N, i, 3), and weights."""
+        body = np.einsum("nji,nkj->nki", R[:-1].as_matrix(), inertial)
+        body += 0.1 * rng.normal(size=body.shape) + bias * rng.normal(size=body.shape[1:])
+        known = body.shape[:2]
+        weights = rng.uniform(0.4, 1.5, (1, known[1])) * (rng.random(known) >= missing)
+        return np.where(weights[..., None] > 0, body, np.nan), weights
+
+    def rate(a: np.ndarray) -> np.ndarray:
+        return a + [0.1, -0.1, 0.05] + 0.1 * rng.normal(size=a.shape)
+
+    v_I = np.broadcast_to(case.vectors, (N, *case.vectors.shape))
+    v_B, v_weights = seen(v_I, 0.1)
+    y, y_weights = seen(case.landmarks - P[:-1, None], 0.0)
+    p_I = np.broadcast_to(case.landmarks, (N, *case.landmarks.shape))
+    return Measurements(step, rate(omega), rate(v), v_B, v_I, v_weights, y, p_I, y_weights)
+
+
+def recorded(case: Case) -> Measurements:
+    """As a log looks: jitter, samples lost, sensors missing for a while or at random, quantised."""
+    rng = np.random.default_rng(2)
+    step = rng.uniform(0.007, 0.013, SAMPLES)
+    step[rng.random(SAMPLES) < 0.02] *= 4
+    m = sensed(case, step, missing=0.2)
+    away = np.zeros(SAMPLES, bool)
+    away[3000:3300] = away[7000:7050] = True  # nothing but the velocities
+    v, y = (np.where(away[:, None], 0.0, w) for w in (m.vector_weights, m.landmark_weights))
+    return m._replace(
+        angular_velocity=np.round(m.angular_velocity * 500) / 500,
+        velocity=np.round(m.velocity * 200) / 200,
+        vectors=np.round(m.vectors * 256) / 256,
+        landmarks=np.round(m.landmarks * 100) / 100,
+        vector_weights=v,
+        landmark_weights=y,
+    )
+
+
+def rows_of(case: Case, m: Measurements, dtype: Any = np.float64) -> np.ndarray:
+    """(N, numbers) a row is dt and the measurement as C has it; NaN where something is missing."""
+    count = len(m.time_step)
+    columns = [m.time_step[:, None], m.angular_velocity]
+    if len(case.landmarks):
+        columns.append(m.velocity)
+    columns += [m.vectors.reshape(count, -1), m.vector_weights] if len(case.vectors) else []
+    columns += [m.landmarks.reshape(count, -1), m.landmark_weights] if len(case.landmarks) else []
+    return np.concatenate(columns, axis=1).astype(dtype)
+
+
+def in_python(case: Case, m: Measurements, dtype: str) -> Estimates:
+    """The estimates of the Python filter."""
+    with jax.enable_x64(dtype == "float64"):
+        at = case.at(dtype)
+        measured = Measurements.from_arrays(**m._asdict(), dtype=np.dtype(dtype))
+        start = initial_state(
+            jnp.asarray(rotation_matrices(START[None, :4])[0], dtype), jnp.asarray(START[4:], dtype)
+        )
+        found = run_filter(at.schedule, measured, start, at.settings, at.signal)
+        return jax.tree.map(np.asarray, found)
+
+
+def start_of(case: Case) -> np.ndarray:
+    return START if len(case.landmarks) else START[:4]
+
+
+def options_of(case: Case, *options: str) -> tuple[str, ...]:
+    return ("-std=c99", "-O1", *options, *(() if len(case.landmarks) else ("-DATTITUDE_ONLY",)))
+
+
+def deviation(a: States | Estimates, exact: Estimates, name: str) -> float:
+    """Largest difference of a quantity over the run, in units of its largest magnitude."""
+    got, want = (np.asarray(getattr(e, name), np.float64) for e in (a, exact))
+    if isinstance(a, States) and name == "gain_used":  # known only after the step
+        got, want = got[1:], want[:-1]
+    if isinstance(a, States) and name == "bias":  # of an attitude alone there are three
+        want = want[:, : got.shape[1]]
+    if not got.size:
+        return 0.0
+    return float(np.abs(got - want).max() / np.abs(want).max())
+
+
+@cache
+def everything() -> dict[str, Case]:
+    with jax.enable_x64(True):
+        return {name: make() for name, make in CASES.items()}
+
+
+@cache
+def exact_run(name: str) -> tuple[Measurements, Estimates]:
+    """What was "recorded", and what Python makes of it in float64."""
+    m = recorded(everything()[name])
+    return m, in_python(everything()[name], m, "float64")
+
+
+@cache
+def simulated_runs() -> tuple[Measurements, Estimates, Estimates]:
+    """At 100 Hz without a gap, and what Python makes of it in float64 and in float32."""
+    case = everything()["recommended"]
+    m = sensed(case, np.full(SAMPLES, 0.01))
+    return m, in_python(case, m, "float64"), in_python(case, m, "float32")
+
+
+# Agreement ----------------------------------------------------------------------------------------
 
 
 @needs_cc
-def test_the_c_gain_holds_or_takes_the_mid_range_in_a_gap(compiled):
-    held, middle = (tuned(np.array(NO_WIDTH), *WIDE, *extra) for extra in ((), MIDRANGE))
-    error, rate = 0.55, 0.2  # between the terms at 0.5 and from 0.6
-    assert compiled(export_c(held), "double").posegsa_gain(error, rate, 7.25) == 7.25
-    assert compiled(export_c(middle), "double").posegsa_gain(error, rate, 7.25) == 51
+@pytest.mark.parametrize("name", CASES)
+def test_the_c_filter_is_the_python_filter(build: Build, name: str):
+    """Under the sanitizers, with missing samples and uneven steps."""
+    case, (m, exact) = everything()[name], exact_run(name)
+    watched = sanitizers(COMPILERS[0])
+    program = build(case.header(), *options_of(case, *watched))
+    found = run_c(program, case.layout, start_of(case), rows_of(case, m))
+    assert (found.code == CODES["ok"]).all()
+    assert np.ptp(exact.gain_used) > 1, "the schedule has something to do"
+    for quantity in QUANTITIES if len(case.landmarks) else ("rotation", "bias", "vector_bias"):
+        assert deviation(found, exact, quantity) < 1e-12, quantity
 
 
 @needs_cc
-@pytest.mark.parametrize("real", PRECISIONS)
-@pytest.mark.parametrize("settings", [(), SAMPLED], ids=["exact", "sampled"])
-def test_the_c_gain_is_never_nan_and_stays_inside_the_output(compiled, settings, real):
-    gain = compiled(export_c(tuned(np.array(TINY), *WIDE, *settings)), real).posegsa_gain
-    rng = np.random.default_rng(0)
-    given = np.stack([*10.0 ** rng.uniform(-46, 1, (2, 4000)), np.full(4000, 7.25)])
-    given[:2, ::7] = 0
-    gains = in_c(gain, real, given)
-    assert ((gains >= 1) & (gains <= 101.001)).all()
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compiler: str):
+    need(compiler)
+    case = everything()["recommended"]
+    header = export_c(recommended_result())
+    m, exact, single = simulated_runs()
+    for real, dtype in (("double", np.float64), ("float", np.float32)):
+        options = options_of(case, f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
+        program = build(header, *options, compiler=compiler)
+        found = run_c(program, case.layout, START, rows_of(case, m, dtype))
+        assert (found.code == CODES["ok"]).all()
+        for quantity in QUANTITIES:
+            allowed = 1e-12
+            if real == "float":
+                allowed = 4 * deviation(single, exact, quantity) + 8 * np.finfo(np.float32).eps
+            assert deviation(found, exact, quantity) < allowed, (real, quantity)
+
+
+def test_a_result_is_exported_as_its_parts_are():
+    with jax.enable_x64(True):
+        parts = everything()["recommended"].header()
+    after = re.compile(r"#ifndef POSEGSA_H.*", re.DOTALL)
+    (from_result,), (by_hand,) = map(after.findall, (export_c(recommended_result()), parts))
+    assert from_result == by_hand
+    assert "posegsa_vector_bias_gain = POSEGSA_C(0.4375);" in from_result, "what was tuned too"
+
+
+# Bad input ----------------------------------------------------------------------------------------
 
 
 @needs_cc
-@pytest.mark.parametrize("settings", [(), SAMPLED], ids=["exact", "sampled"])
-def test_the_c_file_is_cpp_too(tmp_path, settings):
-    compiler = shutil.which("c++") or shutil.which("g++")
-    if compiler is None:
-        pytest.skip("there is no C++ compiler")
-    path = tmp_path / "gain.cpp"
-    path.write_text(export_c(tuned(K, *settings)), encoding="ascii")
-    for real in PRECISIONS:
-        options = [*WARNINGS, "-fsyntax-only", f"-DPOSEGSA_REAL={real}"]
-        subprocess.run([compiler, *options, path], check=True)
+def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
+    case = everything()["recommended"]
+    good = rows_of(case, exact_run("recommended")[0])[:200]
+    good = np.nan_to_num(good)
+    good[:, [13, 14, 18]] = 1  # the weights: nothing is missing
+    bad = []
+    for column in range(good.shape[1]):
+        for value in (np.nan, np.inf, -np.inf):
+            bad.append(good[100].copy())
+            bad[-1][column] = value
+    for column, value in ((0, 0.0), (0, -0.01), (13, -1.0), (18, -1e-9)):
+        bad.append(good[100].copy())
+        bad[-1][column] = value
+    overflowing = good[100].copy()
+    overflowing[1:4] = 1e200
+    rows = np.concatenate([good[:100], bad, [overflowing], good[100:]])
+    program = build(case.header(), *options_of(case, *sanitizers(COMPILERS[0])))
+    mixed, alone = (run_c(program, case.layout, START, r) for r in (rows, good))
+    expected = np.zeros(len(rows), int)
+    expected[100 : 100 + len(bad)] = CODES["invalid input"]
+    expected[100 + len(bad)] = CODES["not finite"]
+    np.testing.assert_array_equal(mixed.code, expected)
+    np.testing.assert_array_equal(mixed.raw[expected == 0], alone.raw)
 
 
-@pytest.mark.parametrize("settings", [(), SAMPLED], ids=["exact", "sampled"])
-def test_the_c_file_includes_nothing_and_remembers_nothing(settings):
-    code = export_c(tuned(K, *settings)).split("*/", 1)[1]
-    assert "#include" not in code
-    statics = re.findall(r"^\s*static .*", code, re.MULTILINE)
-    assert statics
-    assert all("static const" in line or "(" in line for line in statics)
+@needs_cc
+def test_what_is_missing_is_not_looked_at(build: Build):
+    """NaN with weight 0, and a direction of length 0, are as if the sensor had said nothing."""
+    case = everything()["recommended"]
+    rows = np.nan_to_num(rows_of(case, exact_run("recommended")[0])[:300])
+    rows[:, [13, 14, 18]] = 1
+    given = {name: rows.copy() for name in ("weight 0", "NaN", "length 0")}
+    given["weight 0"][50:, 13] = given["NaN"][50:, 13] = 0
+    given["NaN"][50:, 7:10] = np.nan
+    given["length 0"][50:, 7:10] = 0
+    program = build(case.header(), *options_of(case))
+    first, *others = (run_c(program, case.layout, START, r).raw for r in given.values())
+    for other in others:
+        np.testing.assert_array_equal(first, other)
+    assert (first[-1] != run_c(program, case.layout, START, rows).raw[-1]).any()
 
 
-def head(result: TuneResult) -> str:
-    """The head comment's words, without its line breaks."""
-    return " ".join(export_c(result).split("*/", 1)[0].replace("\n *", " ").split())
+BEGINNINGS = """
+#include "posegsa.h"
+#include <string.h>
+
+static int refuses(posegsa_real w, posegsa_real x, posegsa_real at)
+{
+    const posegsa_real attitude[4] = {w, x, 0, 0}, position[3] = {0, at, 0};
+    posegsa_state state, before;
+    memset(&state, 7, sizeof state);
+    before = state;
+    return posegsa_init(&state, attitude, position) == POSEGSA_INVALID_INPUT &&
+           memcmp(&state, &before, sizeof state) == 0;
+}
+
+int main(void)
+{
+    const posegsa_real nan = POSEGSA_C(NAN), inf = POSEGSA_C(INFINITY);
+    const posegsa_real longest[4] = {0, POSEGSA_C(3e300), POSEGSA_C(-4e300), 0};
+    const posegsa_real origin[3] = {1, 2, 3};
+    posegsa_real R[3][3];
+    posegsa_state state;
+    if (!refuses(nan, 0, 0) || !refuses(inf, 0, 0) || !refuses(0, 0, 0) || !refuses(1, 0, nan) ||
+        !refuses(1, 0, inf) || !refuses(1, nan, 0)) {
+        return 1;
+    }
+    if (posegsa_init(&state, longest, origin) != POSEGSA_OK || state.position[2] != 3) {
+        return 2;
+    }
+    posegsa_rotation(&state, R); /* about (0.6, -0.8, 0) by 180 degrees */
+    if (!(posegsa_fabs(R[0][1] + POSEGSA_C(0.96)) < POSEGSA_C(1e-15)) ||
+        !(posegsa_fabs(R[2][2] + 1) < POSEGSA_C(1e-15))) {
+        return 3;
+    }
+    return 0;
+}
+"""
 
 
-def test_the_head_comment_says_what_it_is_worth():
-    text = head(tuned(K))
+@needs_cc
+def test_what_a_filter_can_begin_with(tmp_path):
+    source = tmp_path / "beginnings.c"
+    source.write_text(BEGINNINGS)
+    header = everything()["recommended"].header()
+    options = ("-std=c99", "-O1", *sanitizers(COMPILERS[0]))
+    program = compile_c(tmp_path, header, source, *options, compiler=COMPILERS[0])
+    assert subprocess.run([program], check=False).returncode == 0
+
+
+def test_a_run_on_true_errors_is_refused():
+    with pytest.raises(ArgumentError, match=r"no vehicle knows.*tune with gain\.signal"):
+        export_c(tuned(K, "gain.signal=pose"))
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["", "2fast", "my-filter", "int", "x" * 33, 5, None, "a b"])
+def test_names_that_c_could_not_take_are_refused(name):
+    with pytest.raises(ArgumentError, match=r"name = .*; allowed: a letter, then letters"):
+        export_c(tuned(K), name=name)
+
+
+@pytest.mark.quick
+def test_what_does_not_fit_together_is_refused(x64):
+    case = everything()["landmarks alone"]
+    gain = ConstantGain(jnp.asarray(5.0))
+    given: dict[str, Any] = {"vectors": VECTORS, "landmarks": LANDMARKS}
+
+    def attempt(schedule: Any = gain, chosen: Any = case.settings, **changed: Any) -> None:
+        filter_to_c(schedule, chosen, case.signal, **given | changed)
+
+    attempt()
+    weighted = settings(vectors=vector_settings(weights=(1.0, 2.0)))
+    with pytest.raises(ArgumentError, match=r"settings.vectors.weights: 2 of them; allowed: 3"):
+        attempt(chosen=weighted)
+    with pytest.raises(ArgumentError, match="none; allowed: at least one"):
+        attempt(vectors=None, landmarks=None)
+    with pytest.raises(MeasurementError, match="landmarks: must be finite"):
+        attempt(landmarks=[[0, 1, np.nan]])
+    with pytest.raises(MeasurementError, match="vector_references: must not be zero"):
+        attempt(vectors=[[0, 0, 0]])
+    with pytest.raises(ArgumentError, match="arrays of numbers; allowed: one made of scalars"):
+        attempt(schedule=KnotGain(jnp.arange(3.0), jnp.zeros(3)))
+    with pytest.raises(ArgumentError, match="schedule: a int"):
+        attempt(schedule=5)
+
+
+# The file -----------------------------------------------------------------------------------------
+
+
+def example(header: str) -> str:
+    """The program in the head comment."""
+    lines = header.split(" * USE\n")[1].split(" *\n")[0].splitlines()
+    assert len(lines) <= 18
+    return "\n".join(line.removeprefix(" * ") for line in lines) + "\n"
+
+
+@needs_cc
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "g++", "clang++"])
+def test_the_example_compiles_and_runs_as_c_and_cpp(tmp_path, compiler):
+    need(compiler)
+    name = "attitude only" if compiler.endswith("++") else "recommended"
+    header = everything()[name].header()
+    language = ["-x", "c++", "-std=c++17"] if compiler.endswith("++") else ["-std=c99"]
+    source = tmp_path / "example.c"
+    source.write_text(example(header))
+    program = compile_c(tmp_path, header, source, *language, compiler=compiler)
+    w = float(subprocess.run([program], check=True, capture_output=True, text=True).stdout)
+    assert 0 < w <= 1
+
+
+@needs_cc
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_two_filters_in_one_program_of_cpp(tmp_path, compiler):
+    """Each with types and macros of its own."""
+    need(compiler)
+    constant = replace(everything()["attitude only"], schedule=ConstantGain(jnp.asarray(5.0)))
+    first, second = (
+        filter_to_c(c.schedule, c.settings, c.signal, vectors=c.vectors, name=name)
+        for name, c in (("front", everything()["attitude only"]), ("Rear", constant))
+    )
+    (tmp_path / "front.h").write_text(first)
+    (tmp_path / "Rear.h").write_text(second)
+    (tmp_path / "both.cpp").write_text(
+        '#include "front.h"\n#include "Rear.h"\n'
+        "front_state a; Rear_state b;\n"
+        "int both(const front_measurement *x, const Rear_measurement *y);\n"
+        "int both(const front_measurement *x, const Rear_measurement *y)\n"
+        "{ return front_step(&a, x, 1) + Rear_step(&b, y, REAR_C(1)); }\n"
+    )
+    command = [compiler, "-std=c++17", "-O1", *WARNINGS, "-c", "-o", "/dev/null", "both.cpp"]
+    subprocess.run(command, check=True, cwd=tmp_path)
+
+
+@needs_cc
+def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
+    header = everything()["recommended"].header()
+    assert re.findall(r"#include.*", header.split("*/", 1)[1]) == ["#include <math.h>"]
+    source = tmp_path / "alone.c"
+    source.write_text(
+        '#include "posegsa.h"\n'
+        "int alone(posegsa_state *s, const posegsa_measurement *m);\n"
+        "int alone(posegsa_state *s, const posegsa_measurement *m)"
+        "{ return posegsa_step(s, m, POSEGSA_C(0.01)); }\n"
+    )
+    made = compile_c(tmp_path, header, source, "-std=c99", "-O1", "-c", compiler=COMPILERS[0])
+    listed = subprocess.run(["nm", made], check=True, capture_output=True, text=True).stdout
+    symbols = [line.split()[-2:] for line in listed.splitlines()]
+    assert {name for kind, name in symbols if kind == "U"} <= {"sqrt", "rint", "memcpy", "memset"}
+    assert not [name for kind, name in symbols if kind in "BbDdC"], "no variable of its own"
+
+
+@needs_cc
+def test_fast_math_is_refused(tmp_path):
+    header = everything()["recommended"].header()
+    (tmp_path / "posegsa.h").write_text(header)
+    command = [COMPILERS[0], "-ffast-math", "-fsyntax-only", "-x", "c", str(tmp_path / "posegsa.h")]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "checks for NaN" in done.stderr
+
+
+def test_the_head_says_what_it_is_and_what_warns_of_it():
+    def head(result: TuneResult) -> str:
+        return " ".join(export_c(result).split("*/", 1)[0].replace("\n *", " ").split())
+
+    text = head(recommended_result())
     for words in ("posegsa " + posegsa.__version__, "posegsa 0.0.1", "95 % interval", "27.5/s"):
         assert words in text
-    # Means and worst of training and held-out costs, of both; Student's t over three scenarios.
-    assert re.search(r"this schedule 40\.5 43\.25 \[37\.944, 48\.556\] 45\.25", text)
-    assert re.search(r"gain 27\.5/s 44\.5 47\.5 \[36\.46, 58\.54\] 52\.5", text)
+    assert "vector_bias_gain = 0.4375. Gain gamma_c" in text
     assert "WARNING" not in text
+    worse = recommended_result(endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])))
+    assert "WARNING: past the time that it was tuned for it is worse than constant" in head(worse)
     sensitive = trust(cost_float32=40.5, cost_float64=44.0, cost_perturbed=40.5, sensitive=True)
-    assert "WARNING: SENSITIVE: training cost 40.5 in float32" in head(tuned(K, trust=sensitive))
+    assert "WARNING: SENSITIVE" in head(recommended_result(trust=sensitive))
 
 
-def test_the_head_comment_says_how_the_inputs_are_formed():
-    settings = ("gain.position_weight=0.35", "gain.error_scale=0.75", "gain.rate_scale=12.5")
-    text = head(tuned(K, *settings))
-    assert "sum_i s_i |R_est v_i^B - v_i^I|^2" in text
-    assert "now = attitude + 0.35 x position e = now error = e / 0.75" in text
-    assert "rate = |e - before| x 12.5" in text
-    assert "p_1 = (0.5, 1.4142135623730951, 1.0) m, weight 1.0" in text
-    assert "v_3 = v_1 x v_2" in text
-    smoothed = head(tuned(K, *settings, "gain.smoothing=0.05"))
-    assert "e = before + dt / (0.05 s + dt) (now - before)" in smoothed
-    pose = head(tuned(K, "gain.signal=pose"))
-    assert "An oracle, for simulation only" in pose
-    assert "v_i^B" not in pose
+def test_every_number_says_what_it_is():
+    for case in everything().values():
+        numbers = case.header().split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
+        defined = [i for i, line in enumerate(numbers) if line.startswith("static const")]
+        unsaid = [numbers[i] for i in defined if not re.fullmatch(r"/\* .+ \*/", numbers[i - 1])]
+        # A schedule's own numbers have only their names.
+        assert all(
+            line.startswith("static const posegsa_real posegsa_schedule_") for line in unsaid
+        )
+        assert len(defined) - len(unsaid) >= 5
 
 
-def test_the_head_comment_lists_the_settings_and_parameters():
-    result = tuned(K)
-    text = head(result)
-    for section in (result.experiment.gain, result.experiment.filter):
-        for name, value, description in section.described():
-            assert f"{name} = {toml(value)}. {description}" in text
-    assert 'centroid = "exact". How' in text
-    for i, value in enumerate(result.parameters.tolist(), start=1):
-        assert f"k{i}={value!r}" in text
+def test_the_page_shows_the_example_and_its_python_runs():
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text("utf-8")
+    assert f"```c\n{textwrap.dedent(example(everything()['recommended'].header()))}```" in page
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)  # the page's own text
+    assert "posegsa_schedule_gain = 10;" in names["text"]
+
+
+@pytest.mark.quick
+def test_no_line_is_too_long_to_read():
+    header = export_c(recommended_result())
+    assert header.isascii()
+    table = re.compile(r"\{.*\},?( /\* .* \*/)?|static const.*")
+    long = [x for x in header.splitlines() if len(x) > 100 and not table.search(x)]
+    assert not long

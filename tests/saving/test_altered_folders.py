@@ -121,7 +121,7 @@ def checked(file: Path, text: str, load) -> Any:
 
 def shown(result: posegsa.TuneResult) -> str:
     """A result in all texts that it has; none steers a terminal."""
-    texts = (result.summary(), result.evaluation.table(), posegsa.export_c(result))
+    texts = (result.summary(), result.evaluation.table(), posegsa.export_c_gain(result))
     assert all(c.isprintable() or c == "\n" for text in texts for c in text)
     return "".join(texts) + report_html(result, {})
 

@@ -1,0 +1,242 @@
+"""What the exported filter costs: time on this machine, sizes, instructions of a Cortex-M4F.
+
+1. On this machine: nanoseconds a step over a simulated minute, in float and double; best and
+   median of many passes. Sizes of state and measurement.
+2. On a Cortex-M4F, emulated by QEMU: code size, stack, and instructions a step, counted. They are
+   not cycles: a division or a root takes 14, a taken branch and some loads more than one. The board
+   has to come to the estimate that this machine comes to. Needs gcc-arm-none-eabi,
+   libnewlib-arm-none-eabi and qemu-system-arm; without them this part is left out.
+
+The filter is a tuned result's, whole, and that for its attitude alone: the same settings without
+the landmarks, which is what other attitude filters do with a gyroscope and two vectors.
+
+    python benchmarks/c_filter.py [--run FOLDER] [--write]
+"""
+
+import argparse
+import re
+import shutil
+import statistics
+import subprocess
+import tempfile
+import warnings
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import numpy as np
+from contenders.c import compiler
+from machine import machine
+from readme import write_block
+
+import posegsa
+from posegsa import config
+from posegsa.export import export_c, filter_to_c
+from posegsa.judging.result import TuneResult
+from posegsa.model.measurements import Measurements
+from posegsa.model.scenario import integrate, measure
+from posegsa.search.build import filter_settings, scenario, signal_settings
+
+HERE = Path(__file__).parent / "on_target"
+PASSES = 200
+ON_TARGET = 128
+"""Samples that the emulated board gets."""
+START = np.array([0.5, -0.5, 0.5, 0.5, 1.0, -2.0, 3.0])
+"""First attitude (w, x, y, z) and position [m]."""
+M4F = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+PASSES_ON_TARGET = 20
+"""As in `count_instructions.c`."""
+CODE_ONLY = """
+#include "posegsa.h"
+int step(posegsa_state *state, const posegsa_measurement *seen, posegsa_real dt);
+int step(posegsa_state *state, const posegsa_measurement *seen, posegsa_real dt)
+{
+    return posegsa_step(state, seen, dt);
+}
+"""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A filter as C, and what it is run on."""
+
+    name: str
+    header: str
+    rows: np.ndarray
+    """(N, numbers) dt and a measurement, in C's order."""
+    options: tuple[str, ...]
+    start: np.ndarray
+
+
+def exported(result: TuneResult) -> list[Exported]:
+    """The tuned filter, and that for its attitude alone."""
+    experiment = config.override(result.tuned, ["run.dtype=float64"])
+    with jax.enable_x64(True):
+        one = scenario(experiment)
+        sensed = measure(one, integrate(one), jax.random.key(0)).measurements
+        m = jax.tree.map(np.asarray, sensed)
+        settings = filter_settings(experiment)
+        signal = signal_settings(experiment.gain, np.float64)
+    alone = filter_to_c(
+        result.schedule,
+        replace(settings, landmark_weights=None),
+        signal,
+        vectors=m.vector_references[0],
+    )
+    n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
+    sensors = f"{n} vectors, {landmarks} landmark{'' if landmarks == 1 else 's'}"
+    return [
+        Exported(f"pose, {sensors}", export_c(result), rows(m), (), START),
+        Exported(
+            f"attitude alone, {n} vectors", alone, rows(m, False), ("-DATTITUDE_ONLY",), START[:4]
+        ),
+    ]
+
+
+def rows(m: Measurements, pose: bool = True) -> np.ndarray:
+    """Dt and measurements as C has them."""
+    flat = [a.reshape(len(m.time_step), -1) for a in m]
+    step, omega, v, vectors, _, vector_weights, landmarks, _, landmark_weights = flat
+    columns = [step, omega, *([v] if pose else []), vectors, vector_weights]
+    return np.concatenate(columns + ([landmarks, landmark_weights] if pose else []), axis=1)
+
+
+def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[float], list[int]]:
+    """Nanoseconds a step of each pass, and what `time_steps.c` writes last."""
+    dtype = np.dtype({"float": np.float32, "double": np.float64}[real])
+    options = ["-O2", f"-DPOSEGSA_REAL={real}", *one.options, "-I", str(folder)]
+    program = folder / f"time-{real}"
+    compiled(str(compiler()), *options, str(HERE / "time_steps.c"), "-o", str(program), "-lm")
+    given = np.concatenate([one.start, one.rows.ravel()]).astype(dtype).tobytes()
+    command = [program, str(len(one.rows)), str(passes)]
+    done = subprocess.run(command, input=given, capture_output=True, check=True)
+    *times, last = done.stdout.decode().splitlines()
+    return list(map(float, times)), list(map(int, last.split()))
+
+
+def on_this_machine(one: Exported, real: str, folder: Path) -> list[str]:
+    """A row: time a step and sizes."""
+    times, (state, measurement, _) = run_here(one, real, PASSES, folder)
+    took = f"{min(times):.0f} ns ({statistics.median(times):.0f} ns)"
+    return [one.name, real, took, f"{state} B", f"{measurement} B"]
+
+
+def on_the_board(one: Exported, level: str, folder: Path) -> list[str]:
+    """A row: code, constants, stack and instructions a step, in float."""
+    table = one.rows[:ON_TARGET, 1:].astype(np.float32)
+    start = one.start.astype(np.float32)
+    values = ",\n".join(", ".join(f"{x!r}f" for x in row) for row in table.tolist())
+    quaternion, position = (
+        ", ".join(f"{x!r}f" for x in part.tolist()) for part in (start[:4], start[4:])
+    )
+    (folder / "samples.h").write_text(
+        f"enum {{ SAMPLES = {len(table)} }};\n"
+        f"static const posegsa_real first_attitude[4] = {{{quaternion}}};\n"
+        + (f"static const posegsa_real first_position[3] = {{{position}}};\n" if position else "")
+        + f"static const union {{ posegsa_real numbers[{table.size}]; "
+        f"posegsa_measurement each[SAMPLES]; }} taken = {{{{\n{values}}}}};\n"
+        "#define samples taken.each\n"
+    )
+    options = [*M4F, level, "-std=gnu99", "-DPOSEGSA_REAL=float", *one.options, "-I", str(folder)]
+    source, made = folder / "step.c", folder / "step.o"
+    source.write_text(CODE_ONLY)
+    compiled("arm-none-eabi-gcc", *options, "-fstack-usage", "-c", str(source), "-o", str(made))
+    listed = output("arm-none-eabi-size", str(made)).splitlines()[1].split()
+    code_and_constants = int(listed[0])
+    used = (folder / "step.su").read_text().splitlines()
+    stack = sum(int(line.split("\t")[1]) for line in used)
+    elf = folder / "count.elf"
+    compiled(
+        *("arm-none-eabi-gcc", *options, "-nostartfiles", "-T", str(HERE / "mps2.ld")),
+        *(str(HERE / "count_instructions.c"), "-o", str(elf), "-lm", "-lc"),
+    )
+    said = output(
+        *("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-icount", "shift=0"),
+        *("-semihosting-config", "enable=on,target=native", "-kernel", str(elf)),
+    )
+    numbers = {name.strip(): int(n) for name, n in re.findall(r"(?m)^(.*?) (\d+)$", said)}
+    if numbers["failed"]:
+        raise RuntimeError(f"a step on the board was refused: {said}")
+    part = replace(one, rows=one.rows[:ON_TARGET])
+    _, (*_, attitude) = run_here(part, "float", PASSES_ON_TARGET, folder)
+    if abs(numbers["attitude"] - attitude) > 1000:
+        raise RuntimeError(f"the board's w is {numbers['attitude']}e-6, here it is {attitude}e-6")
+    a_tick = numbers["instructions of the loop"] / numbers["ticks of the loop"]
+    ticks = numbers["ticks of the steps"] - numbers["ticks without them"]
+    instructions = a_tick * ticks / numbers["steps"]
+    return [one.name, level, f"{code_and_constants} B", f"{stack} B", f"{instructions:.0f}"]
+
+
+def compiled(*command: str) -> None:
+    """Run a compiler.
+
+    Raises:
+        CalledProcessError: It failed.
+    """
+    subprocess.run(command, check=True)
+
+
+def output(*command: str) -> str:
+    """What a program writes, to either stream."""
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
+    return done.stdout + done.stderr
+
+
+def markdown(head: list[str], lines: list[list[str]]) -> str:
+    """A table."""
+    rule = ["---", "---", *["--:"] * (len(head) - 2)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [head, rule, *lines])
+
+
+def tables(result: TuneResult) -> str:
+    """All measurements."""
+    filters = exported(result)
+    here, board = [], []
+    emulated = all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm")))
+    for one in filters:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "posegsa.h").write_text(one.header)
+            here += [on_this_machine(one, real, folder) for real in ("float", "double")]
+            if emulated:
+                board += [on_the_board(one, level, folder) for level in ("-O2", "-Os")]
+    about = machine(version("jax"), 1, "")
+    parts = [
+        markdown(["filter", "type", "a step, best (median)", "state", "measurement"], here),
+        f"{about['cpu']}, one core, {about['compiler']} -O2; {len(filters[0].rows)} samples, "
+        f"{PASSES} passes; {about['date']}.",
+    ]
+    if board:
+        head = [
+            "filter",
+            "Cortex-M4F",
+            "code and constants",
+            "stack, at most",
+            "instructions a step",
+        ]
+        said = output("arm-none-eabi-gcc", "--version").splitlines()[0]
+        parts += [
+            markdown(head, board),
+            f"In float, {said}; counted by {output('qemu-system-arm', '--version').splitlines()[0]}"
+            " (mps2-an386, `-icount shift=0`, SysTick).",
+        ]
+    parts.append("By `python benchmarks/c_filter.py --write`.")
+    return "\n\n".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What the exported filter costs.")
+    parser.add_argument("--run", help="folder of a tuned run instead of a new one")
+    parser.add_argument("--write", action="store_true", help="write the tables to docs/export.md")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+    posegsa.enable_fast_path()
+    text = tables(posegsa.load(options.run) if options.run else posegsa.tune())
+    print(text)
+    if options.write:
+        write_block("c-filter", text, "docs/export.md")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""The controller alone as one C99 file that includes, allocates and remembers nothing.
+
+The code mirrors `posegsa.model.fuzzy` operation by operation, so that both agree to rounding even
+where few rules fire, and weakly: there a gain depends on differences of small heights. Unlike the
+rest of the filter (`export.c`) it is not traced: 25 rules and 5 terms are loops over tables, which
+are shorter, and quicker to read, than a thousand statements without them. It stands in
+`controller.c` and `centroid_*.c`, which the whole filter uses too.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from posegsa.arguments import check_type
+from posegsa.config import PARAMETERS, TERMS, Experiment
+from posegsa.export.c_text import (
+    NAME,
+    check_name,
+    comment,
+    origin,
+    renamed,
+    settings_of,
+    templates,
+    worth,
+    wrapped,
+)
+from posegsa.export.tables import INFERENCE
+from posegsa.judging.result import TuneResult
+from posegsa.model.fuzzy import FuzzyController
+
+_NO_RULE = {"hold": "last_gain", "midrange": "posegsa_initial_gain()"}
+_END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
+
+_FORMULAS = {
+    "measured": """\
+    attitude = 3 / (8 sum_i s_i) sum_i s_i |R_est v_i^B - v_i^I|^2   [no unit]
+        over the vectors i measured in this sample, s_i their weights; without any its last value,
+        0 at first
+    position = sum_i w_i |T_est y_i - p_i| / sum_i w_i   [m]
+        over the landmarks i measured in this sample, w_i their weights; likewise""",
+    "pose": """\
+    attitude = tr(I - R_err) / 4, R_err = R_est R^T   [0 to 1, no unit]
+    position = |P_est - R_err P|   [m]""",
+}
+_SYMBOLS = {
+    "measured": "R_est: estimated attitude, body to inertial frame; T_est y = R_est y + P_est [m]; "
+    "v_i^B: vector as the filter uses it, body frame; v_i^I: the same vector, inertial frame; y_i: "
+    "landmark as measured, body frame [m]; p_i: its place, inertial frame [m]. In the run's "
+    "scenario:",
+    "pose": "An oracle, for simulation only: R (body to inertial frame) and P [m] are the TRUE "
+    "attitude and position, R_est and P_est the estimated ones. A vehicle does not have them.",
+}
+
+
+def export_c_gain(result: TuneResult, name: str = NAME) -> str:
+    """C99 file with the controller alone, `posegsa_gain`, for a filter of one's own.
+
+    It computes in `POSEGSA_REAL`, which is double unless it is defined as float when compiling.
+    Its head comment says how the inputs are formed, in which units, and what the schedule is worth.
+
+    Args:
+        result: the tuned schedule.
+        name: what all names in the file begin with.
+
+    Raises:
+        ArgumentError: Not a result, or no name that C could take.
+    """
+    check_type("result", result, TuneResult)
+    check_name(name)
+    experiment, controller = result.tuned, result.controller
+    parameters = zip(PARAMETERS, result.parameters.tolist(), strict=True)
+    text = (
+        templates()
+        .get_template("gain.c")
+        .render(
+            origin=comment(origin(result)),
+            costs=comment(worth(result)),
+            inference=comment([INFERENCE, *settings_of(experiment.fuzzy, without=["rules"])]),
+            signal=comment(signal_in_words(experiment)),
+            filter=comment(settings_of(experiment.filter)),
+            parameters=comment(wrapped(", ".join(f"{which}={k!r}" for which, k in parameters))),
+            linkage="",
+            **controller_values(controller),
+        )
+    )
+    return renamed(text, name)
+
+
+def controller_values(controller: FuzzyController) -> dict[str, object]:
+    """What `controller.c` is told of a controller."""
+    low, high = map(float, controller.output_range)
+    return {
+        "centroid": f"centroid_{controller.centroid}.c",
+        "points": controller.sampled_points,
+        "end_weight": _END_WEIGHT[controller.sampled_rule],
+        "low": repr(low),
+        "high": repr(high),
+        "inputs": len(controller.input_terms),
+        "outputs": len(controller.output_terms),
+        "input_terms": _terms(controller.input_terms),
+        "output_terms": _terms(controller.output_terms),
+        "rules": _rows([map(str, row) for row in controller.rules], "rate "),
+        # As JAX has it: formed in double, then rounded.
+        "initial_gain": repr(1 + 0.5 * (low + high)),
+        "no_rule": _NO_RULE[controller.no_rule],
+    }
+
+
+def _terms(terms: object) -> str:
+    """Terms as rows of a C table; a float32 is written so that reading it as float is exact."""
+    values = np.asarray(terms).tolist()
+    return _rows([[f"POSEGSA_C({x!r})" for x in term] for term in values])
+
+
+def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
+    """Rows of a C table, each with the name of its term where they are the usual ones."""
+    texts = ["{" + ", ".join(row) + "}," for row in rows]
+    if len(texts) == len(TERMS):
+        texts = [f"{text} /* {of}{name} */" for text, name in zip(texts, TERMS, strict=True)]
+    return "\n".join(f"    {text}" for text in texts)
+
+
+def signal_in_words(experiment: Experiment) -> list[str]:
+    """How the inputs come from measurements, with the run's constants."""
+    gain = experiment.gain
+    smoothed = (
+        f"e = before + dt / ({gain.smoothing!r} s + dt) (now - before)   [smoothed; dt: the time "
+        "since the last sample]"
+    )
+    return [
+        *_FORMULAS[gain.signal].splitlines(),
+        f"    now = attitude + {gain.position_weight!r} x position",
+        f"    {smoothed if gain.smoothing > 0 else 'e = now'}",
+        f"    error = e / {gain.error_scale!r}",
+        f"    rate = |e - before|{' / dt' if gain.rate == 'per_second' else ''} "
+        f"x {gain.rate_scale!r}",
+        "    before is e of the sample before, and now at the first sample: there rate is 0",
+        *wrapped(_SYMBOLS[gain.signal]),
+        *(_known(experiment) if gain.signal == "measured" else []),
+        *settings_of(gain),
+    ]
+
+
+def _known(experiment: Experiment) -> list[str]:
+    """The vectors and landmarks of the run, with their weights."""
+    scenario, used = experiment.scenario, experiment.filter
+    rows = [
+        f"  v_{i}^I = {vector.direction}, weight {vector.weight!r}"
+        for i, vector in enumerate(scenario.vectors, start=1)
+    ]
+    if used.cross_vector:
+        rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {used.cross_vector_weight!r}")
+    if used.vector_bias == "estimated":
+        rows += [
+            "  c_i, its estimated bias, is taken off each measured vector first, body frame:",
+            "      dc_i/dt = gamma_c (v_i^B as measured - c_i - R_est^T v_i^I) - leak c_i,",
+            "      gamma_c, leak and bound as vector_bias_... below, R_est before the step",
+        ]
+    if used.normalise_vectors:
+        rows.append("  all of them at length one, v_i^B and v_i^I")
+    rows += [
+        f"  p_{i} = {landmark.position} m, weight {landmark.weight!r}"
+        for i, landmark in enumerate(scenario.landmarks, start=1)
+    ]
+    return rows

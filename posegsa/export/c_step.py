@@ -1,0 +1,409 @@
+"""The parts of a filter's step as functions of C, and the numbers that they know.
+
+Each part is a function of `posegsa.model`, traced with records that hold, for every scalar, what
+stands for it in C: a field of the state, of the measurement or of what the step works with, a
+`static const`, or a number where the filter has no such thing.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import refuse
+from posegsa.export.scalar_c import Code, Known, literal, written
+from posegsa.model import se3
+from posegsa.model.filter import (
+    FilterSettings,
+    FilterState,
+    Seen,
+    displacement,
+    learnt_biases,
+    learnt_vector_biases,
+    limited_correction,
+    see,
+)
+from posegsa.model.measurements import Measurements, finite_array
+from posegsa.model.sample import LandmarkSample, Sample, prepare
+from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, ScheduleInputs
+from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, scheduled_gain
+from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
+
+_NOTHING: Any = (0.0, 0.0, 0.0)
+"""A vector that a filter does not have. (The model's records hold arrays; here they hold what
+stands for a number in C, an `export.scalar_c.Argument`, and so it is `Any` to the type checker.)"""
+
+_NUMBERS = {
+    "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
+    "gamma_linear": ("", "gain of the bias law of the velocity at K = 10/s [1/s^2]"),
+    "gain_limit": ("", "largest step of the innovation, K h L"),
+    "vectors.cross_weight": ("cross_vector_weight", "s of v_1 x v_2"),
+    "vector_bias.gain": ("", "gamma_c, gain of the vectors' bias law at K = 10/s [1/s]"),
+    "vector_bias.leak": ("", "rate at which a vector's bias is forgotten [1/s]"),
+    "vector_bias.per_bound": ("", "1 / bound^2, bound the largest length of a vector's bias"),
+    "vector_bias.per_turning": ("", "1 / w_0^4, w_0 [rad/s] the turning from which all is learnt"),
+    "vector_bias.excitation_time": ("", "time constant of the turning's low-pass filter [s]"),
+    "position_weight": ("", "weight of the position part of the error [1/m]"),
+    "smoothing": ("", "time constant of the error's low-pass filter [s]"),
+    "error_scale": ("", "the error at which the scaled error is 1"),
+    "rate_scale": ("", "factor on the change of the error"),
+    "vectors.weights": ("weight_of_vector", "s_i of each vector"),
+    "landmark_weights": ("weight_of_landmark", "s_i of each landmark [1/m^2]"),
+}
+"""What the settings' numbers are called in C, where not by their path in the records of the model,
+and what they are."""
+
+
+@dataclass(frozen=True)
+class References:
+    """What the filter knows of its sensors."""
+
+    vectors: np.ndarray
+    """(n, 3) v_i^I, in the unit of their sensor."""
+    directions: np.ndarray
+    """(n, 3) the same as the innovation uses them, and then their cross product."""
+    landmarks: np.ndarray
+    """(m, 3) p_i [m]."""
+
+
+def references(
+    vectors: ArrayLike | None, landmarks: ArrayLike | None, settings: FilterSettings
+) -> References:
+    """References as the model prepares them."""
+    v, p = (
+        np.zeros((0, 3)) if a is None else finite_array(name, a, (None, 3))
+        for name, a in (("vectors", vectors), ("landmarks", landmarks))
+    )
+    if not len(v) + len(p):
+        refuse("vectors and landmarks: none", "at least one of either")
+    for what, weights, count in (
+        ("vectors.weights", settings.vectors.weights, len(v)),
+        ("landmark_weights", settings.landmark_weights, len(p)),
+    ):
+        if weights is not None and len(weights) != count:
+            refuse(f"settings.{what}: {len(weights)} of them", f"{count}, one for each, or None")
+    with jax.enable_x64(True):
+        still = np.zeros((1, 3))
+        measurement = Measurements.from_arrays(
+            time_step=1.0,
+            angular_velocity=still,
+            velocity=still,
+            vectors=v[None],
+            vector_references=v,
+            landmarks=p[None],
+            landmark_references=p,
+            dtype=np.float64,
+        ).at(0)
+        in_loop = replace(settings.vectors, each_agent=True)
+        prepared = prepare(measurement, in_loop).vectors
+        assert isinstance(prepared, VectorSamples)
+        used = [vector.reference for vector in prepared.each] + [prepared.cross_reference]
+        return References(vectors=v, directions=np.array(used, np.float64), landmarks=p)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One function of C."""
+
+    name: str
+    about: str
+    code: Code
+    body: str
+
+    @property
+    def _parameters(self) -> dict[str, str]:
+        kinds = {
+            "now": "const posegsa_state *now",
+            "seen": "const posegsa_measurement *seen",
+            "dt": "posegsa_real dt",
+            "h": "posegsa_real h",
+            "moving": "posegsa_real moving",
+            "w": "posegsa_work *w",
+            "next": "posegsa_state *next",
+            "rotation": "posegsa_real rotation[3][3]",
+        }
+        return {name: kind for name, kind in kinds.items() if self.code.mentions(name)}
+
+    @property
+    def signature(self) -> str:
+        """Its parameters."""
+        lines, indent = [""], " " * len(f"static inline void posegsa_{self.name}(")
+        for kind in self._parameters.values():
+            joined = f"{lines[-1]}, {kind}" if lines[-1] else kind
+            if len(indent) + len(joined) > 98:
+                lines[-1] += ","
+                lines.append(kind)
+            else:
+                lines[-1] = joined
+        return f"\n{indent}".join(lines)
+
+    @property
+    def call(self) -> str:
+        """The statement that calls it where variables have its parameters' names."""
+        if not self.code.statements:
+            return ""
+        return f"posegsa_{self.name}({', '.join(self._parameters)});"
+
+
+class Step:
+    """The parts of a filter's step as functions of C, and the numbers that they know."""
+
+    def __init__(
+        self,
+        known: References,
+        settings: FilterSettings,
+        signal: SignalSettings,
+        schedule: GainSchedule,
+    ) -> None:
+        self.pieces: dict[str, Piece] = {}
+        self.numbers: list[tuple[Known, str]] = []
+        self._vectors, self._landmarks = len(known.vectors), len(known.landmarks)
+        self.attitude_only = not self._landmarks
+        self.learns = settings.vector_bias is not None and self._vectors > 0
+        if not self.learns:
+            settings = replace(settings, vector_bias=None)
+        settings = replace(settings, vectors=replace(settings.vectors, each_agent=True))
+        self._settings = self._named(settings)
+        self._signal = self._named(signal)
+        self._write(schedule)
+
+    def _write(self, schedule: GainSchedule) -> None:
+        settings, now, following = self._settings, self._state("now"), self._state("next")
+        sample, seen = self._sample(), self._seen()
+        names = ("see", "the vectors freed of their biases, Wahba's sums, the weights")
+        self._piece(*names, see, (now, sample, settings), _wanted(seen))
+        memory = self._memory("now")
+        self._piece(
+            *("signal", "the error signal: how well the estimate fits the sample, smoothed"),
+            _signal,
+            (now, sample, seen, memory, self._signal),
+            (("w->error", "w->rate"), _wanted(self._memory("next")._replace(gain=_scalar(0.0)))),
+        )
+        if not isinstance(schedule, FuzzyGain):
+            inputs = ScheduleInputs(
+                *map(_scalar, ("w->error", "w->rate", "now->time", "now->gain"))
+            )
+            named = self._named(schedule, "schedule.")
+            self._piece(
+                *("schedule", f"{type(schedule).__name__}: the gain that is asked for"),
+                lambda schedule, inputs: schedule.prepare()(inputs),
+                (named, inputs),
+                Gains(_scalar("w->gain"), _scalar("w->learning")),
+            )
+        moved = None if self.attitude_only else _vec3("w->v")
+        self._piece(
+            *("correct", "the innovation U, its gain after the limit, and the biases' law"),
+            _correct,
+            (following, sample, seen, "w->gain", "h", "moving", settings),
+            (
+                "w->used",
+                (_vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
+                (following.bias_angular, _wanted(following.bias_linear)),
+            ),
+        )
+        coefficients = _numbered("w->exponential", 4)
+        both = [
+            written(se3.exp_coefficients, ("w->angle_squared",), coefficients, dtype)
+            for dtype in (np.float32, np.float64)
+        ]
+        self.pieces["exponential"] = Piece(
+            name="exponential",
+            about="Coefficients of the exponential of SE(3), by as many terms as the type needs.",
+            code=Code(
+                both[0].statements + both[1].statements, both[0].functions | both[1].functions
+            ),
+            body="    if (sizeof(posegsa_real) < sizeof(double)) {\n"
+            f"{both[0].text(8)}\n    }} else {{\n{both[1].text(8)}\n    }}",
+        )
+        omega, v = _vec3("w->omega"), _NOTHING if self.attitude_only else _vec3("w->v")
+        self._piece(
+            *("move", "the estimate moved by w->omega and w->v"),
+            se3.displaced,
+            (following.attitude, following.place, omega, v, coefficients),
+            (following.attitude, _wanted(following.place)),
+        )
+        if self.learns:
+            learning = 1.0 if isinstance(schedule, FuzzyGain) else "w->learning"
+            self._piece(
+                *("learn", "the vectors' biases, from the residuals at the sample"),
+                learnt_vector_biases,
+                (now, sample, seen, learning, "w->used", settings),
+                (following.vector_biases, following.turning),
+            )
+        rotation = tuple(_vec3(f"rotation[{i}]") for i in range(3))
+        self._piece("rows", "the attitude as a matrix", se3.rows, (now.attitude,), rotation)
+
+    def _piece(
+        self, name: str, about: str, function: Callable[..., Any], arguments: Any, results: Any
+    ) -> None:
+        code = written(function, arguments, results)
+        about = f"{about[0].upper()}{about[1:]}."
+        self.pieces[name] = Piece(name=name, about=about, code=code, body=code.text(4))
+
+    def _named(self, settings: Any, prefix: str = "") -> Any:
+        """Settings with a name of C for each of their numbers."""
+
+        def name(path: Any, leaf: Any) -> Known:
+            if np.ndim(leaf):
+                refuse(f"{prefix.rstrip('.')} with arrays of numbers", "one made of scalars")
+            key, bracket, index = jax.tree_util.keystr(path).lstrip(".").partition("[")
+            own, about = _NUMBERS.get(prefix + key, ("", ""))
+            text = own or (prefix + key).replace(".", "_")
+            number = Known(f"posegsa_{text}{bracket}{index}", float(np.asarray(leaf)))
+            self.numbers.append((number, about))
+            return number
+
+        return jax.tree_util.tree_map_with_path(name, settings)
+
+    def _state(self, pointer: str) -> FilterState:
+        alone = self.attitude_only
+        return FilterState(
+            attitude=_numbered(f"{pointer}->attitude", 4),
+            place=_NOTHING if alone else _vec3(f"{pointer}->position"),
+            bias_angular=_vec3(f"{pointer}->bias_angular"),
+            bias_linear=_NOTHING if alone else _vec3(f"{pointer}->bias_linear"),
+            vector_biases=self._each_vector(f"{pointer}->vector_bias") if self.learns else (),
+            turning=_vec3(f"{pointer}->turning") if self.learns else (),
+        )
+
+    def _each_vector(self, array: str) -> tuple[Any, ...]:
+        return tuple(_vec3(f"{array}[{i}]") for i in range(self._vectors))
+
+    def _sample(self) -> Sample:
+        n, m = self._vectors, self._landmarks
+        vectors = tuple(
+            VectorSample(
+                measured=_vec3(f"seen->vectors[{i}]"),
+                known=_vec3(f"posegsa_vectors[{i}]"),
+                reference=_vec3(f"posegsa_directions[{i}]"),
+                factor=_scalar(f"seen->vector_weights[{i}]"),
+            )
+            for i in range(n)
+        )
+        landmarks = tuple(
+            LandmarkSample(
+                body=_vec3(f"seen->landmarks[{i}]"),
+                inertial=_vec3(f"posegsa_landmarks[{i}]"),
+                factor=_scalar(f"seen->landmark_weights[{i}]"),
+            )
+            for i in range(m)
+        )
+        crossed = self._settings.vectors.cross and n >= 2
+        return Sample(
+            time_step=_scalar("dt"),
+            angular_velocity=_vec3("seen->angular_velocity"),
+            velocity=_NOTHING if self.attitude_only else _vec3("seen->velocity"),
+            vectors=VectorSamples(
+                vectors, _vec3(f"posegsa_directions[{n}]") if crossed else _NOTHING
+            ),
+            landmarks=landmarks,
+            reach=_scalar("w->reach" if m else 0.0),
+        )
+
+    def _seen(self) -> Seen:
+        some = self._vectors > 0
+        return Seen(
+            wahba=Wahba(
+                profile=tuple(_vec3(f"w->profile[{i}]") if some else _NOTHING for i in range(3)),
+                power=_scalar("w->power" if some else 0.0),
+                curvature=_scalar("w->curvature" if some else 0.0),
+                scale=_scalar("w->scale" if some else 0.0),
+            ),
+            freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self._vectors,
+            landmark_weights=_numbered("w->landmark_weights", self._landmarks),
+        )
+
+    def _memory(self, pointer: str) -> SignalMemory:
+        return SignalMemory(
+            attitude=_scalar(f"{pointer}->attitude_error" if self._vectors else 0.0),
+            position=_scalar(f"{pointer}->position_error" if self._landmarks else 0.0),
+            error=_scalar(f"{pointer}->error"),
+            gain=_scalar(f"{pointer}->gain"),
+            time_step=_scalar(f"{pointer}->since_last"),
+        )
+
+
+def _signal(
+    state: FilterState, sample: Sample, seen: Seen, memory: SignalMemory, settings: SignalSettings
+) -> tuple[tuple[Any, Any], SignalMemory]:
+    """What a schedule is shown, and the memory after it."""
+    errors, step = measured_errors(state, sample, seen), sample.time_step
+    # Which gain a schedule asks for then is of no concern here, nor the time that it looks at.
+    _, inputs, after = scheduled_gain(
+        lambda inputs: Gains(inputs.last), memory, errors, step, step, settings
+    )
+    return (inputs.error, inputs.rate), after
+
+
+def _correct(
+    state: FilterState,
+    sample: Sample,
+    seen: Seen,
+    gain: Any,
+    h: Any,
+    moving: Any,
+    settings: FilterSettings,
+) -> Any:
+    """A sub-step up to its exponential, as `model.filter.observe` makes it."""
+    W, used = limited_correction(state, sample, seen, gain, h, settings)
+    omega, v = displacement(state, sample, W, used, h, moving)
+    biases = learnt_biases(state, sample, W, used, h, settings)
+    return used, (omega, v, se3.dot(omega, omega)), biases
+
+
+def _scalar(argument: str | float) -> Any:
+    return argument
+
+
+def _numbered(array: str, count: int) -> Any:
+    return tuple(f"{array}[{i}]" for i in range(count))
+
+
+def _vec3(array: str) -> Any:
+    return f"{array}[0]", f"{array}[1]", f"{array}[2]"
+
+
+def _wanted(record: Any) -> Any:
+    """Variables that are set; what is a number is none."""
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else None, record)
+
+
+def constants(step: Step, known: References) -> str:
+    """The numbers that the step uses as `static const`."""
+
+    def used(name: str) -> bool:
+        return any(piece.code.mentions(name) for piece in step.pieces.values())
+
+    lines: list[str] = []
+
+    def define(name: str, about: str, size: str, value: str) -> None:
+        if used(name):
+            lines.extend([f"/* {about} */"] if about else [])
+            lines.append(f"static const posegsa_real {name}{size} = {value};")
+
+    arrays: dict[str, list[float]] = {}
+    for number, about in step.numbers:
+        name, bracket, _ = number.text.partition("[")
+        if bracket:
+            arrays.setdefault(name, []).append(number.value)
+        else:
+            define(name, about, "", literal(number.value))
+    for own, about in _NUMBERS.values():
+        values = arrays.get(f"posegsa_{own}", [])
+        if values:
+            define(f"posegsa_{own}", about, f"[{len(values)}]", _row(values))
+    for name, about, rows in (
+        ("vectors", "v_i, inertial frame, in the unit of their sensor", known.vectors),
+        ("directions", "the same as the innovation uses them, then v_1 x v_2", known.directions),
+        ("landmarks", "p_i [m], inertial frame", known.landmarks),
+    ):
+        table = ",\n    ".join(map(_row, rows.tolist()))
+        define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}")
+    return "\n".join(lines)
+
+
+def _row(values: Iterable[float]) -> str:
+    return f"{{{', '.join(map(literal, values))}}}"

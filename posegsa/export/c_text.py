@@ -1,0 +1,165 @@
+"""What the files of C share: templates, comments, names; and what a result is worth in words."""
+
+import re
+import textwrap
+from collections.abc import Collection, Iterable
+from functools import cache, partial
+from typing import TYPE_CHECKING
+
+from posegsa.arguments import refuse
+from posegsa.export.tables import costs
+from posegsa.judging.result import VERSION, TuneResult
+from posegsa.settings.fields import Section
+from posegsa.words import counted, text_table, toml
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyphens=False)
+"""Lines of a comment's text."""
+
+NAME = "posegsa"
+"""What the templates' names begin with, and those of a file for which no other is asked."""
+_KEYWORDS = frozenset(
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "class",
+        "new",
+        "delete",
+        "this",
+        "public",
+        "private",
+        "template",
+        "namespace",
+        "using",
+        "bool",
+        "true",
+        "false",
+        "try",
+        "catch",
+        "throw",
+        "operator",
+        "friend",
+        "virtual",
+    ]
+)
+
+
+def check_name(name: object) -> None:
+    """Refuse a name that names in C can't begin with.
+
+    Raises:
+        ArgumentError: It is none, or a keyword, or longer than 32 characters.
+    """
+    fits = isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name)
+    if not fits or name in _KEYWORDS:
+        refuse(
+            f"name = {name!r}",
+            "a letter, then letters, digits and underscores, at most 32 in all; no keyword of C",
+        )
+
+
+def renamed(text: str, name: str) -> str:
+    """A file of C whose names begin with `name_` and `NAME_`."""
+    text = re.sub(rf"\b{NAME}_", f"{name}_", text)
+    return re.sub(rf"\b{NAME.upper()}_", f"{name.upper()}_", text)
+
+
+@cache
+def templates() -> "Environment":
+    """The templates of this folder; a name that is not given is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # not by `import posegsa`
+
+    return Environment(
+        loader=PackageLoader("posegsa", "export"),
+        autoescape=False,  # C, no page
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def comment(lines: Iterable[str]) -> str:
+    """Lines of a block comment; none of them can end it early, or begin another."""
+    safe = (line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
+    return "\n".join(f" * {line}".rstrip() for line in safe)
+
+
+def origin(result: TuneResult) -> list[str]:
+    """Which search a file comes from."""
+    run, search = result.tuned.run, result.tuned.search
+    return wrapped(
+        f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
+        f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
+    )
+
+
+def worth(result: TuneResult) -> list[str]:
+    """What a tuned filter and the best constant gain cost, and what warns of it."""
+    names = {
+        "tuned": "  this schedule",
+        "constant": f"  best constant gain {result.constant_gain:.4g}/s",
+    }
+    found, rows = costs(result), [["Cost", "training", "held out", "95 % interval", "worst"]]
+    for key, name in names.items():
+        numbers = (found[key][of] for of in ("training_mean", "held_out_mean", "held_out_worst"))
+        training, held_out, worst = (f"{number:.5g}" for number in numbers)
+        interval = "[{:.5g}, {:.5g}]".format(*found[key]["held_out_interval"])
+        rows.append([name, training, held_out, interval, worst])
+    lines = text_table(rows).splitlines()
+    lines += wrapped(
+        f"Means over {counted(len(result.training_costs), 'training scenario')} and over "
+        f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
+        "held-out ones."
+    )
+    for warning in result.warnings():
+        lines += wrapped(f"WARNING: {warning}.")
+    return lines
+
+
+def settings_of(section: Section, without: Collection[str] = ()) -> list[str]:
+    """The settings of a section of the configuration, each with what it is."""
+    return [
+        line
+        for name, value, description in section.described()
+        if name not in without
+        for line in wrapped(
+            f"{name} = {toml(value)}. {description}",
+            initial_indent="  ",
+            subsequent_indent="      ",
+        )
+    ]

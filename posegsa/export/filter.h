@@ -1,0 +1,400 @@
+/*
+ * {{ file }}: {{ "an attitude" if attitude_only else "a pose" }} filter with a scheduled gain, as C99; also valid C++17.
+{{ origin }}
+ *
+ * WHAT IT DOES
+{{ purpose }}
+ *
+ * USE
+ *     #include "{{ file }}"
+ *     #include <stdio.h>
+ *     static posegsa_measurement now; // all zeros: nothing is measured
+ *     int main(void)
+ *     {
+ *         const posegsa_real upright[4] = {1, 0, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
+ *         posegsa_state filter;
+ *         posegsa_init(&filter, upright{{ "" if attitude_only else ", origin" }});
+ *         for (int k = 0; k < 100; ++k) { // a loop at 100 Hz
+ *             now.angular_velocity[2] = POSEGSA_C(0.1); // what the sensors say
+{% if vectors %}
+ *             now.vectors[0][2] = 1;
+ *             now.vector_weights[0] = 1; // it was measured; 0 would be missing
+{% else %}
+ *             now.landmarks[0][2] = 1;
+ *             now.landmark_weights[0] = 1; // it was measured; 0 would be missing
+{% endif %}
+ *             if (posegsa_step(&filter, &now, POSEGSA_C(0.01)) != POSEGSA_OK) return 1;
+ *         }
+ *         printf("%g\n", (double)filter.attitude[0]);
+ *     }
+ *
+ * CONVENTIONS
+ * Frames: I inertial, B body. A rotation takes body to inertial coordinates; quaternions are w, x,
+ * y, z (Hamilton) of length 1. A state holds the estimate for the time of the sample that comes
+ * next: posegsa_step(state, measurement, dt) takes the sample, and moves the estimate on by dt.
+ *
+ * WHAT IS MISSING AND WHAT IS WRONG
+ * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
+ * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
+ * its last value. Any other number that is NaN or infinite, a negative weight and a dt that is not
+ * above 0 are refused with POSEGSA_INVALID_INPUT, and the state stays as it was; so it does where
+ * the estimate would overflow, with POSEGSA_NOT_FINITE. A refused sample moves nothing: let the
+ * next dt cover its time too. Pointers must be valid.
+ *
+ * PRECISION, MEMORY, THREADS
+ * posegsa_real is double; compile with -DPOSEGSA_REAL=float for single precision. No heap, no
+ * globals, no headers but <math.h>: each state is a filter of its own, for any thread or interrupt.
+ * Not for -ffast-math, which takes the checks for NaN away.
+ *
+ * WHAT IT IS WORTH
+{{ worth }}
+{% if settings %}
+ *
+ * SETTINGS OF THE RUN; the numbers below are these
+{{ settings }}
+{% endif %}
+ */
+
+#ifndef POSEGSA_H
+#define POSEGSA_H
+
+#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "{{ file }}: -ffast-math or -ffinite-math-only would take the checks for NaN away"
+#endif
+
+#include <math.h>
+
+{% include 'numbers.c' %}
+
+/* ---- Types --------------------------------------------------------------------------------- */
+
+enum {
+{% if vectors %}
+    POSEGSA_VECTORS = {{ vectors }},
+{% endif %}
+{% if landmarks %}
+    POSEGSA_LANDMARKS = {{ landmarks }},
+{% endif %}
+    POSEGSA_SUBSTEPS = {{ substeps }}
+};
+
+/* What posegsa_init and posegsa_step return. */
+enum {
+    POSEGSA_OK = 0,
+    POSEGSA_INVALID_INPUT = 1, /* NaN, infinite, a negative weight, a dt not above 0 */
+    POSEGSA_NOT_FINITE = 2     /* the estimate would overflow */
+};
+
+/* What the sensors say at one sample. Start from all zeros: then nothing is measured. */
+typedef struct posegsa_measurement {
+    posegsa_real angular_velocity[3]; /* [rad/s], body frame */
+{% if not attitude_only %}
+    posegsa_real velocity[3];         /* [m/s], body frame */
+{% endif %}
+{% if vectors %}
+    posegsa_real vectors[POSEGSA_VECTORS][3];     /* v_i, body frame, unit of their sensor */
+    posegsa_real vector_weights[POSEGSA_VECTORS]; /* 1 measured, 0 missing; factors on s_i */
+{% endif %}
+{% if landmarks %}
+    posegsa_real landmarks[POSEGSA_LANDMARKS][3];     /* y_i [m], body frame */
+    posegsa_real landmark_weights[POSEGSA_LANDMARKS]; /* 1 measured, 0 missing; factors on s_i */
+{% endif %}
+} posegsa_measurement;
+
+/* The filter. Made by posegsa_init; the estimates may be read, and set, at any time. */
+typedef struct posegsa_state {
+    posegsa_real attitude[4];     /* quaternion w, x, y, z, body to inertial */
+{% if not attitude_only %}
+    posegsa_real position[3];     /* [m], inertial frame */
+{% endif %}
+    posegsa_real bias_angular[3]; /* of the angular velocity [rad/s], body frame */
+{% if not attitude_only %}
+    posegsa_real bias_linear[3];  /* of the velocity [m/s], body frame */
+{% endif %}
+{% if learns %}
+    posegsa_real vector_bias[POSEGSA_VECTORS][3]; /* c_i, body frame, the vectors' units */
+    posegsa_real turning[3];      /* low-passed angular velocity [rad/s], body frame */
+{% endif %}
+    /* What the gain schedule remembers, and what it asked for at the last sample. */
+{% if vectors %}
+    posegsa_real attitude_error;  /* the last that was measured, 0 to 1 */
+{% endif %}
+{% if landmarks %}
+    posegsa_real position_error;  /* the last that was measured [m] */
+{% endif %}
+    posegsa_real error;           /* what the schedule looks at, smoothed, before it is scaled */
+    posegsa_real since_last;      /* dt of the last sample [s]; infinite before the first */
+{% if uses_time %}
+    posegsa_real time;            /* since the first sample [s] */
+{% endif %}
+    posegsa_real gain;            /* K that the schedule asked for [1/s] */
+    posegsa_real gain_used;       /* the same after the gain limit [1/s] */
+} posegsa_state;
+
+/* ---- Functions ----------------------------------------------------------------------------- */
+
+/* Begins a filter. attitude: quaternion of any length but 0{{ "" if attitude_only else "; position [m], inertial frame" }}. Biases
+ * begin at 0. Returns POSEGSA_OK, or POSEGSA_INVALID_INPUT and leaves the state as it was. */
+static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
+                               const posegsa_real position[3]" }});
+
+/* Takes one sample and moves the estimate on to the next, dt [s] later. Returns POSEGSA_OK, or why
+ * the state is as it was. */
+static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *measurement,
+                               posegsa_real dt);
+
+/* The attitude as a matrix by rows, body to inertial. */
+static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rotation[3][3]);
+
+/* ---- Numbers: what was tuned, and what was set ---------------------------------------------- */
+
+{{ constants }}
+
+{% if fuzzy %}
+/* ---- The gain: a fuzzy controller ------------------------------------------------------------ */
+
+{{ controller }}
+{% endif %}
+/* ---- The step's parts, generated from the functions of posegsa.model that are named ---------- */
+
+{% for function in functions %}
+static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
+{
+    /* The comparison is decided while compiling. */
+    return sizeof(posegsa_real) < sizeof(double) ? (posegsa_real){{ function }}f((float)x)
+                                                 : (posegsa_real){{ function }}((double)x);
+}
+
+{% endfor %}
+/* What one step works with. */
+typedef struct posegsa_work {
+{% if vectors %}
+    posegsa_real profile[3][3]; /* B = sum_i s_i u_i v_i^T */
+    posegsa_real power;         /* sum_i s_i (|u_i|^2 + |v_i|^2) */
+    posegsa_real curvature;     /* the vectors' part of L */
+    posegsa_real scale;         /* 3 / (8 sum_i s_i), 0 without vectors */
+{% endif %}
+{% if learns %}
+    posegsa_real freed[POSEGSA_VECTORS][3]; /* d_i = v_i - c_i */
+{% endif %}
+{% if landmarks %}
+    posegsa_real landmark_weights[POSEGSA_LANDMARKS]; /* s_i, 0 where one is missing */
+{% endif %}
+    posegsa_real reach;          /* square of the distance to the farthest landmark [m^2] */
+    posegsa_real error;          /* scaled, 0 to 1 */
+    posegsa_real rate;           /* scaled, 0 to 1 */
+    posegsa_real gain;           /* K [1/s] */
+    posegsa_real learning;       /* factor on the gain of the vectors' bias law */
+    posegsa_real used;           /* K after its limit [1/s] */
+    posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
+    posegsa_real v[3];           /* and its displacement [m] */
+    posegsa_real angle_squared;  /* |omega|^2 [rad^2] */
+    posegsa_real exponential[4]; /* coefficients of the exponential of SE(3) */
+} posegsa_work;
+
+{% for piece in pieces %}
+/* {{ piece.about }} */
+static inline void posegsa_{{ piece.name }}({{ piece.signature }})
+{
+{{ piece.body }}
+}
+
+{% endfor %}
+/* ---- The step -------------------------------------------------------------------------------- */
+
+/* Whether all of n numbers are finite. */
+static inline int posegsa_are_finite(const posegsa_real *x, int n)
+{
+    int i;
+    for (i = 0; i < n; ++i) {
+        if (!(x[i] - x[i] == 0)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+{% if vectors or landmarks %}
+/* Copies n sensors' numbers and weights, all 0 where one is missing; 0 where one is refused. A
+ * direction of no length says nothing, a landmark may be where the body is. */
+static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights_to,
+                                    const posegsa_real (*from)[3], const posegsa_real *weights,
+                                    int n, int directions)
+{
+    int i, k;
+    for (i = 0; i < n; ++i) {
+        if (!(weights[i] >= 0) || !posegsa_are_finite(&weights[i], 1)) {
+            return 0;
+        }
+        weights_to[i] = weights[i];
+        if (weights[i] > 0 && !posegsa_are_finite(from[i], 3)) {
+            return 0;
+        }
+        if (directions && weights[i] > 0 && from[i][0] == 0 && from[i][1] == 0 && from[i][2] == 0) {
+            weights_to[i] = 0;
+        }
+        for (k = 0; k < 3; ++k) {
+            to[i][k] = weights_to[i] > 0 ? from[i][k] : 0;
+        }
+    }
+    return 1;
+}
+
+{% endif %}
+/* Whether all of an estimate is finite. */
+static inline int posegsa_is_estimate(const posegsa_state *state)
+{
+{% if learns %}
+    int i;
+    for (i = 0; i < POSEGSA_VECTORS; ++i) {
+        if (!posegsa_are_finite(state->vector_bias[i], 3)) {
+            return 0;
+        }
+    }
+{% endif %}
+    return posegsa_are_finite(state->attitude, 4) && posegsa_are_finite(state->bias_angular, 3) &&
+{% if not attitude_only %}
+           posegsa_are_finite(state->position, 3) && posegsa_are_finite(state->bias_linear, 3) &&
+{% endif %}
+{% if learns %}
+           posegsa_are_finite(state->turning, 3) &&
+{% endif %}
+           posegsa_are_finite(&state->error, 1) && posegsa_are_finite(&state->gain_used, 1);
+}
+
+static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
+                               const posegsa_real position[3]" }})
+{
+    posegsa_state first;
+    posegsa_real largest = 0, square = 0;
+    int i{{ ", k" if learns }};
+    if (!posegsa_are_finite(attitude, 4){{ "" if attitude_only else " || !posegsa_are_finite(position, 3)" }}) {
+        return POSEGSA_INVALID_INPUT;
+    }
+    for (i = 0; i < 4; ++i) {
+        largest = posegsa_max(largest, posegsa_max(attitude[i], -attitude[i]));
+    }
+    if (!(largest > 0)) {
+        return POSEGSA_INVALID_INPUT;
+    }
+    for (i = 0; i < 4; ++i) { /* by the largest first, so that no square overflows */
+        first.attitude[i] = attitude[i] / largest;
+        square += first.attitude[i] * first.attitude[i];
+    }
+    for (i = 0; i < 4; ++i) {
+        first.attitude[i] /= posegsa_sqrt(square);
+    }
+    for (i = 0; i < 3; ++i) {
+        first.bias_angular[i] = 0;
+{% if not attitude_only %}
+        first.position[i] = position[i];
+        first.bias_linear[i] = 0;
+{% endif %}
+{% if learns %}
+        first.turning[i] = 0;
+        for (k = 0; k < POSEGSA_VECTORS; ++k) {
+            first.vector_bias[k][i] = 0;
+        }
+{% endif %}
+    }
+{% if vectors %}
+    first.attitude_error = 0;
+{% endif %}
+{% if landmarks %}
+    first.position_error = 0;
+{% endif %}
+    first.error = 0;
+    first.since_last = POSEGSA_C(INFINITY);
+{% if uses_time %}
+    first.time = 0;
+{% endif %}
+    first.gain = POSEGSA_C({{ initial_gain }});
+    first.gain_used = 0;
+    *state = first;
+    return POSEGSA_OK;
+}
+
+static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *measurement,
+                               posegsa_real dt)
+{
+    const posegsa_state *const now = state; /* the estimate at the sample */
+    posegsa_state after = *state, *const next = &after;
+    posegsa_measurement taken, *const seen = &taken; /* 0 where something is missing */
+    posegsa_work work, *const w = &work;
+    posegsa_real used = 0;
+    int i;
+
+    if (!(dt > 0) || !posegsa_are_finite(&dt, 1) ||
+{% if not attitude_only %}
+        !posegsa_are_finite(measurement->velocity, 3) ||
+{% endif %}
+{% if vectors %}
+        !posegsa_copy_seen(seen->vectors, seen->vector_weights, measurement->vectors,
+                           measurement->vector_weights, POSEGSA_VECTORS, 1) ||
+{% endif %}
+{% if landmarks %}
+        !posegsa_copy_seen(seen->landmarks, seen->landmark_weights, measurement->landmarks,
+                           measurement->landmark_weights, POSEGSA_LANDMARKS, 0) ||
+{% endif %}
+        !posegsa_are_finite(measurement->angular_velocity, 3)) {
+        return POSEGSA_INVALID_INPUT;
+    }
+    for (i = 0; i < 3; ++i) {
+        seen->angular_velocity[i] = measurement->angular_velocity[i];
+{% if not attitude_only %}
+        seen->velocity[i] = measurement->velocity[i];
+{% endif %}
+    }
+    w->reach = 0;
+{% if landmarks %}
+    for (i = 0; i < POSEGSA_LANDMARKS; ++i) {
+        const posegsa_real *const y = seen->landmarks[i];
+        w->reach = posegsa_max(w->reach, y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
+    }
+{% endif %}
+
+    {{ calls.see }}
+    {{ calls.signal }}
+{% if fuzzy %}
+    w->gain = posegsa_gain(w->error, w->rate, now->gain);
+    w->learning = 1;
+{% else %}
+    {{ calls.schedule }}
+{% endif %}
+    next->gain = w->gain;
+    if (!(w->gain >= 0)) {
+        return POSEGSA_NOT_FINITE;
+    }
+
+    /* The measurement is held over the sub-steps; its velocity moves the estimate in the last. */
+    for (i = 0; i < POSEGSA_SUBSTEPS; ++i) {
+        const posegsa_real h = dt / POSEGSA_C(POSEGSA_SUBSTEPS);
+        const posegsa_real moving = i == POSEGSA_SUBSTEPS - 1 ? dt : 0;
+        {{ calls.correct }}
+        {{ calls.exponential }}
+        {{ calls.move }}
+        used += w->used;
+    }
+    w->used = used / POSEGSA_C(POSEGSA_SUBSTEPS);
+    next->gain_used = w->used;
+{% if learns %}
+    {{ calls.learn }}
+{% endif %}
+{% if uses_time %}
+    next->time = now->time + dt;
+{% endif %}
+
+    if (!posegsa_is_estimate(next)) {
+        return POSEGSA_NOT_FINITE;
+    }
+    *state = after;
+    return POSEGSA_OK;
+}
+
+static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rotation[3][3])
+{
+    const posegsa_state *const now = state;
+    {{ calls.rows }}
+}
+
+#endif /* POSEGSA_H */
