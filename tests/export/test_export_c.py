@@ -547,7 +547,9 @@ def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
     made = compile_c(tmp_path, header, source, "-std=c99", "-O1", "-c", compiler=COMPILERS[0])
     listed = subprocess.run(["nm", made], check=True, capture_output=True, text=True).stdout
     symbols = [line.split()[-2:] for line in listed.splitlines()]
-    assert {name for kind, name in symbols if kind == "U"} <= {"sqrt", "rint", "memcpy", "memset"}
+    # A compiler may copy by calls, and guard the stack.
+    allowed = {"sqrt", "rint", "memcpy", "memset", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"}
+    assert {name for kind, name in symbols if kind == "U"} <= allowed
     assert not [name for kind, name in symbols if kind in "BbDdC"], "no variable of its own"
 
 
