@@ -11,6 +11,7 @@ from posegsa.comparing import compare as compare
 from posegsa.config import Experiment as Experiment
 from posegsa.errors import PosegsaError as PosegsaError
 from posegsa.errors import PosegsaWarning as PosegsaWarning
+from posegsa.errors import RecordingError as RecordingError
 from posegsa.errors import SearchInterrupted as SearchInterrupted
 from posegsa.evaluating import evaluate as evaluate
 from posegsa.export import export_c as export_c
@@ -45,6 +46,8 @@ from posegsa.optimisers import ParticleSwarm as ParticleSwarm
 from posegsa.optimisers import RandomSearch as RandomSearch
 from posegsa.optimisers import box as box
 from posegsa.optimisers import minimise as minimise
+from posegsa.recordings.recording import Recording as Recording
+from posegsa.recordings.start import Start as Start
 from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search

@@ -10,8 +10,9 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words runtime settings | optimisers model | config | search | judging"
-    " | figures | report export | saving | tuning evaluating comparing | __init__ | cli | __main__"
+    "errors arguments words runtime settings | optimisers model | config | recordings | search"
+    " | judging | figures | report export | saving | tuning evaluating comparing"
+    " | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may
 use those before them in the first group."""
