@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,9 +13,14 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array
+from posegsa.recordings.archive import read_npz, write_npz
 from posegsa.recordings.bridging import Bridged, Policy, bridged_samples, known_everywhere, stamps
+from posegsa.recordings.broad import read_broad
+from posegsa.recordings.euroc import LANDMARKS, read_euroc
+from posegsa.recordings.files import as_path
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
+from posegsa.recordings.table import Columns, read_csv
 
 StartRule: TypeAlias = Start | Literal["rest", "sensors"]
 
@@ -30,10 +36,9 @@ class RecordedTruth(NamedTuple):
     @property
     def known(self) -> np.ndarray:
         """(K,) whether all of it is finite."""
-        known: np.ndarray = np.isfinite(self.rotation).all(axis=(1, 2))
-        if self.position is not None:
-            known = known & np.isfinite(self.position).all(axis=1)
-        return known
+        arrays = [a for a in self if a is not None]
+        finite = [np.isfinite(a).reshape(len(a), -1) for a in arrays]
+        return np.asarray(np.concatenate(finite, axis=1).all(axis=1))
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "RecordedTruth":
         """The same with both arrays changed."""
@@ -43,7 +48,7 @@ class RecordedTruth(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """K samples of recorded motion; made by `from_arrays` or a reader of files.
+    """K samples of recorded motion; made by `from_arrays`, or by a reader of files.
 
     Frames and signs are those of the whole package: R maps body to inertial coordinates, P is the
     body's position in the inertial frame, all that is measured is in the body frame, SI units,
@@ -108,6 +113,7 @@ class Recording:
         longest_gap: float = 1.0,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
+        notes: Sequence[str] = (),
     ) -> "Recording":
         """A checked recording of K samples.
 
@@ -141,6 +147,7 @@ class Recording:
             longest_gap: time [s] up to which anything is bridged.
             sources: what each quantity is, in words, by its name.
             sensors: `Recording.sensors`.
+            notes: what else a reader should know, such as what was left out.
 
         Raises:
             MeasurementError: an array has the wrong shape, holds what it may not, or something is
@@ -200,7 +207,7 @@ class Recording:
             start=_start(start),
             attitude_only=attitude_only,
             sources={str(key): str(words) for key, words in (sources or {}).items()},
-            notes=found.notes,
+            notes=(*notes, *found.notes),
             sensors={
                 str(key): found.spread(
                     finite_array(f"sensors[{key!r}]", signal, (samples, 3), finite=False), math.nan
@@ -212,6 +219,156 @@ class Recording:
         if found.notes:
             warnings.warn(f"{name}: {'; '.join(found.notes)}", PosegsaWarning, stacklevel=2)
         return recording
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        columns: Columns | None = None,
+        *,
+        time_unit: str = "s",
+        delimiter: str = ",",
+        **more: Any,
+    ) -> "Recording":
+        """A recording from a CSV file with one head line; an empty cell is NaN.
+
+        Args:
+            path: the file.
+            columns: names of columns by the argument of `from_arrays` that they make:
+                `{"time": "t", "angular_velocity": ["gx", "gy", "gz"], "vectors": [["ax", "ay",
+                "az"], ["mx", "my", "mz"]]}`; "accelerometer" and "magnetometer" become `sensors`.
+                By default those of `posegsa.recordings.table.COLUMNS` that the file has.
+            time_unit: of the stamps: "s", "ms", "us" or "ns"; whole ones keep all their digits.
+            delimiter: between two cells.
+            more: further arguments of `from_arrays`, such as references, weights and `bridge`.
+
+        Raises:
+            RecordingError: the file cannot be read or lacks a column.
+            MeasurementError: as `from_arrays`.
+        """
+        found: dict[str, Any] = {"name": as_path(path).stem}
+        found |= read_csv(path, columns, time_unit, delimiter)
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_npz(cls, path: str | Path, **more: Any) -> "Recording":
+        """A recording from an .npz file, of `save` or of one's own.
+
+        Args:
+            path: the file; its arrays are called like the arguments of `from_arrays`, those of
+                dictionaries "phases/rest" and the like.
+            more: arguments of `from_arrays` that replace the file's.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            MeasurementError: as `from_arrays`.
+        """
+        found: dict[str, Any] = {"name": as_path(path).stem} | read_npz(path)
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_euroc(
+        cls,
+        folder: str | Path,
+        *,
+        landmarks: ArrayLike | Sequence[Sequence[float]] = LANDMARKS,
+        landmark_noise: float = 0.05,
+        landmark_rate: float = 20.0,
+        velocity_noise: float = 0.05,
+        velocity_bias: ArrayLike | Sequence[float] = (0.05, -0.05, 0.02),
+        seed: int = 0,
+        **more: Any,
+    ) -> "Recording":
+        """A sequence of the EuRoC MAV data set, with a velocity and landmarks made of its truth.
+
+        Args:
+            folder: of the sequence, with mav0/imu0/data.csv and
+                mav0/state_groundtruth_estimate0/data.csv, or with *imu0.csv and *groundtruth.csv.
+            landmarks: (m, 3) their positions in the reference's frame [m].
+            landmark_noise: standard deviation of each coordinate [m].
+            landmark_rate: how often they are seen [Hz]; the nearest that the samples allow.
+            velocity_noise: standard deviation of each component in each sample [m/s].
+            velocity_bias: (3,) constant, body frame [m/s].
+            seed: of the noise.
+            more: arguments of `from_arrays` that replace those made here.
+
+        Raises:
+            RecordingError: there is no such sequence, or its files cannot be read.
+            MeasurementError: as `from_arrays`.
+        """
+        found = read_euroc(
+            folder,
+            landmarks=landmarks,
+            landmark_noise=landmark_noise,
+            landmark_rate=landmark_rate,
+            velocity_noise=velocity_noise,
+            velocity_bias=velocity_bias,
+            seed=seed,
+        )
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_broad(cls, path: str | Path, **more: Any) -> "Recording":
+        """A trial of the BROAD data set: attitude only, judged in motion, started at rest.
+
+        Args:
+            path: its .mat file.
+            more: arguments of `from_arrays` that replace those made here.
+
+        Raises:
+            RecordingError: the file cannot be read, or is no trial.
+            MeasurementError: as `from_arrays`.
+        """
+        return cls.from_arrays(**read_broad(path) | more)
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Recording":
+        """A recording from a file or folder by its kind: .csv, .npz, BROAD's .mat, EuRoC's folder.
+
+        Raises:
+            RecordingError: it is of another kind, or cannot be read.
+        """
+        path = as_path(path)
+        if path.is_dir():
+            return cls.from_euroc(path)
+        readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
+        if path.suffix.lower() not in readers:
+            kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
+            raise RecordingError(f"{path}: no recording is read from it; allowed: {kinds}")
+        return readers[path.suffix.lower()](path)
+
+    def save(self, path: str | Path) -> None:
+        """Write it to an .npz file, which `from_npz` reads back.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        m = {name: np.asarray(a) for name, a in self.measurements._asdict().items()}
+        seen = {}
+        for kind in ("vector", "landmark"):
+            if m[f"{kind}s"].shape[1]:
+                values, weights = m[f"{kind}s"], m[f"{kind}_weights"]
+                # Missing ones as from_arrays takes them, and weights before they go by rate.
+                seen[f"{kind}s"] = np.where(weights[..., None] > 0, values, math.nan)
+                seen[f"{kind}_references"] = m[f"{kind}_references"]
+                seen[f"{kind}_weights"] = weights / getattr(self, f"{kind}_interval")
+        start = self.start
+        if start == "sensors" and self.start_bias.any():
+            start = self.initial()
+        arguments = {
+            "name": self.name,
+            "time_step": m["time_step"],
+            "angular_velocity": m["angular_velocity"],
+            "velocity": None if self.attitude_only else m["velocity"],
+            **seen,
+            "truth_rotation": None if self.truth is None else self.truth.rotation,
+            "truth_position": None if self.truth is None else self.truth.position,
+            "judged": self.judged,
+            "start": start,
+            "notes": self.notes,
+        }
+        groups = {name: getattr(self, name) for name in ("phases", "sources", "sensors")}
+        write_npz(path, arguments | groups)
 
     @property
     def samples(self) -> int:
