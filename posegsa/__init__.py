@@ -52,6 +52,8 @@ from posegsa.recordings.accuracy import rmse as rmse
 from posegsa.recordings.recording import Recording as Recording
 from posegsa.recordings.running import run_filter as run_filter
 from posegsa.recordings.start import Start as Start
+from posegsa.recordings.tum import tum_text as tum_text
+from posegsa.replaying import replay as replay
 from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search
