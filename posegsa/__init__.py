@@ -33,7 +33,6 @@ from posegsa.model.fuzzy import FuzzyController as FuzzyController
 from posegsa.model.measurements import Measurements as Measurements
 from posegsa.model.rollout import Estimates as Estimates
 from posegsa.model.rollout import begin as begin
-from posegsa.model.rollout import run_filter as run_filter
 from posegsa.model.rollout import scheduled_step as scheduled_step
 from posegsa.model.schedules import ConstantGain as ConstantGain
 from posegsa.model.schedules import FuzzyGain as FuzzyGain
@@ -46,8 +45,15 @@ from posegsa.optimisers import ParticleSwarm as ParticleSwarm
 from posegsa.optimisers import RandomSearch as RandomSearch
 from posegsa.optimisers import box as box
 from posegsa.optimisers import minimise as minimise
+from posegsa.recordings.accuracy import attitude_errors as attitude_errors
+from posegsa.recordings.accuracy import position_errors as position_errors
+from posegsa.recordings.accuracy import recording_errors as recording_errors
+from posegsa.recordings.accuracy import rmse as rmse
 from posegsa.recordings.recording import Recording as Recording
+from posegsa.recordings.running import run_filter as run_filter
 from posegsa.recordings.start import Start as Start
+from posegsa.recordings.tum import tum_text as tum_text
+from posegsa.replaying import replay as replay
 from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search

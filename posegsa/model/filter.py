@@ -125,24 +125,27 @@ class VectorBias:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FilterSettings:
-    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced."""
+    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced.
 
-    law: Law = field(metadata={"static": True})
-    gamma_law: GainLaw = field(metadata={"static": True})
+    The defaults suit vectors and landmarks of any motion; only vectors' biases are not learnt.
+    """
+
+    law: Law = field(default="gradient", metadata={"static": True})
+    gamma_law: GainLaw = field(default="quadratic", metadata={"static": True})
     """How gamma follows the gain."""
-    substeps: int = field(metadata={"static": True})
+    substeps: int = field(default=2, metadata={"static": True})
     """n, inner steps per sample."""
-    gamma_angular: Array
+    gamma_angular: Array | float = 2.5
     """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
-    gamma_linear: Array
+    gamma_linear: Array | float = 2.5
     """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
-    gain_limit: Array
+    gain_limit: Array | float = 1.5
     """c; infinite for no limit."""
-    vectors: VectorSettings
+    vectors: VectorSettings = field(default_factory=VectorSettings)
     """What is made of the vectors before they are used."""
-    landmark_weights: tuple[Array, ...] | None
+    landmark_weights: tuple[Array, ...] | None = None
     """s_i^L of each landmark [1/m^2]; None is 1 for all."""
-    vector_bias: VectorBias | None
+    vector_bias: VectorBias | None = None
     """How the vectors' biases are learnt; None where they are not."""
 
 
@@ -375,7 +378,9 @@ def correction(state: FilterState, U: Innovation, law: Law) -> Correction:
     return Correction(*W, *bias)
 
 
-def bias_gains(used: Array, sample: Sample, settings: FilterSettings) -> tuple[Array, Array]:
+def bias_gains(
+    used: Array, sample: Sample, settings: FilterSettings
+) -> tuple[Array | float, Array | float]:
     """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step."""
     gammas = settings.gamma_angular, settings.gamma_linear
     if settings.gamma_law == "fixed":

@@ -169,6 +169,22 @@ def _simulate(
     Returns:
         The last state, the sum that began as `total`, and what `look` stored, stacked over time.
     """
+    loop = begin(schedule, initial)
+    last, total, stored = _go_on(look, schedule, samples, loop, settings, signal, extra, total)
+    return last.state, total, stored
+
+
+def _go_on(
+    look: Look,
+    schedule: GainSchedule,
+    samples: Samples,
+    loop: ClosedLoop,
+    settings: FilterSettings,
+    signal: SignalSettings,
+    extra: Any,
+    total: Any,
+) -> tuple[ClosedLoop, Any, Any]:
+    """As `_simulate`, from where the closed loop stands to where it stands afterwards."""
     prepared = schedule.prepare()
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
@@ -177,8 +193,8 @@ def _simulate(
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
-    (last, total), stored = scan_rows(body, (begin(schedule, initial), total), (samples, extra))
-    return last.state, total, stored
+    (last, total), stored = scan_rows(body, (loop, total), (samples, extra))
+    return last, total, stored
 
 
 def simulate_cost(
@@ -221,13 +237,31 @@ def simulate(
     signal: SignalSettings,
 ) -> Estimates:
     """The estimates of one simulation over all its samples."""
+    _, _, stored = _simulate(_everything, schedule, samples, initial, settings, signal)
+    return _estimates(samples, *stored)
 
-    def look(
-        total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
-        return total, (state, record)
 
-    _, _, (states, records) = _simulate(look, schedule, samples, initial, settings, signal)
+@jax.jit
+def simulate_part(
+    schedule: GainSchedule,
+    samples: Samples,
+    loop: ClosedLoop,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> tuple[ClosedLoop, Estimates]:
+    """The estimates over a part of a sequence, and the closed loop before the next part."""
+    last, _, stored = _go_on(_everything, schedule, samples, loop, settings, signal, (), ())
+    return last, _estimates(samples, *stored)
+
+
+def _everything(
+    total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
+) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
+    """Stores all that `Estimates` are made of."""
+    return total, (state, record)
+
+
+def _estimates(samples: Samples, states: FilterState, records: StepRecord) -> Estimates:
     return Estimates(
         time=samples.time,
         rotation=states.rotation,

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.quick
 
 LAYERS = (
     "errors arguments words runtime settings | optimisers model | config | recordings | search"
-    " | judging | figures | report export | saving | tuning evaluating comparing"
+    " | judging | figures | report export | saving | tuning evaluating replaying comparing"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may
