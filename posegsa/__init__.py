@@ -49,6 +49,9 @@ from posegsa.recordings.accuracy import attitude_errors as attitude_errors
 from posegsa.recordings.accuracy import position_errors as position_errors
 from posegsa.recordings.accuracy import recording_errors as recording_errors
 from posegsa.recordings.accuracy import rmse as rmse
+from posegsa.recordings.imu import as_imu as as_imu
+from posegsa.recordings.imu import imu as imu
+from posegsa.recordings.imu_filter import run_imu as run_imu
 from posegsa.recordings.recording import Recording as Recording
 from posegsa.recordings.running import run_filter as run_filter
 from posegsa.recordings.start import Start as Start

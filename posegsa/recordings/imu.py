@@ -20,7 +20,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type
-from posegsa.config.imu import ImuConfig
+from posegsa.config.imu import ImuVectorsConfig
 from posegsa.errors import RecordingError
 from posegsa.recordings.inertial_frame import held, low_passed, strapdown
 from posegsa.recordings.magnetic_field import field_parts, field_weights, mean_so_far
@@ -38,6 +38,8 @@ GRAVITY = 9.81
 """Length of the acceleration at rest where no rest shows it [m/s^2]."""
 FIRST = 1.0
 """Time over which sensors are averaged for the start of a recording that begins in motion [s]."""
+STARTUP = 10.0
+"""Time constant with which the field gets its weights in such a recording [s]."""
 UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
 EAST: dict[str, tuple[float, float, float]] = {
     "ENU": (1, 0, 0),
@@ -55,7 +57,7 @@ def imu(
     time: ArrayLike | None = None,
     frame: Frame = "ENU",
     rest: float | Literal["auto"] = "auto",
-    settings: ImuConfig | None = None,
+    settings: ImuVectorsConfig | None = None,
     **more: Any,
 ) -> Recording:
     """A recording of attitude only from an inertial sensor's signals, ready for `run_filter`.
@@ -74,8 +76,8 @@ def imu(
             references and the first attitude are taken; 0 if the recording begins in motion, "auto"
             to find it (`rest_at_start`). Without rest the bias begins at 0 and is learnt, the
             attitude is that of the first second, and the field is compared with its mean so far.
-        settings: numbers of the preparation, such as `load_config("imu").imu`; by default
-            `ImuConfig()`.
+        settings: numbers of the preparation, such as `config.load_imu(file).vectors`; by default
+            those of the shipped filter.
         more: further arguments of `Recording.from_arrays`, such as name, truth_quaternion, judged,
             phases or bridge.
 
@@ -102,9 +104,11 @@ def as_imu(
     *,
     frame: Frame = "ENU",
     rest: float | Literal["auto"] = "auto",
-    settings: ImuConfig | None = None,
+    settings: ImuVectorsConfig | None = None,
 ) -> Recording:
     """A recording with its vectors and its start made anew from its sensors, attitude only.
+
+    Its `sensors` then hold the "gyroscope" too, as it was measured.
 
     Args:
         recording: whose `sensors` hold "accelerometer" and, for a heading, "magnetometer", such as
@@ -117,8 +121,8 @@ def as_imu(
         RecordingError: as `imu`, or the recording lacks an accelerometer.
     """
     check_type("recording", recording, Recording)
-    settings = ImuConfig() if settings is None else settings
-    check_type("settings", settings, ImuConfig)
+    settings = ImuVectorsConfig() if settings is None else settings
+    check_type("settings", settings, ImuVectorsConfig)
     if frame not in UP:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
     if "accelerometer" not in recording.sensors:
@@ -126,9 +130,9 @@ def as_imu(
             f"{recording.name}: has no accelerometer; allowed: sensors with one, as from columns "
             "ax, ay, az of a CSV file"
         )
-    gyr = np.asarray(recording.measurements.angular_velocity)
+    gyr = recording.sensors.get("gyroscope", recording.measurements.angular_velocity)
     signals = Signals(
-        gyr=gyr,
+        gyr=np.asarray(gyr),
         acc=recording.sensors["accelerometer"],
         mag=recording.sensors.get("magnetometer"),
         time_step=recording.time_step,
@@ -149,7 +153,7 @@ def as_imu(
         phases=recording.phases,
         start=made.start,
         sources=recording.sources | {"vectors": made.source},
-        sensors=recording.sensors,
+        sensors=recording.sensors | {"gyroscope": signals.gyr},
         notes=(*recording.notes, *made.notes),
     )
 
@@ -184,7 +188,7 @@ class Prepared(NamedTuple):
     notes: tuple[str, ...]
 
 
-def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuConfig) -> Prepared:
+def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsConfig) -> Prepared:
     """The vectors, their references and the start of a recording (causal but for the first second).
 
     Args:
@@ -221,7 +225,9 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuConfig) 
     else:
         field = np.einsum("kij,kj->ki", S, signals.mag)
         usual = _median("mag", field[:first])
-        field, known = _without_outliers("mag", field, np.linalg.norm(usual), settings, notes)
+        field, known = _without_outliers(
+            "mag", field, float(np.linalg.norm(usual)), settings, notes
+        )
         parts = field_parts(field, steady)
         reference = field_parts(usual[None], gravity[None])[0]
         if not reference[0] > 1e-3 * np.linalg.norm(reference):
@@ -239,6 +245,10 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuConfig) 
                 tolerance=settings.field_tolerance,
                 recovery=settings.field_recovery,
             )
+            if not resting:
+                # Nothing is known of the field yet: at first it is believed as it is.
+                age = np.arange(len(up)) * signals.time_step
+                weight = np.maximum(weight, np.exp(-age / STARTUP))
         weights.append(np.where(known & acc_known, weight, 0.0))
         east_at_first = np.cross(usual, gravity)
 
@@ -287,7 +297,7 @@ def _median(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _without_outliers(
-    name: str, values: np.ndarray, length: float, settings: ImuConfig, notes: list[str]
+    name: str, values: np.ndarray, length: float, settings: ImuVectorsConfig, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values (K, 3), and (K,) which of them are used; what is not is told."""
     known = np.isfinite(values).all(axis=1)
@@ -332,7 +342,7 @@ def _rest_in_words(resting: int, signals: Signals) -> str:
     )
 
 
-def _in_words(settings: ImuConfig, vectors: int) -> str:
+def _in_words(settings: ImuVectorsConfig, vectors: int) -> str:
     low_pass = (
         f"low-passed over {settings.low_pass:g} s in an almost inertial frame"
         if settings.low_pass

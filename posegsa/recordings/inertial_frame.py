@@ -68,15 +68,19 @@ def low_passed(
         time_step: of all samples [s].
         start: (3,) what came before the first.
     """
+    from scipy.signal import lfilter  # not at the top: takes a while to load
+
     if time_constant == 0:
         return values
     # At most 0.45 of the sampling rate: a shorter time constant than that says nothing.
     cut_off = min(math.sqrt(2) / (2 * math.pi * time_constant), 0.45 / time_step)
-    from scipy.signal import butter, lfilter, lfilter_zi  # not at the top: takes a while to load
-
-    b, a = butter(2, cut_off, fs=1 / time_step)
-    settled = lfilter_zi(b, a)[:, None] * start
-    return lfilter(b, a, values, axis=0, zi=settled)[0]
+    # The analog filter 1 / (s^2 + sqrt(2) s + 1) by the bilinear transform.
+    c = 1 / math.tan(math.pi * cut_off * time_step)
+    gain = 1 / (1 + math.sqrt(2) * c + c * c)
+    feedback = 2 * gain * (1 - c * c), gain * (1 - math.sqrt(2) * c + c * c)
+    settled = np.outer([1 - gain, gain - feedback[1]], start)
+    forward, back = [gain, 2 * gain, gain], [1, *feedback]
+    return lfilter(forward, back, values, axis=0, zi=settled)[0]
 
 
 def held(values: np.ndarray, known: np.ndarray, start: np.ndarray) -> np.ndarray:

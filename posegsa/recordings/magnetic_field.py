@@ -6,9 +6,9 @@ parts h and v, with the low-passed acceleration as the vertical:
 
     d = |(h, v) - (h_ref, v_ref)| / |(h_ref, v_ref)|,   weight = 1 / (1 + (d / tolerance)^2)
 
-d is smoothed over SMOOTHING first, so that noise of single samples is no disturbance. With a
-recovery time, d falls no faster than by that time constant: after a disturbance the weight comes
-back slowly. The weight is never 0, so that a field that has changed for good is believed in the end.
+Both parts are smoothed over SMOOTHING first, so that noise of single samples is no disturbance.
+With a recovery time, d falls no faster than by that time constant: after a disturbance the weight
+comes back slowly. It is never 0, so that a field that has changed for good is believed in the end.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def field_parts(field: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def mean_so_far(parts: np.ndarray, first: int) -> np.ndarray:
-    """Mean (K, 2) of all parts (K, 2) up to each sample, at least of `first`; NaN is passed over."""
+    """Means (K, 2) of parts (K, 2) up to each sample, at least of `first`; NaN is passed over."""
     known = np.isfinite(parts).all(axis=1, keepdims=True)
     count = np.maximum(np.cumsum(known, axis=0), 1)
     means = np.cumsum(np.where(known, parts, 0.0), axis=0) / count
@@ -60,7 +60,7 @@ def field_weights(
     """
     from scipy.signal import lfilter  # not at the top: takes a while to load
 
-    known = np.isfinite(parts).all(axis=1)
+    known = np.all(np.isfinite(parts), axis=1)
     size = np.linalg.norm(np.broadcast_to(reference, parts.shape), axis=1, keepdims=True)
     off = held((parts - reference) / size, known, np.zeros(2))
     new = time_step / (SMOOTHING + time_step)

@@ -37,10 +37,10 @@ def rest_at_start(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> int:
     rests = np.ones(blocks, bool)
     for signal, largest in ((gyr, TURNING), (acc, ACCELERATION)):
         parts = signal[: blocks * window].reshape(blocks, window, 3)
-        known = np.isfinite(parts).all(axis=2, keepdims=True)
+        known = np.all(np.isfinite(parts), axis=2, keepdims=True)
         count = np.maximum(known.sum(axis=1), 1)
         means = np.where(known, parts, 0.0).sum(axis=1) / count
-        seen = known.any(axis=1)[:, 0]
+        seen = np.any(known, axis=(1, 2))
         first = means[:least][seen[:least]]
         if not len(first):
             return 0

@@ -54,7 +54,7 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
 
 
 def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float | None:
-    """What gyr (K, 3) has to be multiplied with to fit acc (K, 3); None where the body turns little.
+    """What gyr (K, 3) has to be multiplied with to fit acc (K, 3); None where little turns.
 
     What is compared are means over WINDOW, so that it is rough where the body turns fast or shakes.
     """
