@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from posegsa.arguments import check_type, several
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import Replay, replayed_on
 from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
@@ -11,7 +12,7 @@ from posegsa.saving.replay import write_replays
 
 
 def replay(
-    result: TuneResult,
+    result: TuneResult | RecordingResult,
     recordings: Recording | Iterable[Recording],
     *,
     out: str | Path | None = None,
@@ -20,7 +21,7 @@ def replay(
     """Run a tuned filter over recordings, and judge it where they have a truth.
 
     Args:
-        result: A tuned result.
+        result: A tuned result, tuned on scenarios or on recordings.
         recordings: One, or several.
         out: Folder to write tables, trajectories (TUM) and figures to.
         overwrite: Replace the replays that it holds.
@@ -30,7 +31,7 @@ def replay(
         MeasurementError: A recording can't be started.
         RunFolderError: `out` holds replays already, or can't be written.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
     given = [recordings] if isinstance(recordings, Recording) else recordings
     each = several("recordings", given, Recording, "recordings, or one")
     replays = [replayed_on(one, result.estimate(one)) for one in each]

@@ -6,7 +6,7 @@ from posegsa import replaying
 from posegsa.errors import ArgumentError
 from posegsa.judging.replay import replay_table
 from posegsa.recordings.recording import Recording
-from posegsa.saving.run import load
+from posegsa.saving.loading import load
 
 RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
@@ -31,7 +31,7 @@ def add(commands) -> None:
     parser.set_defaults(command=_replay)
 
 
-def add_window(parser: argparse.ArgumentParser) -> None:
+def add_window(parser: argparse._ActionsContainer) -> None:
     """--window, which part of each recording is used."""
     words = "only these seconds of each recording, such as 0:40, 40: or :40"
     parser.add_argument("--window", metavar="A:B", type=window, help=words)

@@ -27,6 +27,7 @@ from posegsa.config.scenario import ScenarioConfig as ScenarioConfig
 from posegsa.config.scenario import Sine as Sine
 from posegsa.config.scenario import Sines as Sines
 from posegsa.config.scenario import Vector as Vector
+from posegsa.config.schedule import DEFAULT_ALSO as DEFAULT_ALSO
 from posegsa.config.schedule import INPUT_RANGE as INPUT_RANGE
 from posegsa.config.schedule import PARAMETERS as PARAMETERS
 from posegsa.config.schedule import TERMS as TERMS

@@ -82,7 +82,8 @@ def export_c(result: TuneResult) -> str:
         output_terms=_terms(controller.output_terms),
         rules=_rows([map(str, row) for row in controller.rules], [f"rate {t}" for t in TERMS]),
         # As JAX has it: formed in double, then rounded.
-        initial_gain=repr(1 + 0.5 * (low + high)),
+        initial_gain=repr(controller.offset + 0.5 * (low + high)),
+        offset=repr(controller.offset),
         no_rule=_NO_RULE[controller.no_rule],
     )
 

@@ -40,7 +40,7 @@ $parameters
 /* Gain K [1/s] of the scaled error and its scaled rate; last_gain is the one before [1/s]. */
 POSEGSA_REAL posegsa_gain(POSEGSA_REAL error, POSEGSA_REAL rate, POSEGSA_REAL last_gain);
 
-/* What last_gain is at the first sample [1/s]: 1 + the middle of the output range. */
+/* What last_gain is at the first sample [1/s]: the offset + the middle of the output range. */
 POSEGSA_REAL posegsa_initial_gain(void);
 
 #define POSEGSA_C(number) ((POSEGSA_REAL)(number))
@@ -143,5 +143,5 @@ POSEGSA_REAL posegsa_gain(POSEGSA_REAL error, POSEGSA_REAL rate, POSEGSA_REAL la
             moment += spike * (POSEGSA_C(0.5) * (term[0] + term[2]));
         }
     }
-    return 1 + moment / area;
+    return POSEGSA_C($offset) + moment / area;
 }

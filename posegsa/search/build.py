@@ -334,6 +334,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
         sampled_rule=fuzzy.sampled_rule,
         no_rule=fuzzy.no_rule,
         reach=_reach(parameters),
+        offset=fuzzy.offset,
     )
 
 
