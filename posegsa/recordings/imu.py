@@ -152,9 +152,9 @@ def as_imu(
         judged=recording.judged,
         phases=recording.phases,
         start=made.start,
-        sources=recording.sources | {"vectors": made.source},
+        sources=recording.sources | made.sources,
         sensors=recording.sensors | {"gyroscope": signals.gyr},
-        notes=(*recording.notes, *made.notes),
+        notes=recording.notes,
     )
 
 
@@ -183,9 +183,8 @@ class Prepared(NamedTuple):
     weights: np.ndarray
     """(K, n) in [0, 1]."""
     start: Start
-    source: str
-    """What the vectors are, in words."""
-    notes: tuple[str, ...]
+    sources: dict[str, str]
+    """What was made of each sensor, in words; what was left out is counted."""
 
 
 def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsConfig) -> Prepared:
@@ -200,7 +199,7 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
     Raises:
         RecordingError: a sensor says nothing in the first second, or at rest.
     """
-    notes = [_rest_in_words(resting, signals)]
+    sources = {"start": _rest_in_words(resting, signals), "vectors": _in_words(settings, signals)}
     omega = signals.gyr
     if settings.gyroscope_interval == "before":
         omega = np.concatenate([omega[1:], omega[-1:]])
@@ -212,7 +211,7 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
     acc = np.einsum("kij,kj->ki", S, signals.acc)
     gravity = _median("acc", acc[:first])
     length = float(np.linalg.norm(gravity)) if resting else GRAVITY
-    acc, acc_known = _without_outliers("acc", acc, length, settings, notes)
+    acc_known, sources["accelerometer"] = _used(acc, length, settings)
     steady = low_passed(
         held(acc, acc_known, gravity), settings.low_pass, signals.time_step, gravity
     )
@@ -221,14 +220,12 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
 
     east_at_first = None
     if signals.mag is None:
-        notes.append("without a magnetometer the heading is free: it begins anywhere, and drifts")
+        sources["heading"] = "free, without a magnetometer: it begins anywhere, and drifts"
     else:
         field = np.einsum("kij,kj->ki", S, signals.mag)
         usual = _median("mag", field[:first])
-        field, known = _without_outliers(
-            "mag", field, float(np.linalg.norm(usual)), settings, notes
-        )
-        parts = field_parts(field, steady)
+        known, sources["magnetometer"] = _used(field, float(np.linalg.norm(usual)), settings)
+        parts = np.where(known[:, None], field_parts(field, steady), math.nan)
         reference = field_parts(usual[None], gravity[None])[0]
         if not reference[0] > 1e-3 * np.linalg.norm(reference):
             raise RecordingError(
@@ -262,8 +259,7 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
             position=np.zeros(3),
             bias=np.concatenate([bias, np.zeros(3)]),
         ),
-        source=_in_words(settings, len(vectors)),
-        notes=tuple(notes),
+        sources=sources,
     )
 
 
@@ -296,21 +292,20 @@ def _median(name: str, values: np.ndarray) -> np.ndarray:
     return median
 
 
-def _without_outliers(
-    name: str, values: np.ndarray, length: float, settings: ImuVectorsConfig, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Values (K, 3), and (K,) which of them are used; what is not is told."""
-    known = np.isfinite(values).all(axis=1)
+def _used(values: np.ndarray, length: float, settings: ImuVectorsConfig) -> tuple[np.ndarray, str]:
+    """Which of values (K, 3) are used, (K,), and in words which are not."""
+    known = np.all(np.isfinite(values), axis=1)
     with np.errstate(invalid="ignore"):
         far = known & (np.linalg.norm(values, axis=1) > settings.outlier * length)
+    words = "measured"
     if missing := int(np.sum(~known)):
-        notes.append(f"{name}: {counted(missing, 'sample')} missing")
+        words += f"; {counted(missing, 'sample')} missing"
     if outliers := int(np.sum(far)):
-        notes.append(
-            f"{name}: {counted(outliers, 'sample')} passed over, more than {settings.outlier:g} "
-            "times as long as the reference"
+        words += (
+            f"; {counted(outliers, 'sample')} passed over, more than {settings.outlier:g} times as "
+            "long as the reference"
         )
-    return values, known & ~far
+    return known & ~far, words
 
 
 def _attitude(up: np.ndarray, east: np.ndarray | None, frame: Frame) -> np.ndarray:
@@ -342,12 +337,12 @@ def _rest_in_words(resting: int, signals: Signals) -> str:
     )
 
 
-def _in_words(settings: ImuVectorsConfig, vectors: int) -> str:
+def _in_words(settings: ImuVectorsConfig, signals: Signals) -> str:
     low_pass = (
         f"low-passed over {settings.low_pass:g} s in an almost inertial frame"
         if settings.low_pass
         else "as measured"
     )
     return f"made of the sensors: up = a / g, {low_pass}" + (
-        ", and east = m x a / (g h)" if vectors == 2 else ""
+        "" if signals.mag is None else ", and east = m x a / (g h)"
     )

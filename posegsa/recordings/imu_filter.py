@@ -54,7 +54,7 @@ def run_imu(recording: Recording, config: ImuConfig | None = None) -> Estimates:
     check_type("recording", recording, Recording)
     config = ImuConfig() if config is None else config
     check_type("config", config, ImuConfig)
-    if "gyroscope" not in recording.sensors:
+    if not is_prepared(recording):
         raise RecordingError(
             f"{recording.name}: its vectors are not those of an inertial sensor; allowed: a "
             "recording of posegsa.imu, or posegsa.as_imu(recording)"
@@ -64,3 +64,8 @@ def run_imu(recording: Recording, config: ImuConfig | None = None) -> Estimates:
         settings = imu_settings(config.observer, vectors)
         gain = ConstantGain(jnp.asarray(config.observer.gain, float))
         return run_filter(gain, recording, settings=settings)
+
+
+def is_prepared(recording: Recording) -> bool:
+    """Whether a recording's vectors are those of `imu` or `as_imu`, which keep the gyroscope."""
+    return "gyroscope" in recording.sensors

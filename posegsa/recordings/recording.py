@@ -440,7 +440,9 @@ class Recording:
             phases={name: mask[part] for name, mask in self.phases.items()},
             sensors={name: signal[part] for name, signal in self.sensors.items()},
             start="sensors" if later else self.start,
-            start_bias=self.initial().bias if later else self.start_bias,
+            start_bias=self.initial().bias
+            if later and self.start != "sensors"
+            else self.start_bias,
         )
 
     def off(self, degrees: float, metres: float = 0.0, seed: int = 0) -> "Recording":
