@@ -36,7 +36,9 @@ from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402
 from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain  # noqa: E402
 from posegsa.model.signal import SignalSettings  # noqa: E402
 from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402
-from posegsa.recordings.imu_filter import imu_settings  # noqa: E402
+from posegsa.recordings.imu import ImuRecording  # noqa: E402
+from posegsa.recordings.imu_filter import imu_settings, in_passes  # noqa: E402
+from posegsa.recordings.magnetic_field import field_parts  # noqa: E402
 from posegsa.recordings.recording import Recording  # noqa: E402
 from posegsa.recordings.rotations import matrices, product  # noqa: E402
 from posegsa.runtime import environment  # noqa: E402
@@ -87,7 +89,7 @@ class Trial(NamedTuple):
     rest: Any
     """What `as_imu` is told of the rest."""
 
-    def prepared(self, vectors: config.ImuVectorsConfig) -> Recording:
+    def prepared(self, vectors: config.ImuVectorsConfig) -> ImuRecording:
         """With the vectors that a configuration makes."""
         return posegsa.as_imu(self.recording, rest=self.rest, settings=vectors)
 
@@ -100,7 +102,7 @@ def trials(folder: Path) -> tuple[list[Trial], list[Trial]]:
         whole.append(Trial(path.stem, recording, "auto"))
         start = float(recording.time[np.argmax(recording.phases["motion"])]) + 5.0
         later = recording.window(start)
-        later.judged[later.time < LATE] = False
+        later = replace(later, judged=later.judged & (later.time >= LATE))
         moving.append(Trial(path.stem, later, 0.0))
     if not whole:
         raise SystemExit(f"{folder}: holds no trial (.mat)")
@@ -232,7 +234,9 @@ def with_settings(
         with jax.enable_x64(True):
             gains = schedule or ConstantGain(jnp.asarray(setting.observer.gain, float))
             settings = change(imu_settings(setting.observer))
-            found = posegsa.run_filter(gains, recording, settings=settings)
+            found = in_passes(
+                recording, lambda each: posegsa.run_filter(gains, each, settings=settings)
+            )
         return judged(np.asarray(found.rotation), recording)
 
     return changed
@@ -241,18 +245,26 @@ def with_settings(
 def magnetometer_itself(trial: Trial, setting: config.ImuConfig) -> Errors:
     """The same with the field as a vector instead of east, its weights as they are."""
     recording = trial.prepared(setting.vectors)
-    measured = recording.measurements
-    vectors = np.array(measured.vectors)
     field = recording.sensors["magnetometer"]
-    size = np.linalg.norm(np.cross(field, recording.sensors["accelerometer"]), axis=1)
-    vectors[:, 1] = field / np.median(size[: round(1 / recording.time_step)] / 9.81)
-    rest = slice(0, round(1 / recording.time_step))
-    inertial = recording.initial().rotation @ np.median(vectors[rest, 1], axis=0)
-    references = np.array(measured.vector_references)
-    references[:, 1] = inertial
-    measured = measured._replace(vectors=vectors, vector_references=references)
-    recording = replace(recording, measurements=measured)
-    return judged(np.asarray(posegsa.run_imu(recording, setting).rotation), recording)
+    second = slice(0, recording.resting or round(1 / recording.time_step))
+    up = np.asarray(recording.measurements.vectors)[second, 0]
+    horizontal, vertical = np.median(field_parts(field[second], up), axis=0)
+
+    def changed(each: ImuRecording) -> Recording:
+        vectors = np.array(each.measurements.vectors)
+        references = np.array(each.measurements.vector_references)
+        vectors[:, 1] = field / horizontal
+        references[:, 1] = [0.0, 1.0, vertical / horizontal]
+        measured = each.measurements._replace(vectors=vectors, vector_references=references)
+        return replace(each, measurements=measured)
+
+    with jax.enable_x64(True):
+        gain = ConstantGain(jnp.asarray(setting.observer.gain, float))
+        settings = imu_settings(setting.observer)
+        found = in_passes(
+            recording, lambda each: posegsa.run_filter(gain, changed(each), settings=settings)
+        )
+    return judged(np.asarray(found.rotation), recording)
 
 
 def with_reference_off(trial: Trial, setting: config.ImuConfig) -> Errors:
@@ -459,9 +471,9 @@ def main() -> None:
         )
     lines += ["", "The numbers chosen on all, with a part changed; means of all trials:", ""]
     lines += [row("", list(NAMES)), row("---", ["---"] * 2)]
-    for words_of, change in changes(best.config()).items():
+    for changed, change in changes(best.config()).items():
         found = [mean([change(trial, best.config()) for trial in each]) for each in both]
-        lines.append(row(words_of, [cell(each) for each in found]))
+        lines.append(row(changed, [cell(each) for each in found]))
         print(lines[-1], flush=True)
     lines += [
         "",

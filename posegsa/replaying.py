@@ -9,8 +9,8 @@ from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import Replay, replayed_on
 from posegsa.judging.result import TuneResult
-from posegsa.recordings.imu import as_imu
-from posegsa.recordings.imu_filter import is_prepared, run_imu
+from posegsa.recordings.imu import ImuRecording, as_imu
+from posegsa.recordings.imu_filter import run_imu
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay import write_replays
 
@@ -52,6 +52,6 @@ def replay(
 def _replayed(result: TuneResult | RecordingResult | ImuConfig, recording: Recording) -> Replay:
     if not isinstance(result, ImuConfig):
         return replayed_on(recording, result.estimate(recording))
-    if not is_prepared(recording):
+    if not isinstance(recording, ImuRecording):
         recording = as_imu(recording, settings=result.vectors)
     return replayed_on(recording, run_imu(recording, result))

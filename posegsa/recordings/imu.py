@@ -14,6 +14,7 @@ so is one of attitude only.
 """
 
 import math
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -48,6 +49,21 @@ EAST: dict[str, tuple[float, float, float]] = {
 }
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImuRecording(Recording):
+    """A recording of an inertial sensor; made by `imu` or `as_imu`.
+
+    Its `sensors` hold the "gyroscope" too, as it was measured.
+    """
+
+    frame: Frame = "ENU"
+    """The inertial frame."""
+    settings: ImuVectorsConfig = field(default_factory=ImuVectorsConfig)
+    """With which its vectors were made."""
+    resting: int = 0
+    """Number of samples at rest at the start; 0 if it begins in motion."""
+
+
 def imu(
     gyr: ArrayLike,
     acc: ArrayLike,
@@ -59,7 +75,7 @@ def imu(
     rest: float | Literal["auto"] = "auto",
     settings: ImuVectorsConfig | None = None,
     **more: Any,
-) -> Recording:
+) -> ImuRecording:
     """A recording of attitude only from an inertial sensor's signals, ready for `run_filter`.
 
     All three sensors have the same, right-handed axes: those of the body.
@@ -105,10 +121,8 @@ def as_imu(
     frame: Frame = "ENU",
     rest: float | Literal["auto"] = "auto",
     settings: ImuVectorsConfig | None = None,
-) -> Recording:
+) -> ImuRecording:
     """A recording with its vectors and its start made anew from its sensors, attitude only.
-
-    Its `sensors` then hold the "gyroscope" too, as it was measured.
 
     Args:
         recording: whose `sensors` hold "accelerometer" and, for a heading, "magnetometer", such as
@@ -125,25 +139,53 @@ def as_imu(
     check_type("settings", settings, ImuVectorsConfig)
     if frame not in UP:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    signals = _signals(recording)
+    check_units(signals.gyr, signals.acc, signals.time_step)
+    resting = _samples_at_rest(rest, signals)
+    return _with_vectors(recording, signals, frame, settings, resting, None)
+
+
+def with_known_bias(recording: ImuRecording, bias: np.ndarray) -> ImuRecording:
+    """A recording with its vectors made anew with the gyroscope's bias known better than before.
+
+    Args:
+        recording: of an inertial sensor.
+        bias: (K, 3) at each sample [rad/s], such as a first run's estimates of it.
+    """
+    signals = _signals(recording)
+    made = recording.frame, recording.settings, recording.resting
+    return _with_vectors(recording, signals, *made, bias)
+
+
+def _signals(recording: Recording) -> "Signals":
+    """What the sensors of a recording measured."""
     if "accelerometer" not in recording.sensors:
         raise RecordingError(
             f"{recording.name}: has no accelerometer; allowed: sensors with one, as from columns "
             "ax, ay, az of a CSV file"
         )
     gyr = recording.sensors.get("gyroscope", recording.measurements.angular_velocity)
-    signals = Signals(
+    return Signals(
         gyr=np.asarray(gyr),
         acc=recording.sensors["accelerometer"],
         mag=recording.sensors.get("magnetometer"),
-        time_step=recording.time_step,
+        steps=np.asarray(recording.measurements.time_step),
     )
-    check_units(signals.gyr, signals.acc, signals.time_step)
-    resting = _samples_at_rest(rest, signals)
-    made = prepared(signals, resting, frame, settings)
+
+
+def _with_vectors(
+    recording: Recording,
+    signals: "Signals",
+    frame: Frame,
+    settings: ImuVectorsConfig,
+    resting: int,
+    bias: np.ndarray | None,
+) -> ImuRecording:
+    made = prepared(signals, resting, frame, settings, bias)
     truth = recording.truth
-    return Recording.from_arrays(
+    found = Recording.from_arrays(
         name=recording.name,
-        time_step=recording.measurements.time_step,
+        time_step=signals.steps,
         angular_velocity=made.angular_velocity,
         vectors=made.vectors,
         vector_references=made.references,
@@ -156,6 +198,8 @@ def as_imu(
         sensors=recording.sensors | {"gyroscope": signals.gyr},
         notes=recording.notes,
     )
+    held_by = {each.name: getattr(found, each.name) for each in fields(found)}
+    return ImuRecording(**held_by, frame=frame, settings=settings, resting=resting)
 
 
 class Signals(NamedTuple):
@@ -167,8 +211,13 @@ class Signals(NamedTuple):
     """(K, 3) specific force [m/s^2]; NaN where missing."""
     mag: np.ndarray | None
     """(K, 3) magnetic field; NaN where missing, None without a magnetometer."""
-    time_step: float
-    """Median time step [s]."""
+    steps: np.ndarray
+    """(K,) time to the next sample [s]."""
+
+    @property
+    def time_step(self) -> float:
+        """The median time step [s]."""
+        return float(np.median(self.steps))
 
 
 class Prepared(NamedTuple):
@@ -187,7 +236,13 @@ class Prepared(NamedTuple):
     """What was made of each sensor, in words; what was left out is counted."""
 
 
-def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsConfig) -> Prepared:
+def prepared(
+    signals: Signals,
+    resting: int,
+    frame: Frame,
+    settings: ImuVectorsConfig,
+    bias: np.ndarray | None = None,
+) -> Prepared:
     """The vectors, their references and the start of a recording (causal but for the first second).
 
     Args:
@@ -195,6 +250,8 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
         resting: number of samples at rest at the start; 0 for none.
         frame: the inertial frame.
         settings: numbers of the preparation.
+        bias: (K, 3) of the gyroscope at each sample [rad/s], for the almost inertial frame; by
+            default its mean at rest, or 0.
 
     Raises:
         RecordingError: a sensor says nothing in the first second, or at rest.
@@ -203,9 +260,8 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
     omega = signals.gyr
     if settings.gyroscope_interval == "before":
         omega = np.concatenate([omega[1:], omega[-1:]])
-    bias = signals.gyr[:resting].mean(axis=0) if resting else np.zeros(3)
-    step = np.full(len(omega), signals.time_step)
-    S = strapdown(omega - bias, step)
+    at_rest = signals.gyr[:resting].mean(axis=0) if resting else np.zeros(3)
+    S = strapdown(omega - (at_rest if bias is None else bias), signals.steps)
     first = resting or min(len(omega), max(1, round(FIRST / signals.time_step)))
 
     acc = np.einsum("kij,kj->ki", S, signals.acc)
@@ -222,10 +278,10 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
     if signals.mag is None:
         sources["heading"] = "free, without a magnetometer: it begins anywhere, and drifts"
     else:
-        field = np.einsum("kij,kj->ki", S, signals.mag)
-        usual = _median("mag", field[:first])
-        known, sources["magnetometer"] = _used(field, float(np.linalg.norm(usual)), settings)
-        parts = np.where(known[:, None], field_parts(field, steady), math.nan)
+        turned = np.einsum("kij,kj->ki", S, signals.mag)
+        usual = _median("mag", turned[:first])
+        known, sources["magnetometer"] = _used(turned, float(np.linalg.norm(usual)), settings)
+        parts = np.where(known[:, None], field_parts(turned, steady), math.nan)
         reference = field_parts(usual[None], gravity[None])[0]
         if not reference[0] > 1e-3 * np.linalg.norm(reference):
             raise RecordingError(
@@ -257,7 +313,7 @@ def prepared(signals: Signals, resting: int, frame: Frame, settings: ImuVectorsC
         start=Start(
             rotation=_attitude(gravity, east_at_first, frame),
             position=np.zeros(3),
-            bias=np.concatenate([bias, np.zeros(3)]),
+            bias=np.concatenate([at_rest, np.zeros(3)]),
         ),
         sources=sources,
     )

@@ -1,18 +1,23 @@
 """The attitude filter for inertial sensors: the observer with constant gains."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.config.imu import ImuConfig, ImuObserverConfig
-from posegsa.errors import RecordingError
 from posegsa.model.filter import FilterSettings
 from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.vectors import VectorSettings
-from posegsa.recordings.recording import Recording
+from posegsa.recordings.imu import ImuRecording, with_known_bias
 from posegsa.recordings.running import run_filter
+from posegsa.recordings.start import Start
+
+PASSES = 4
+"""Runs over a recording that begins in motion."""
 
 
 def imu_settings(observer: ImuObserverConfig, vectors: int = 2) -> FilterSettings:
@@ -41,31 +46,43 @@ def imu_settings(observer: ImuObserverConfig, vectors: int = 2) -> FilterSetting
     )
 
 
-def run_imu(recording: Recording, config: ImuConfig | None = None) -> Estimates:
+def run_imu(recording: ImuRecording, config: ImuConfig | None = None) -> Estimates:
     """Estimate the attitude of a recording of an inertial sensor.
+
+    One that begins in motion is run more than once (`in_passes`).
 
     Args:
         recording: from `posegsa.imu` or `posegsa.as_imu`.
         config: the filter's numbers, of which [observer] is used here; by default the shipped ones.
 
     Raises:
-        RecordingError: the recording is another one.
+        ArgumentError: an argument is of another type.
     """
-    check_type("recording", recording, Recording)
+    words = "a recording of posegsa.imu, or posegsa.as_imu(recording)"
+    check_type("recording", recording, ImuRecording, allowed=words)
     config = ImuConfig() if config is None else config
     check_type("config", config, ImuConfig)
-    if not is_prepared(recording):
-        raise RecordingError(
-            f"{recording.name}: its vectors are not those of an inertial sensor; allowed: a "
-            "recording of posegsa.imu, or posegsa.as_imu(recording)"
-        )
     vectors = np.shape(recording.measurements.vectors)[1]
     with jax.enable_x64(True):
         settings = imu_settings(config.observer, vectors)
         gain = ConstantGain(jnp.asarray(config.observer.gain, float))
-        return run_filter(gain, recording, settings=settings)
+        return in_passes(recording, lambda each: run_filter(gain, each, settings=settings))
 
 
-def is_prepared(recording: Recording) -> bool:
-    """Whether a recording's vectors are those of `imu` or `as_imu`, which keep the gyroscope."""
-    return "gyroscope" in recording.sensors
+def in_passes(recording: ImuRecording, run: Callable[[ImuRecording], Estimates]) -> Estimates:
+    """The estimates of a recording whose start may not tell the gyroscope's bias.
+
+    One that begins in motion is run PASSES times. In the first pass nothing is known of the bias in
+    the almost inertial frame, which then turns with it, and hides it; in each that follows, the
+    bias there is the one that the pass before has learnt up to each sample. So every estimate is
+    still made of what was measured before it.
+
+    Args:
+        recording: of an inertial sensor.
+        run: what estimates its attitude and the gyroscope's bias.
+    """
+    whole = isinstance(recording.start, Start)  # not a window from the middle of one
+    found = run(recording)
+    for _ in range(PASSES - 1 if whole and not recording.resting else 0):
+        found = run(with_known_bias(recording, np.asarray(found.bias)[:, :3]))
+    return found

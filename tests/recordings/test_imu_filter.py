@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inertial_motion import inertial_motion
+from inertial_motion import BIAS, inertial_motion
 
 import posegsa
 from posegsa import config
@@ -31,6 +31,24 @@ def test_it_follows_a_motion_it_was_not_tuned_on() -> None:
     plain = config.ImuVectorsConfig(low_pass=0.0)
     shaken = posegsa.as_imu(recording, settings=plain)
     assert total(replayed(shaken)) > 3 * total(found)
+
+
+def test_it_learns_the_gyroscope_s_bias_without_a_rest() -> None:
+    given = inertial_motion(0.0, 120.0, noise=1.0)
+    late = np.arange(len(given["gyr"])) > 9000
+    recording = posegsa.imu(**given, phases={"late": late})
+    found = replayed(recording)
+    wrong = np.linalg.norm(found.estimates.bias[-1, :3] - BIAS)
+    assert wrong < 0.45 * np.linalg.norm(BIAS)
+    # With numbers for larger biases, sooner.
+    eager = config.ImuConfig(
+        vectors=config.ImuVectorsConfig(low_pass=1.0),
+        observer=config.ImuObserverConfig(gamma=3.0),
+    )
+    sooner = posegsa.as_imu(recording, settings=eager.vectors)
+    np.testing.assert_allclose(replayed(sooner, eager).estimates.bias[-1, :3], BIAS, atol=3e-3)
+    never = config.ImuConfig(observer=config.ImuObserverConfig(gamma=0.0))
+    assert total(replayed(recording, never), "late") > 2 * total(found, "late")
 
 
 def test_a_magnet_turns_the_heading_little_and_does_not_tilt() -> None:
@@ -66,8 +84,8 @@ def test_recordings_of_other_sensors_are_refused() -> None:
         vectors=np.ones((10, 1, 3)),
         vector_references=np.ones((1, 3)),
     )
-    with pytest.raises(RecordingError, match="not those of an inertial sensor"):
-        posegsa.run_imu(recording)
+    with pytest.raises(ArgumentError, match=r"recording: a Recording; allowed: .*posegsa\.as_imu"):
+        posegsa.run_imu(recording)  # pyright: ignore[reportArgumentType]
     with pytest.raises(RecordingError, match="has no accelerometer"):
         posegsa.replay("imu", recording)
     with pytest.raises(ArgumentError, match=r'result: a str; allowed: .*"imu"'):

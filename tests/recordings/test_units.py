@@ -16,6 +16,7 @@ def test_the_gyroscope_s_unit_is_seen_in_the_acceleration(shaking: float) -> Non
     given = inertial_motion(1.0, 10.0, noise=1.0, shaking=shaking)
     unit = gyroscope_unit(given["gyr"], given["acc"], STEP)
     in_degrees = gyroscope_unit(np.degrees(given["gyr"]), given["acc"], STEP)
+    assert unit is not None
     assert unit == pytest.approx(1.0, abs=0.2)
     assert in_degrees == pytest.approx(np.deg2rad(unit), rel=1e-9)
 
