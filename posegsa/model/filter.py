@@ -42,6 +42,13 @@ landmark by its distance |y_i| times as much, and its residual comes back with t
 oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit step is
 unstable; so both laws keep, with y the farthest landmark,
     gamma dt (1 + |y|^2) <= K / 2  for the angular velocity,   gamma dt <= K / 2  for the linear.
+The unit of length. The gain K turns and moves the estimate, and their shares depend on the unit of
+length: where landmarks are d metres from the origin, the cost's curvature is d^2 times as high in
+attitude as in position, and the K that the attitude allows leaves the position d^2 times as slow.
+In a unit of l metres (`length`) u_2 counts l^2 times,
+    W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
+for the law "gradient", and every 1 beside a squared length, in L and above, is l^2. With l about d
+both converge alike. It is the same observer, run in that unit.
 What holds in theory: with f the cost whose gradient U is and constant gamma, f + |b_err|^2 / (2
 gamma) never rises (without noise). With a changing gamma that function serves while gamma rises and
 gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
@@ -147,6 +154,14 @@ class FilterSettings:
     """s_i^L of each landmark [1/m^2]; None is 1 for all."""
     vector_bias: VectorBias | None = None
     """How the vectors' biases are learnt; None where they are not."""
+    length: Array | None = None
+    """l, the unit of length [m] in which the observer's equations are those of the module's head;
+    None is 1 m, with law "printed" always."""
+
+    @property
+    def unit(self) -> Array | int:
+        """l^2 [m^2]."""
+        return 1 if self.length is None else self.length * self.length
 
 
 class FilterState(NamedTuple):
@@ -336,15 +351,15 @@ def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
     return Seen(wahba, freed, tuple(s * f for s, f in zip(weights, factors, strict=True)))
 
 
-def innovation(state: FilterState, sample: Sample, seen: Seen) -> Innovation:
-    """U (Eq. 9) and L.
+def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int = 1) -> Innovation:
+    """U (Eq. 9) and L, with l^2 = `unit` [m^2].
 
     The vectors' part of u_1 is the antisymmetric part of R_est B, since (R u) x v is that of
     (R u) v^T. U is minus the gradient of
         f = 1/4 sum s_i^L |x_i - p_i|^2 + 1/4 sum s_i^R |R_est u_i - v_i^I|^2,
     and L bounds its Hessian:
         L = 1/2 sum s_i^R |u_i||v_i^I|
-          + 1/4 sum s_i^L [1 + |x_i||p_i| + sqrt((1 + |x_i|^2)(1 + |p_i|^2))].
+          + 1/4 sum s_i^L [l^2 + |x_i||p_i| + sqrt((l^2 + |x_i|^2)(l^2 + |p_i|^2))].
     """
     R = rows(state.attitude)
     columns = tuple(zip(*seen.wahba.profile, strict=True))
@@ -363,17 +378,18 @@ def innovation(state: FilterState, sample: Sample, seen: Seen) -> Innovation:
         u1 = add(u1, scale(s, cross(x, p)))
         u2 = add(u2, scale(s, subtract(p, x)))
         x2, p2 = dot(x, x), dot(p, p)
-        product = safe_sqrt(x2 * p2) + jnp.sqrt((1 + x2) * (1 + p2))
-        curvature = curvature + 0.25 * s * (1 + product)
+        product = safe_sqrt(x2 * p2) + jnp.sqrt((unit + x2) * (unit + p2))
+        curvature = curvature + 0.25 * s * (unit + product)
     return Innovation(scale(0.5, u1), scale(0.5, u2), curvature)
 
 
-def correction(state: FilterState, U: Innovation, law: Law) -> Correction:
-    """W, and the bias law without its gains (Eq. 9, and the module's head)."""
+def correction(state: FilterState, U: Innovation, law: Law, unit: Array | int = 1) -> Correction:
+    """W, and the bias law without its gains (Eq. 9, and the module's head); l^2 = `unit` [m^2]."""
     R, P = rows(state.attitude), state.place
+    pull = U.linear if isinstance(unit, int) else scale(unit, U.linear)
     # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2].
-    inverse = unrotate(R, U.angular), unrotate(R, subtract(U.linear, cross(P, U.angular)))
-    transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, U.linear)
+    inverse = unrotate(R, U.angular), unrotate(R, subtract(pull, cross(P, U.angular)))
+    transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, pull)
     W, bias = (inverse, transpose) if law == "gradient" else (transpose, inverse)
     return Correction(*W, *bias)
 
@@ -387,7 +403,8 @@ def bias_gains(
         return gammas
     follow = _following(settings.gamma_law, used)
     linear = 0.5 / sample.time_step
-    angular = linear / (1 + sample.reach)
+    reach = sample.reach if settings.length is None else sample.reach / settings.unit
+    angular = linear / (1 + reach)
     largest = used * angular, used * linear
     angular, linear = (minimum(g * follow, most) for g, most in zip(gammas, largest, strict=True))
     return angular, linear
@@ -426,8 +443,8 @@ def observe(
     used_total = jnp.zeros_like(gain)
     before = state
     for j in range(n):
-        U = innovation(state, sample, seen)
-        W = correction(state, U, settings.law)
+        U = innovation(state, sample, seen, settings.unit)
+        W = correction(state, U, settings.law, settings.unit)
         # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
         # without a limit that is infinite: then neither a value nor a derivative comes from them.
         length = h * U.curvature

@@ -11,7 +11,7 @@ Data 6(7):72, 2021):
 The position's error is |P_est - P|, as other tools for trajectories take it.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -22,6 +22,10 @@ from posegsa.model.measurements import finite_array
 from posegsa.model.rollout import Estimates
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
+from posegsa.settings.arrays import Numbers
+
+AnyNumber = Annotated[float, Numbers(allow="any")]
+"""A number that may be infinite, where a filter diverged, or NaN."""
 
 
 class AttitudeErrors(NamedTuple):
@@ -35,13 +39,13 @@ class AttitudeErrors(NamedTuple):
 class Rmse(NamedTuple):
     """Root mean squares over the samples of a phase; NaN without any."""
 
-    total: float
+    total: AnyNumber
     """[deg]"""
-    heading: float
+    heading: AnyNumber
     """[deg]"""
-    inclination: float
+    inclination: AnyNumber
     """[deg]"""
-    position: float | None
+    position: AnyNumber | None
     """[m]; None where the position is not judged."""
     samples: int
     """How many were judged."""
@@ -60,7 +64,7 @@ class RecordingErrors(NamedTuple):
     """The samples of each phase, "judged" first."""
 
     def rmse(self) -> dict[str, Rmse]:
-        """Root mean squares by phase."""
+        """Root mean squares by phase; a phase without any sample is left out."""
         return {
             name: Rmse(
                 total=rmse(self.attitude.total, mask),
@@ -70,6 +74,7 @@ class RecordingErrors(NamedTuple):
                 samples=int(mask.sum()),
             )
             for name, mask in self.masks.items()
+            if name == "judged" or mask.any()
         }
 
 

@@ -49,6 +49,8 @@ def recorded_problem(
     recordings: Sequence[Recording],
     schedule: RecordedSchedule,
     position_weight: float,
+    *,
+    strict: bool = True,
 ) -> TuningProblem:
     """A search of an experiment's filter on recordings.
 
@@ -58,6 +60,7 @@ def recorded_problem(
         recordings: At least one, each with a truth.
         schedule: What is searched, beside `experiment.also`.
         position_weight: Of the position's RMSE [deg/m].
+        strict: Refuse a number to be tuned that has no effect; else it is left out.
 
     Raises:
         ConfigError: The experiment's signal is "pose", or it wants a number tuned that has no
@@ -69,7 +72,7 @@ def recorded_problem(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
     most = _most_sensors(recordings)
-    experiment = with_effect_on(experiment, *most, schedule)
+    experiment = with_effect_on(experiment, *most, schedule, strict=strict)
     return TuningProblem(
         experiment=experiment,
         scenario=None,  # type: ignore[arg-type]  # nothing is simulated
@@ -99,18 +102,23 @@ def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> 
 
 
 def with_effect_on(
-    experiment: config.Experiment, vectors: int, landmarks: int, schedule: RecordedSchedule
+    experiment: config.Experiment,
+    vectors: int,
+    landmarks: int,
+    schedule: RecordedSchedule,
+    *,
+    strict: bool = True,
 ) -> config.Experiment:
     """An experiment that tunes, of its default list, only what has an effect on recordings.
 
     Raises:
-        ConfigError: A number that is not of the default list has none.
+        ConfigError: A number that is not of the default list has none, and `strict`.
     """
     kept = []
     for one in experiment.also:
         if _has_effect(one.key, vectors, landmarks, schedule):
             kept.append(one.model_dump(mode="json"))
-        elif one not in config.DEFAULT_ALSO:
+        elif strict and one not in config.DEFAULT_ALSO:
             raise ConfigError(
                 f"parameters.also: {one.key!r} has no effect on these recordings, with "
                 f"{vectors} vectors, {landmarks} landmarks and a {schedule} gain"
@@ -134,7 +142,7 @@ def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:
             return vectors >= 2
         case ["filter", name] if name.startswith(("vector_bias", "excitation")):
             return vectors > 0
-        case ["filter", "gamma", "1"]:
+        case ["filter", "gamma", "1"] | ["filter", "length"]:
             return landmarks > 0
     return True
 

@@ -101,6 +101,7 @@ def test_a_result_is_saved_and_read_back(
             posegsa.load(tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_the_command_tunes_on_files(
     recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
