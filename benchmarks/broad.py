@@ -16,6 +16,7 @@ import argparse
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,11 +34,11 @@ from posegsa import config  # noqa: E402
 from posegsa.model.cost import CostWeights  # noqa: E402
 from posegsa.model.filter import FilterSettings, VectorBias, initial_state  # noqa: E402
 from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402
-from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain  # noqa: E402
+from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain, SmoothGain  # noqa: E402
 from posegsa.model.signal import SignalSettings  # noqa: E402
 from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402
-from posegsa.recordings.imu import ImuRecording  # noqa: E402
-from posegsa.recordings.imu_filter import imu_settings, in_passes  # noqa: E402
+from posegsa.recordings.imu import STARTUP, ImuRecording  # noqa: E402
+from posegsa.recordings.imu_filter import imu_schedule, imu_settings, in_passes  # noqa: E402
 from posegsa.recordings.magnetic_field import field_parts  # noqa: E402
 from posegsa.recordings.recording import Recording  # noqa: E402
 from posegsa.recordings.rotations import matrices, product  # noqa: E402
@@ -51,7 +52,7 @@ TOLERANCE = (0.02, 0.03, 0.04, 0.06, 0.08, 0.16)
 GAIN = (2.0, 4.0, 8.0, 16.0)
 HEADING = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
 """K times the weight of east [1/s]."""
-GAMMA = (0.3, 1.0, 3.0)
+GAMMA = (0.3, 0.6, 1.0)
 
 
 SMOOTH = 0.02, 0.1
@@ -120,7 +121,7 @@ def grid_errors(each: list[Trial]) -> np.ndarray:
     return found.reshape(len(GRID), len(each))
 
 
-def errors_by_gains(recording: Recording, gains: np.ndarray, longest: int) -> np.ndarray:
+def errors_by_gains(recording: ImuRecording, gains: np.ndarray, longest: int) -> np.ndarray:
     """Total RMSE [deg] for each gain, heading gain and gamma (A, 3), all in one simulation."""
     index = np.minimum(np.arange(longest), recording.samples - 1)
     inside = np.arange(longest) < recording.samples
@@ -138,16 +139,20 @@ def errors_by_gains(recording: Recording, gains: np.ndarray, longest: int) -> np
         jnp.asarray(judged, jnp.float32),
         initial_state(*start),
         gains,
+        at_rest=recording.resting > 0,
     )
     # A cost of ||R_err||_I = sin^2(angle / 2): its mean is a quarter of the mean square angle.
     return 2 * np.degrees(np.sqrt(np.asarray(sums, float) / judged.sum()))
 
 
-@jax.jit
-def _sums(m: Any, R: Any, judged: Any, initial: Any, gains: Any) -> Any:
+@partial(jax.jit, static_argnames="at_rest")
+def _sums(m: Any, R: Any, judged: Any, initial: Any, gains: Any, *, at_rest: bool) -> Any:
     """Sum of ||R_err||_I over the judged samples (A,), for gains (A, 3)."""
     zero = jnp.zeros_like(judged)
     weights = CostWeights(transient=zero, steady=judged, window=judged > 0, position=zero[0])
+
+    def schedule(gain: Any) -> GainSchedule:
+        return ConstantGain(gain) if at_rest else SettlingGain(gain, jnp.float32(STARTUP))
 
     def one(numbers: Any) -> Any:
         gain, heading, gamma = numbers
@@ -160,7 +165,7 @@ def _sums(m: Any, R: Any, judged: Any, initial: Any, gains: Any) -> Any:
         )
         samples = samples_of(m, settings.vectors, R, jnp.zeros((len(R), 3), R.dtype))
         return simulate_cost(
-            ConstantGain(gain), samples, initial, weights, settings, SignalSettings()
+            schedule(gain), samples, initial, weights, settings, SignalSettings()
         ).steady
 
     return jax.vmap(one)(jnp.asarray(gains, jnp.float32))
@@ -232,7 +237,7 @@ def with_settings(
     def changed(trial: Trial, setting: config.ImuConfig) -> Errors:
         recording = trial.prepared(setting.vectors)
         with jax.enable_x64(True):
-            gains = schedule or ConstantGain(jnp.asarray(setting.observer.gain, float))
+            gains = schedule or imu_schedule(setting.observer, recording)
             settings = change(imu_settings(setting.observer))
             found = in_passes(
                 recording, lambda each: posegsa.run_filter(gains, each, settings=settings)
@@ -259,7 +264,7 @@ def magnetometer_itself(trial: Trial, setting: config.ImuConfig) -> Errors:
         return replace(each, measurements=measured)
 
     with jax.enable_x64(True):
-        gain = ConstantGain(jnp.asarray(setting.observer.gain, float))
+        gain = imu_schedule(setting.observer, recording)
         settings = imu_settings(setting.observer)
         found = in_passes(
             recording, lambda each: posegsa.run_filter(gain, changed(each), settings=settings)

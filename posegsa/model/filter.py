@@ -458,6 +458,8 @@ def observe(
             v = add(v, scale(dt, subtract(sample.velocity, state.bias_linear)))
         attitude, place = move(state.attitude, state.place, omega, v)
         gamma_angular, gamma_linear = bias_gains(used, sample, settings)
+        if gains.gamma is not None:
+            gamma_angular, gamma_linear = gains.gamma * gamma_angular, gains.gamma * gamma_linear
         state = state._replace(
             attitude=attitude,
             place=place,

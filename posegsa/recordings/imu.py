@@ -39,8 +39,9 @@ GRAVITY = 9.81
 """Length of the acceleration at rest where no rest shows it [m/s^2]."""
 FIRST = 1.0
 """Time over which sensors are averaged for the start of a recording that begins in motion [s]."""
-STARTUP = 10.0
-"""Time constant with which the field gets its weights in such a recording [s]."""
+STARTUP = 20.0
+"""Time constant with which the field gets its weights in such a recording, and gamma its value
+[s]."""
 UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
 EAST: dict[str, tuple[float, float, float]] = {
     "ENU": (1, 0, 0),

@@ -10,9 +10,9 @@ from posegsa.arguments import check_type
 from posegsa.config.imu import ImuConfig, ImuObserverConfig
 from posegsa.model.filter import FilterSettings
 from posegsa.model.rollout import Estimates
-from posegsa.model.schedules import ConstantGain
+from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain
 from posegsa.model.vectors import VectorSettings
-from posegsa.recordings.imu import ImuRecording, with_known_bias
+from posegsa.recordings.imu import STARTUP, ImuRecording, with_known_bias
 from posegsa.recordings.running import run_filter
 from posegsa.recordings.start import Start
 
@@ -65,8 +65,19 @@ def run_imu(recording: ImuRecording, config: ImuConfig | None = None) -> Estimat
     vectors = np.shape(recording.measurements.vectors)[1]
     with jax.enable_x64(True):
         settings = imu_settings(config.observer, vectors)
-        gain = ConstantGain(jnp.asarray(config.observer.gain, float))
+        gain = imu_schedule(config.observer, recording)
         return in_passes(recording, lambda each: run_filter(gain, each, settings=settings))
+
+
+def imu_schedule(observer: ImuObserverConfig, recording: ImuRecording) -> GainSchedule:
+    """The constant gain; in a recording that begins in motion, with a gamma that grows.
+
+    At first the field is believed as it is there; what it says then is nothing to learn a bias of.
+    """
+    gain = jnp.asarray(observer.gain, float)
+    if recording.resting:
+        return ConstantGain(gain)
+    return SettlingGain(gain, jnp.asarray(STARTUP, float))
 
 
 def in_passes(recording: ImuRecording, run: Callable[[ImuRecording], Estimates]) -> Estimates:
