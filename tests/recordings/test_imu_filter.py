@@ -1,11 +1,15 @@
 """The attitude filter for inertial sensors, on simulated ones."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from inertial_motion import BIAS, inertial_motion
+from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
+from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RecordingError
 from posegsa.judging.replay import Replay
 from posegsa.recordings.recording import Recording
@@ -90,3 +94,29 @@ def test_recordings_of_other_sensors_are_refused() -> None:
         posegsa.replay("imu", recording)
     with pytest.raises(ArgumentError, match=r'result: a str; allowed: .*"imu"'):
         posegsa.replay("recommended", recording)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = inertial_motion(3.0, 9.0, noise=1.0)
+    time = np.arange(len(given["gyr"])) / given["rate"]
+    q = Rotation.from_matrix(given["truth_rotation"]).as_quat(scalar_first=True)
+    table = np.column_stack([time, given["gyr"], given["acc"], given["mag"], q])
+    names = "time,wx,wy,wz,ax,ay,az,mx,my,mz,qw,qx,qy,qz"
+    path = tmp_path / "my.csv"
+    np.savetxt(path, table, delimiter=",", header=names, comments="")
+    out = tmp_path / "out"
+    assert main(["replay", "imu", str(path), "--rest", "2", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "at rest for the first 2.0 s" in said
+    assert "attitude only" in said
+    assert len((out / "my" / "estimated.tum").read_text().splitlines()) >= len(time)
+    mine = tmp_path / "mine.toml"
+    mine.write_text("[vectors]\nlow_pass = 0.0\n", encoding="utf-8")
+    # A window that begins in motion, in another frame, with numbers of one's own.
+    assert main(["replay", str(mine), str(path), "--window", "5:", "--frame", "NED"]) == 0
+    said = capsys.readouterr().out
+    assert "begins in motion" in said
+    assert "as measured" in said
+    with pytest.raises(SystemExit):
+        main(["replay", "imu", str(path), "--rest", "long"])
