@@ -23,6 +23,7 @@ from posegsa.figures.schedule import plot_output_terms as plot_output_terms
 from posegsa.figures.schedule import plot_surface as plot_surface
 from posegsa.judging.comparison import OptimiserComparison as OptimiserComparison
 from posegsa.judging.recorded import RecordingResult as RecordingResult
+from posegsa.judging.recorded import by_hand as by_hand
 from posegsa.judging.result import VERSION
 from posegsa.judging.result import TuneBatch as TuneBatch
 from posegsa.judging.result import TuneResult as TuneResult
@@ -62,8 +63,9 @@ from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search
 from posegsa.saving.comparison import load_comparison as load_comparison
-from posegsa.saving.loading import load as load
-from posegsa.saving.run import save as save
+from posegsa.saving.loading import save as save
+from posegsa.saving.recorded import load_recorded as load_recorded
+from posegsa.saving.run import load as load
 from posegsa.search.build import filter_settings as filter_settings
 from posegsa.search.build import parameter_space as parameter_space
 from posegsa.search.build import signal_settings as signal_settings

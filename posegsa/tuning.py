@@ -206,7 +206,9 @@ def _tune_on_recordings(
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
         found = run_search(problem, progress)
-        return judge_on_recordings(problem, found, *task[2:], *task[:2])
+        return judge_on_recordings(
+            problem, found, task.position_weight, task.training, task.held_out
+        )
 
 
 def tune_batch(

@@ -8,15 +8,15 @@ import jax
 import numpy as np
 
 from posegsa.arguments import check_type
-from posegsa.config import Experiment, with_tuned
+from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import RecordingError
-from posegsa.judging.baselines import candidate_of, describe
+from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
 from posegsa.judging.evaluation import Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.judging.result import VERSION
 from posegsa.model.filter import FilterSettings
 from posegsa.model.rollout import Estimates
-from posegsa.model.schedules import GainSchedule
+from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings.accuracy import Rmse
 from posegsa.recordings.recording import Recording
@@ -24,7 +24,7 @@ from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem, parameter_space, signal_settings
 from posegsa.search.candidates import Candidate
-from posegsa.search.recorded import RecordedSchedule, settings_on
+from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
@@ -52,14 +52,12 @@ class RecordingResult:
     """A gain schedule tuned on recordings, how it was found, and what it is worth."""
 
     experiment: Experiment
-    schedule_kind: RecordedSchedule
-    """What was searched: "fuzzy", "constant" or "smooth"."""
     filter: Description
-    """The schedule by its own numbers, and what was tuned beside it."""
+    """The schedule by its kind and its own numbers, and what was tuned beside it."""
     position_weight: NonNegative
     """Of the position's RMSE in the cost [deg/m]."""
-    best_cost: Cost
-    """Least cost on the recordings that were tuned on [deg]."""
+    best_cost: Cost | None
+    """Least cost on the recordings that were tuned on [deg]; None of a filter made by hand."""
     training: list[RecordingScore]
     """On each of them."""
     held_out: list[RecordingScore]
@@ -108,24 +106,30 @@ class RecordingResult:
             return run_filter(self.schedule, recording, start, settings, signal)
 
     def __repr__(self) -> str:
-        return f"<RecordingResult: best training cost {self.best_cost:.4g}; see summary()>"
+        return f"<RecordingResult: a {self.filter.kind} gain; see summary()>"
 
     def summary(self) -> str:
         """A short text for a person; the held-out recordings always stand in it."""
         search = self.experiment.search
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
+        head = f"A {self.filter.kind} gain made by hand"
+        if self.best_cost is not None:
+            head = (
+                f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
+                f"{counted(len(self.training), 'recording')}: "
+                f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
+                f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
+            )
+        alone = (
+            "No recording was held out: these errors say how well the filter fits the recordings "
+            "that it was tuned on, not how good it is on others."
+        )
         parts = [
-            f"{search.optimiser}: {search.size_in_words()} for a {self.schedule_kind} gain on "
-            f"{counted(len(self.training), 'recording')}: "
-            f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
-            f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}",
-            f"Found: {found}" if found else "",
-            self.table(),
-            ""
-            if self.held_out
-            else "No recording was held out: these errors say how well the "
-            "filter fits the recordings that it was tuned on, not how good it is on others.",
+            head,
+            f"Numbers: {found}" if found else "",
+            self.table() if self.training or self.held_out else "",
+            "" if self.held_out else alone,
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
@@ -194,7 +198,6 @@ def score(recording: Recording, estimates: Estimates) -> RecordingScore:
 def judge_on_recordings(
     problem: TuningProblem,
     found: Found,
-    schedule: RecordedSchedule,
     position_weight: float,
     training: Sequence[Recording],
     held_out: Sequence[Recording],
@@ -204,7 +207,6 @@ def judge_on_recordings(
     tuned = problem.space.candidate(search.best_position)
     result = RecordingResult(
         experiment=experiment,
-        schedule_kind=schedule,
         filter=describe(tuned, parameter_space(experiment), experiment.search.evaluations),
         position_weight=position_weight,
         best_cost=float(search.best_cost),
@@ -217,6 +219,49 @@ def judge_on_recordings(
     )
     result.training.extend(score(one, result.estimate(one)) for one in training)
     result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
+    return result
+
+
+def by_hand(
+    schedule: GainSchedule,
+    experiment: Experiment | None = None,
+    *,
+    recordings: Sequence[Recording] = (),
+) -> RecordingResult:
+    """A filter whose gain schedule was not searched, as a result: to be judged, saved, exported.
+
+    Args:
+        schedule: `ConstantGain`, `FuzzyGain` of a controller that the experiment can have, or
+            another of `posegsa.model.schedules`.
+        experiment: Whose filter, signal and weights it has; by default the recommended one.
+        recordings: That judge it.
+
+    Raises:
+        ArgumentError: It is another schedule.
+        FuzzyError: The controller is none that the experiment can have.
+    """
+    chosen = Experiment() if experiment is None else experiment
+    check_type("experiment", chosen, Experiment)
+    check_type("schedule", schedule, FuzzyGain, *SCHEDULES.values())
+    chosen = override(chosen, ["parameters.also=[]"])  # nothing is searched
+    with jax.enable_x64(chosen.run.dtype == "float64"):
+        space = parameter_space(chosen)
+        if isinstance(schedule, FuzzyGain):
+            space.checked(np.asarray(space.vector(schedule.controller)))
+        found = describe(Candidate(schedule), space, 0)
+    result = RecordingResult(
+        experiment=chosen,
+        filter=found,
+        position_weight=0.0,
+        best_cost=None,
+        training=[],
+        held_out=[],
+        compile_seconds=0.0,
+        search_seconds=0.0,
+        environment=environment(),
+        version=VERSION,
+    )
+    result.held_out.extend(score(one, result.estimate(one)) for one in recordings)
     return result
 
 

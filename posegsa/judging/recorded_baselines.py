@@ -37,7 +37,7 @@ def judged_beside_baselines(
         own = [score(one, result.estimate(one)) for one in recordings]
         baselines: dict[str, list[RecordingScore]] = {}
         if training:
-            if result.schedule_kind != "constant":
+            if result.filter.kind != "constant":
                 say(f"searching: {CONSTANT}")
                 baselines[CONSTANT] = _constant(result, recordings, training)
             say(f"searching: {EKF}")
@@ -60,7 +60,7 @@ def _constant(
     weight = result.position_weight
     problem = recorded_problem(result.experiment, training, "constant", weight, strict=False)
     found = run_search(problem)
-    judged = judge_on_recordings(problem, found, "constant", weight, [], recordings)
+    judged = judge_on_recordings(problem, found, weight, [], recordings)
     return judged.held_out
 
 

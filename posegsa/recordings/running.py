@@ -17,7 +17,7 @@ from posegsa.model.signal import SignalSettings
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
 
-PART = 2**15
+PART = 2**12
 """Samples that are on the device at once."""
 
 

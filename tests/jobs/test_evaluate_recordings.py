@@ -37,6 +37,7 @@ def result(recordings: list[Recording]) -> RecordingResult:
     return posegsa.tune(config.from_dict(TINY), recordings=recordings[0], schedule="smooth")
 
 
+@pytest.mark.usefixtures("compile_fast")
 def test_other_filters_stand_beside_it_on_the_same_recordings(
     result: RecordingResult, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:

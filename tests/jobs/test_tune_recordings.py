@@ -1,6 +1,7 @@
 """`tune` on recordings: what it finds, says, saves, and what it refuses."""
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import posegsa
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RecordingError, RunFolderError
+from posegsa.export import export
 from posegsa.judging.recorded import RecordingResult
 from posegsa.recordings.recording import Recording
 
@@ -77,7 +79,7 @@ def test_a_result_is_saved_and_read_back(
         out=tmp_path,
     )
     assert found.filter == result.filter
-    read = posegsa.load(tmp_path)
+    read = posegsa.load_recorded(tmp_path)
     assert isinstance(read, RecordingResult)
     for name, value in vars(found).items():
         assert getattr(read, name) == value, name
@@ -98,7 +100,7 @@ def test_a_result_is_saved_and_read_back(
         change(data)
         path.write_text(json.dumps(data))
         with pytest.raises(RunFolderError, match=r"recorded\.json"):
-            posegsa.load(tmp_path)
+            posegsa.load_recorded(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -125,6 +127,38 @@ def test_the_command_tunes_on_files(
     assert "--schedule; allowed: with --recording" in capsys.readouterr().err
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_a_gain_made_by_hand_is_judged_saved_and_exported(
+    recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = config.from_dict(TINY)
+    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]
+    assert mine.filter.numbers == {"gain": [8.0]}
+    assert "A constant gain made by hand" in mine.summary()
+    posegsa.save(mine, tmp_path / "run")
+    read = posegsa.load_recorded(tmp_path / "run")
+    assert vars(read) == vars(mine)
+    assert main_quietly(["export", str(tmp_path / "run"), "--format", "json"]) == 0
+    exported = json.loads(capsys.readouterr().out)
+    assert exported["kind"] == "constant"
+    assert exported["numbers"] == {"gain": [8.0]}
+    assert exported["filter"]["cross_vector"] is False
+    assert main_quietly(["export", str(tmp_path / "run"), "--format", "c"]) == 2
+    assert "allowed: 'json'" in capsys.readouterr().err
+    space = posegsa.parameter_space(chosen)
+    controller = space.controller(0.5 * (space.lower + space.upper))
+    again = json.loads(export(posegsa.by_hand(posegsa.FuzzyGain(controller), chosen), "json"))
+    assert again["controller"]["offset_1_s"] == 1.0
+    assert len(again["numbers"]) == 22
+    with pytest.raises(ArgumentError, match="schedule: a str"):
+        posegsa.by_hand("fast")  # type: ignore[arg-type]
+
+
+def main_quietly(arguments: list[str]) -> int:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+        return main(arguments)
 
 
 def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None:
