@@ -34,12 +34,12 @@ class ImuVectorsConfig(Section):
 class ImuObserverConfig(Section):
     """[observer]: the gains of the filter, which are constant."""
 
-    gain: Positive = 8.0
+    gain: Positive = 4.0
     """K [1/s]; an error of the inclination decays at K / 2."""
-    east_weight: NonNegative = 0.05
+    east_weight: NonNegative = 0.075
     """Weight s of east beside that of up, which is 1, no unit; where the field is undisturbed, an
     error of the heading decays at K s / 2."""
-    gamma: NonNegative = 0.3
+    gamma: NonNegative = 2.0
     """Gain of the gyroscope's bias law at K = 10/s [1/s^2]; that at K is (K / 10)^2 times it."""
     gain_limit: Positive = 1.5
     """Maximum step of the innovation, as [filter] gain_limit."""
