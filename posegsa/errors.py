@@ -43,6 +43,10 @@ class MeasurementError(PosegsaError, ValueError):
     """Measurement arrays that the filter cannot use; names the argument."""
 
 
+class RecordingError(MeasurementError):
+    """A recording that cannot be read or used as asked; names the file or the argument."""
+
+
 class FuzzyError(PosegsaError, ValueError):
     """Terms, rules or parameters that make no fuzzy controller; names what does not fit."""
 

@@ -1,12 +1,20 @@
 """`posegsa evaluate`: a finished run on many unseen scenarios, beside every baseline."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
+from typing import overload
 
 import jax
 
-from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole
+from posegsa.arguments import (
+    MAX_INTEGER,
+    check_callable,
+    check_type,
+    check_whole,
+    refuse,
+    several,
+)
 from posegsa.judging.baselines import candidate_of, describe, schedule_baselines
 from posegsa.judging.evaluation import (
     CONTENDERS,
@@ -19,7 +27,11 @@ from posegsa.judging.evaluation import (
 )
 from posegsa.judging.kalman import kalman_scenarios, kalman_tracks, tune_kalman
 from posegsa.judging.metrics import error_tracks
+from posegsa.judging.other_filters import OTHER_FILTERS, installed
+from posegsa.judging.recorded import RecordingResult
+from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
 from posegsa.judging.result import TuneResult
+from posegsa.recordings.recording import Recording
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
@@ -29,6 +41,7 @@ from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.settings.fields import MAX_COUNT
 
 
+@overload
 def evaluate(
     result: TuneResult,
     *,
@@ -36,16 +49,49 @@ def evaluate(
     seed: int | None = None,
     cost: TrackCost | None = None,
     progress: Callable[[str], object] | None = None,
-) -> TuneResult:
-    """Judge a tuned schedule on unseen scenarios beside all baselines.
+) -> TuneResult: ...
+
+
+@overload
+def evaluate(
+    result: RecordingResult,
+    *,
+    recordings: Recording | Iterable[Recording],
+    training: Recording | Iterable[Recording] = (),
+    others: bool | None = None,
+    progress: Callable[[str], object] | None = None,
+) -> RecordingResult: ...
+
+
+def evaluate(
+    result: TuneResult | RecordingResult,
+    *,
+    recordings: Recording | Iterable[Recording] | None = None,
+    training: Recording | Iterable[Recording] = (),
+    others: bool | None = None,
+    scenarios: int = 1000,
+    seed: int | None = None,
+    cost: TrackCost | None = None,
+    progress: Callable[[str], object] | None = None,
+) -> TuneResult | RecordingResult:
+    """Judge a tuned schedule beside all baselines, on unseen scenarios or on recordings.
 
     Schedules are searched on the run's training scenarios with the run's optimiser and number of
     evaluations (`judging.baselines`), the Kalman filters' noises until that brings little more
     (`judging.kalman`). What a result has been judged beside before is not searched again. The
     scenarios that judge are drawn with keys that no search has seen.
 
+    On recordings, it is judged beside the best constant gains and the invariant Kalman filter, both
+    tuned on `training`, and on those of an IMU beside VQF, Madgwick's and Mahony's filter, each
+    with the settings of its paper (`judging.other_filters`).
+
     Args:
         result: A tuned result.
+        recordings: That judge a result that was tuned on others.
+        training: Those that it was tuned on, for the baselines; without them only filters that are
+            not tuned stand beside it.
+        others: Whether other libraries' filters are tried; by default where the recordings have
+            what they read and the libraries are installed.
         scenarios: Number of held-out scenarios, at least 2.
         seed: Another held-out set than the run's own.
         cost: The user's own cost that the result was tuned with, if it was.
@@ -58,11 +104,18 @@ def evaluate(
         ArgumentError: Fewer than 2 scenarios, an argument of another type, or another cost.
         MemoryLimitError: So many scenarios would need more memory than there is.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
+    check_callable("progress", progress)
+    if isinstance(result, RecordingResult):
+        return _on_recordings(result, recordings, training, others, progress)
+    if recordings is not None:
+        refuse(
+            "recordings with a result that was tuned on scenarios",
+            "one that was tuned on recordings; `replay` runs any result on them",
+        )
     check_whole("scenarios", scenarios, 2, MAX_COUNT)
     if seed is not None:
         check_whole("seed", seed, 0, MAX_INTEGER)
-    check_callable("progress", progress)
     check_callable("cost", cost)
     check_same_cost(cost, result.cost)
     experiment = result.experiment
@@ -85,6 +138,26 @@ def evaluate(
                 tracks = error_tracks(candidate_of(description, problem.space.schedules), held_out)
             contenders[name] = contender(tracks, held_out, description, cost)
         return replace(result, evaluation=evaluation(contenders, held_out, seed))
+
+
+def _on_recordings(
+    result: RecordingResult,
+    recordings: Recording | Iterable[Recording] | None,
+    training: Recording | Iterable[Recording],
+    others: bool | None,
+    progress: Callable[[str], object] | None,
+) -> RecordingResult:
+    unseen, seen = (
+        several(name, [given] if isinstance(given, Recording) else given, Recording, "recordings")
+        for name, given in (("recordings", recordings), ("training", training))
+    )
+    if not unseen:
+        refuse("recordings: none", "at least one")
+    names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
+    if others is None:
+        names = [name for name in names if installed(name)]
+    say = progress if progress is not None else lambda _: None
+    return judged_beside_baselines(result, unseen, seen, names, say)
 
 
 def _all_found(

@@ -3,37 +3,49 @@
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple, get_args, overload
 
 import jax
 
 from posegsa import config
-from posegsa.arguments import check_callable, several
-from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SaveError
+from posegsa.arguments import check_callable, check_number, refuse, several
+from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError, SaveError
 from posegsa.judging.judge import judge
+from posegsa.judging.recorded import RecordingResult, judge_on_recordings
 from posegsa.judging.result import TuneBatch, TuneResult
+from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
     newest_checkpoint,
     search_with_checkpoints,
 )
 from posegsa.saving.folder import locked_folder
+from posegsa.saving.recorded import write_recorded
 from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
 from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
+from posegsa.search.recorded import DEGREES_PER_METRE, RecordedSchedule, recorded_problem
 from posegsa.search.run import Progress, run_search, search_batch
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
 """An experiment, a TOML file, or the recommended experiment."""
+Recordings = Recording | Iterable[Recording]
+"""One recording, or several."""
 Tell = Callable[[Progress], object] | None
 """What is called with the progress of a search, if anything."""
 
 
+@overload
 def tune(
     experiment: Given = None,
     *,
+    recordings: None = None,
+    held_out: None = None,
+    schedule: RecordedSchedule = "fuzzy",
+    position_weight: float = DEGREES_PER_METRE,
     seed: int | None = None,
     iterations: int | None = None,
     out: str | Path | None = None,
@@ -41,8 +53,43 @@ def tune(
     resume: str | Path | None = None,
     cost: TrackCost | None = None,
     progress: Tell = None,
-) -> TuneResult:
-    """Tune a fuzzy gain schedule.
+) -> TuneResult: ...
+
+
+@overload
+def tune(
+    experiment: Given = None,
+    *,
+    recordings: Recordings,
+    held_out: Recordings | None = None,
+    schedule: RecordedSchedule = "fuzzy",
+    position_weight: float = DEGREES_PER_METRE,
+    seed: int | None = None,
+    iterations: int | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    resume: None = None,
+    cost: None = None,
+    progress: Tell = None,
+) -> RecordingResult: ...
+
+
+def tune(
+    experiment: Given = None,
+    *,
+    recordings: Recordings | None = None,
+    held_out: Recordings | None = None,
+    schedule: RecordedSchedule = "fuzzy",
+    position_weight: float = DEGREES_PER_METRE,
+    seed: int | None = None,
+    iterations: int | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    resume: str | Path | None = None,
+    cost: TrackCost | None = None,
+    progress: Tell = None,
+) -> TuneResult | RecordingResult:
+    """Tune a fuzzy gain schedule, on simulated scenarios or on recordings.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it does the latter by itself, and
@@ -51,7 +98,16 @@ def tune(
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
-            the run to resume.
+            the run to resume. On recordings, its filter, signal, fuzzy inference, boxes,
+            `parameters.also`, objective and optimiser are used, and the weights of its scenario's
+            vectors and landmarks, in order.
+        recordings: Tune on these instead of simulated scenarios: any number, of any lengths and
+            rates, each over the samples that it judges. The cost of one is its attitude's RMSE
+            [deg] plus `position_weight` times its position's. Such a search has no checkpoints.
+        held_out: Recordings that only judge.
+        schedule: On recordings, what is searched: "fuzzy", k1 to k22; "constant", one gain;
+            "smooth", K(e) of three numbers; each with `parameters.also`.
+        position_weight: Of the position's RMSE in the cost on recordings [deg/m].
         seed: Replaces the experiment's seed.
         iterations: Replaces the experiment's number of iterations.
         out: Folder to write the result to, and checkpoints while it searches (none by pycma, whose
@@ -65,7 +121,8 @@ def tune(
         progress: Called when the search is compiled, and after each chunk of iterations.
 
     Returns:
-        The result, with the cost on held-out scenarios beside the training cost.
+        The result, with the cost on held-out scenarios beside the training cost; on recordings a
+        `RecordingResult`, which shows the errors on those held out, or says that there are none.
 
     Raises:
         ConfigError: The configuration is not valid, would need more memory than there is, or is not
@@ -77,6 +134,14 @@ def tune(
     """
     check_callable("progress", progress)
     check_callable("cost", cost)
+    if recordings is not None:
+        if resume is not None or cost is not None:
+            refuse("recordings with resume or cost", "one of them")
+        chosen = _chosen(experiment, seed, iterations)
+        task = _recorded_task(recordings, held_out, schedule, position_weight)
+        return _tune_on_recordings(chosen, task, out, overwrite, progress)
+    if held_out is not None:
+        refuse("held_out without recordings", "both, or neither")
     if resume is not None:
         folder = folder_to_resume(resume, out, overwrite)
         return _resume(folder, experiment, seed, iterations, cost, progress)
@@ -87,6 +152,63 @@ def tune(
     with jax.enable_x64(chosen.run.dtype == "float64"):
         problem = tuning_problem(chosen, cost)
         return judge(problem, run_search(problem, progress))
+
+
+class _RecordedTask(NamedTuple):
+    """What is tuned on recordings, and for what."""
+
+    training: list[Recording]
+    held_out: list[Recording]
+    schedule: RecordedSchedule
+    position_weight: float
+
+
+def _recorded_task(
+    recordings: Recordings,
+    held_out: Recordings | None,
+    schedule: RecordedSchedule,
+    position_weight: float,
+) -> _RecordedTask:
+    """A task from a user, checked."""
+    training, unseen = (
+        several(name, [given] if isinstance(given, Recording) else given, Recording, "recordings")
+        for name, given in (("recordings", recordings), ("held_out", held_out or []))
+    )
+    if not training:
+        refuse("recordings: none", "at least one")
+    if both := {id(one) for one in training} & {id(one) for one in unseen}:
+        name = next(one.name for one in training if id(one) in both)
+        refuse(f"held_out: {name} is tuned on", "recordings that are not")
+    for one in (*training, *unseen):
+        if not one.masks()["judged"].any():
+            raise RecordingError(f"{one.name}: no sample is judged where the truth is known")
+    if schedule not in get_args(RecordedSchedule):
+        refuse(f"schedule = {schedule!r}", ", ".join(get_args(RecordedSchedule)))
+    check_number("position_weight", position_weight, 0.0, 1e6)
+    return _RecordedTask(training, unseen, schedule, position_weight)
+
+
+def _tune_on_recordings(
+    experiment: config.Experiment,
+    task: _RecordedTask,
+    out: str | Path | None,
+    overwrite: bool,
+    progress: Tell,
+) -> RecordingResult:
+    if out is not None:
+        with locked_folder(out, overwrite=overwrite) as folder:
+            result = _tune_on_recordings(experiment, task, None, overwrite, progress)
+            try:
+                write_recorded(result, folder)
+            except RunFolderError as error:
+                raise SaveError(str(error), result) from error
+            return result
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
+        found = run_search(problem, progress)
+        return judge_on_recordings(
+            problem, found, task.position_weight, task.training, task.held_out
+        )
 
 
 def tune_batch(

@@ -80,6 +80,7 @@ def settings(
     vectors: VectorSettings | None = None,
     landmark_weights: Sequence[float] | None = None,
     learnt: VectorBias | None = None,
+    length: float | None = None,
 ) -> FilterSettings:
     """The filter's settings; by default it takes measurements, and their weights, as they are."""
     return FilterSettings(
@@ -95,6 +96,7 @@ def settings(
         landmark_weights=landmark_weights
         and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
         vector_bias=learnt,
+        length=None if length is None else jnp.asarray(length, dtype),
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, export
-from posegsa.saving.run import load
+from posegsa.saving.loading import load
 
 
 def add(commands) -> None:

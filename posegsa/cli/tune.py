@@ -3,15 +3,19 @@
 import argparse
 import warnings
 from pathlib import Path
+from typing import get_args
 
 import jax
 
 from posegsa import config, tuning
 from posegsa.cli.arguments import add_search_arguments
 from posegsa.cli.progress import TuneBar
+from posegsa.cli.replay import RECORDING, add_window, read, window
 from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.saving import recorded
 from posegsa.saving.checkpointing import newest_checkpoint
 from posegsa.search.devices import join_processes
+from posegsa.search.recorded import RecordedSchedule
 
 OUT = "posegsa-run"
 """Folder that is written to where none is given."""
@@ -40,6 +44,20 @@ def add(commands) -> None:
     parser.add_argument("--resume", metavar="DIR", help=resume)
     parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
     parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
+    group = parser.add_argument_group(
+        "recordings", "Tunes on recorded motion instead of simulated scenarios."
+    )
+    group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
+    group.add_argument("--held-out", metavar="FILE", action="append", help="one that only judges")
+    add_window(group)
+    group.add_argument(
+        "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
+    )
+    group.add_argument(
+        "--schedule",
+        choices=get_args(RecordedSchedule),
+        help="what is searched: k1 to k22 (default), one gain, or K(e) of three numbers",
+    )
     together = parser.add_argument_group(
         "several processes",
         "The same command in each, on one machine or many; the first writes the files. Without "
@@ -55,6 +73,11 @@ def add(commands) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     first = _join(options)
+    if options.recording is not None:
+        return _tune_on_recordings(options)
+    for name in ("held_out", "window", "held_out_window", "schedule"):
+        if getattr(options, name) is not None:
+            raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
     with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
@@ -63,6 +86,29 @@ def _tune(options: argparse.Namespace) -> int:
     if first:
         print(result.summary())
         print(f"\nWritten to {out or options.resume}: {FILES}")
+    return 0
+
+
+def _tune_on_recordings(options: argparse.Namespace) -> int:
+    if options.resume is not None or options.distributed:
+        raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
+    experiment, out = _experiment(options), options.out or OUT
+    recordings = read(options.recording, options.window)
+    held_out = read(options.held_out or [], options.held_out_window)
+    for one in (*recordings, *held_out):
+        print(one.describe())
+    with TuneBar(experiment.search.total_iterations, quiet=options.quiet) as show:
+        result = tuning.tune(
+            experiment,
+            recordings=recordings,
+            held_out=held_out,
+            schedule=options.schedule or "fuzzy",
+            out=out,
+            overwrite=options.overwrite,
+            progress=show,
+        )
+    print(f"\n{result.summary()}")
+    print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
     return 0
 
 

@@ -18,11 +18,16 @@ from posegsa.config.files import load as load
 from posegsa.config.files import override as override
 from posegsa.config.files import to_toml as to_toml
 from posegsa.config.files import with_tuned as with_tuned
+from posegsa.config.imu import ImuConfig as ImuConfig
+from posegsa.config.imu import ImuObserverConfig as ImuObserverConfig
+from posegsa.config.imu import ImuVectorsConfig as ImuVectorsConfig
+from posegsa.config.imu import load_imu as load_imu
 from posegsa.config.scenario import Landmark as Landmark
 from posegsa.config.scenario import ScenarioConfig as ScenarioConfig
 from posegsa.config.scenario import Sine as Sine
 from posegsa.config.scenario import Sines as Sines
 from posegsa.config.scenario import Vector as Vector
+from posegsa.config.schedule import DEFAULT_ALSO as DEFAULT_ALSO
 from posegsa.config.schedule import INPUT_RANGE as INPUT_RANGE
 from posegsa.config.schedule import PARAMETERS as PARAMETERS
 from posegsa.config.schedule import TERMS as TERMS

@@ -67,6 +67,9 @@ class FilterConfig(Section):
     gamma_law: GainLaw = "quadratic"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
+    length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
+    """Unit of length [m] in which attitude and position share the gain: about the distance of the
+    landmarks from the origin, for both to converge alike."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" applies every gain as it is."""
@@ -92,6 +95,10 @@ class FilterConfig(Section):
     the fourth power, as at rest a bias can't be told from an error of the attitude."""
     excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
     """Time constant of the low-pass filter that the angular velocity passes for that [s]."""
+
+    def _conflicts(self) -> Iterator[Violation]:
+        if self.law == "printed" and self.length != 1.0:
+            yield Violation("length", 'allowed: 1.0, because law = "printed"', self.length)
 
 
 class CostConfig(Section):

@@ -41,7 +41,18 @@ def load(path: str | Path) -> Experiment:
     check_type("path", path, str, os.PathLike, allowed=allowed)
     if _NAME.fullmatch(str(path)) and not Path(path).exists():
         path = shipped.find(str(path))
-    return _validated(_parse(_read(path), path), f"{path} is not a valid experiment")
+    return _validated(read_toml(path), f"{path} is not a valid experiment")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The data of a TOML file.
+
+    Raises:
+        ArgumentError: It is no path.
+        ConfigError: The file cannot be read or is not TOML.
+    """
+    check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
+    return _parse(_read(path), path)
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:

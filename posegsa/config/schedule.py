@@ -1,10 +1,10 @@
 """The gain schedule: the error it looks at, the fuzzy inference, and the boxes of k1..k22."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from posegsa.config.tunable import AlsoTuned
 from posegsa.model.fuzzy import Centroid, NoRule, SampledRule
@@ -86,6 +86,23 @@ def triangles(k: Sequence[T], low: T, high: T) -> tuple[tuple[T, T, T], ...]:
     )
 
 
+Rules = tuple[Row, Row, Row, Row, Row]
+PAPER_RULES: Rules = (
+    ("VL", "VL", "VL", "L", "L"),
+    ("VL", "VL", "VL", "L", "M"),
+    ("VL", "VL", "L", "M", "M"),
+    ("VL", "VL", "M", "M", "S"),
+    ("VL", "VL", "M", "S", "VS"),
+)
+
+
+def _rules(given: object) -> object:
+    """The table that a word stands for; anything else as it is."""
+    if given == "paper":
+        return PAPER_RULES
+    return tuple(row[::-1] for row in PAPER_RULES) if given == "reversed" else given
+
+
 class GainConfig(Section):
     """[gain]: the error signal e that the gain schedule looks at."""
 
@@ -125,15 +142,12 @@ class FuzzyConfig(Section):
     """Whether gaps between the input terms, where no rule fires, are closed."""
     overlap: NonNegative = 0.01
     """Minimum overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
-    rules: tuple[Row, Row, Row, Row, Row] = (
-        ("VL", "VL", "VL", "L", "L"),
-        ("VL", "VL", "VL", "L", "M"),
-        ("VL", "VL", "L", "M", "M"),
-        ("VL", "VL", "M", "M", "S"),
-        ("VL", "VL", "M", "S", "VS"),
-    )
-    """The rule table as the paper prints it (its V is L): rows are the rate, VL at the top to VS at
-    the bottom; columns are the error, VL at the left to VS at the right."""
+    offset: NonNegative = 1.0
+    """What is added to the centroid [1/s]: the gain is K = offset + centroid, 1 in the paper."""
+    rules: Annotated[Rules, BeforeValidator(_rules)] = PAPER_RULES
+    """The rule table; rows are the rate, VL at the top to VS at the bottom; columns are the error,
+    VL at the left to VS at the right. "paper" is the paper's (its V is L), "reversed" the same with
+    the error's axis turned round: a large residual that is a disturbance asks for a low gain."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if not self.ordering and self.centroid != "sampled":
@@ -154,10 +168,28 @@ class ParametersConfig(Section):
     upper: Bounds = tuple(high for _, high in _PAPER_BOXES)
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
-    """Universe of the output k_op; the gain is K = 1 + its centroid [1/s]."""
+    """Universe of the output k_op; the gain is K = fuzzy.offset + its centroid [1/s]. Where it is
+    given without bounds, those of k12..k22 are the paper's, moved and scaled to it."""
     also: tuple[AlsoTuned, ...] = DEFAULT_ALSO
     """Further numbers that are searched together with k1..k22; of the default list, those that are
     not stated elsewhere in the configuration, and that have an effect."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fit_the_boxes(cls, values: Any) -> Any:
+        """Bounds that the user leaves out fit the gain range that he states."""
+        if not isinstance(values, Mapping) or "gain_range" not in values:
+            return values
+        try:
+            low, high = (float(end) for end in values["gain_range"])
+        except (TypeError, ValueError):
+            return values  # refused by the field's own check
+        fitted = {}
+        for key, side in (("lower", 0), ("upper", 1)):
+            paper = [box[side] for box in _PAPER_BOXES]
+            scaled = [low + (high - low) * k / 100 for k in paper[11:]]
+            fitted[key] = (*paper[:11], *scaled)
+        return fitted | dict(values)
 
     def _conflicts(self) -> Iterator[Violation]:
         if self.gain_range[0] >= self.gain_range[1]:

@@ -7,7 +7,7 @@ beyond them, so that inputs need not be clipped. How the centroid is computed is
 
 from collections.abc import Sequence
 
-from posegsa.exchange.system import LIMITS, NAME, Variable, commented, rule_text, system_of
+from posegsa.exchange.system import NAME, Variable, commented, limits, rule_text, system_of
 from posegsa.model.fuzzy import FuzzyController
 
 
@@ -23,7 +23,7 @@ def to_fcl(controller: FuzzyController, about: Sequence[str] = ()) -> str:
         FuzzyError: It is a batch of several.
     """
     system = system_of(controller)
-    notes = [LIMITS]
+    notes = [limits(system.offset)]
     default = f"{system.middle!r}"
     if system.no_rule == "hold":
         default = "NC"

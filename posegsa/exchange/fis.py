@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from posegsa.errors import FuzzyError
 from posegsa.exchange.system import (
     INPUTS,
-    LIMITS,
     NAME,
     Rule,
     System,
     Term,
     Variable,
     commented,
+    limits,
+    offset_of,
     system_of,
 )
 from posegsa.model.fuzzy import FuzzyController
@@ -45,7 +46,10 @@ def to_fis(controller: FuzzyController, about: Sequence[str] = ()) -> str:
         FuzzyError: It is a batch of several.
     """
     system = system_of(controller)
-    notes = [LIMITS, "MATLAB samples the centroid at 101 points: up to 0.5/s beside the exact one."]
+    notes = [
+        limits(system.offset),
+        "MATLAB samples the centroid at 101 points: up to 0.5/s beside the exact one.",
+    ]
     if system.no_rule == "hold":
         notes.append(
             "Where no rule fires (evalfis warns), keep the last gain; MATLAB's own answer there is "
@@ -120,6 +124,7 @@ def from_fis(text: str) -> System:
         rate=rate,
         output=output,
         rules=tuple(_read_rule(line, swapped, (error, rate, output)) for line in rules),
+        offset=offset_of(output.name),
         no_rule="midrange",
         points=None,
     )

@@ -11,13 +11,14 @@ from collections.abc import Iterator, Sequence
 from posegsa.errors import FuzzyError
 from posegsa.exchange.system import (
     INPUTS,
-    LIMITS,
     NAME,
     Rule,
     System,
     Term,
     Variable,
     commented,
+    limits,
+    offset_of,
     rule_text,
     system_of,
 )
@@ -65,7 +66,7 @@ def to_fll(controller: FuzzyController, about: Sequence[str] = ()) -> str:
         "  activation: General",
         *(f"  rule: {rule_text(system, rule)}" for rule in system.rules),
     ]
-    return commented([*about, LIMITS], "#") + "\n".join(lines) + "\n"
+    return commented([*about, limits(system.offset)], "#") + "\n".join(lines) + "\n"
 
 
 def _range(variable: Variable, *, locked: bool) -> list[str]:
@@ -106,6 +107,7 @@ def from_fll(text: str) -> System:
         rules=tuple(
             _read_rule(value, (error, rate, out)) for key, value in rules[2] if key == "rule"
         ),
+        offset=offset_of(out.name),
         no_rule=None,
         points=int(count) if count.isdecimal() else None,
     )

@@ -8,7 +8,7 @@ reader may round them to float32, which is what a run in float32 had.
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from posegsa.exchange.system import LIMITS, NAME, System, Variable, commented, system_of
+from posegsa.exchange.system import NAME, System, Variable, commented, limits, system_of
 from posegsa.model.fuzzy import FuzzyController
 
 NAMESPACE = "http://www.ieee1855.org"
@@ -26,7 +26,7 @@ def to_fml(controller: FuzzyController, about: Sequence[str] = ()) -> str:
         FuzzyError: It is a batch of several.
     """
     system = system_of(controller)
-    notes = [LIMITS]
+    notes = [limits(system.offset)]
     if system.no_rule == "hold":
         notes.append(
             "Where no rule fires, keep the last output; the standard can only name a default, "

@@ -1,6 +1,7 @@
 """A Mamdani system with names, as the formats write it, and the controller that it is."""
 
 import math
+import re
 import textwrap
 from collections import Counter
 from typing import Any, NamedTuple
@@ -12,17 +13,32 @@ from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule
 
 INPUTS = ("error", "rate")
-OUTPUT = "gain_minus_1"
 NAME = "posegsa_gain"
 FIVE = ("VS", "S", "M", "L", "VL")
 """Names of five terms, from small to large."""
 
 LONGEST = 110
 """Characters in a line of a comment."""
-LIMITS = (
-    "Give both inputs clipped to [0, 1]. The output is the centroid; the gain is K = 1 + output "
-    "[1/s]. AND and implication are min, aggregation is max."
-)
+_OUTPUT = re.compile(r"gain_minus_(\d+)(?:_(\d+))?")
+
+
+def limits(offset: float) -> str:
+    """What a reader must be told, with the offset of the gain [1/s]."""
+    return (
+        "Give both inputs clipped to [0, 1]. The output is the centroid; the gain is "
+        f"K = {offset:.17g} + output [1/s]. AND and implication are min, aggregation is max."
+    )
+
+
+def output_name(offset: float) -> str:
+    """What the output is called: gain_minus_1, since no format can add the offset to it."""
+    return f"gain_minus_{offset:.6f}".rstrip("0").rstrip(".").replace(".", "_")
+
+
+def offset_of(name: str) -> float:
+    """The offset that an output's name says [1/s], rounded to 1e-6; 1 of another name."""
+    found = _OUTPUT.fullmatch(name)
+    return float(f"{found[1]}.{found[2] or 0}") if found else 1.0
 
 
 class Term(NamedTuple):
@@ -57,8 +73,10 @@ class System(NamedTuple):
     error: Variable
     rate: Variable
     output: Variable
-    """In 1/s; the gain is 1 more."""
+    """In 1/s; the gain is the offset more."""
     rules: tuple[Rule, ...]
+    offset: float
+    """What the gain has beside the output [1/s]."""
     no_rule: NoRule | None
     """What happens where no rule fires; None where a file does not say it."""
     points: int | None
@@ -87,12 +105,15 @@ def system_of(controller: FuzzyController) -> System:
     return System(
         error=error,
         rate=rate,
-        output=Variable(OUTPUT, float(low), float(high), _terms(controller.output_terms)),
+        output=Variable(
+            output_name(controller.offset), float(low), float(high), _terms(controller.output_terms)
+        ),
         rules=tuple(
             Rule(e, r, output)
             for r, row in enumerate(controller.rules)
             for e, output in enumerate(row)
         ),
+        offset=controller.offset,
         no_rule=controller.no_rule,
         points=controller.sampled_points if controller.centroid == "sampled" else None,
     )
@@ -143,6 +164,7 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
         centroid=centroid,
         sampled_points=101 if system.points is None else system.points,
         no_rule=chosen,
+        offset=system.offset,
     )
 
 

@@ -4,7 +4,9 @@ from posegsa.errors import PosegsaError
 from posegsa.export.c import export_c, filter_to_c
 from posegsa.export.c_gain import export_c_gain
 from posegsa.export.controllers import export_fcl, export_fis, export_fll, export_fml
+from posegsa.export.recorded import recorded_json
 from posegsa.export.tables import SCHEMA, export_csv, export_json
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 
 __all__ = [
@@ -37,11 +39,11 @@ NAMED = ("c", "c-gain")
 """Formats whose names begin with one that can be chosen."""
 
 
-def export(result: TuneResult, format: str, name: str | None = None) -> str:
+def export(result: TuneResult | RecordingResult, format: str, name: str | None = None) -> str:
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
-        result: what was tuned.
+        result: what was tuned; on recordings only "json".
         format: of `FORMATS`.
         name: what the names in a file of C begin with; default "posegsa".
 
@@ -50,8 +52,10 @@ def export(result: TuneResult, format: str, name: str | None = None) -> str:
     """
     if not isinstance(format, str) or format not in FORMATS:
         raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
-    if name is None:
-        return FORMATS[format](result)
-    if format not in NAMED:
+    if name is not None and format not in NAMED:
         raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(NAMED)}")
-    return FORMATS[format](result, name=name)
+    if isinstance(result, RecordingResult):
+        if format != "json":
+            raise PosegsaError(f"format = {format!r} of a result on recordings; allowed: 'json'")
+        return recorded_json(result)
+    return FORMATS[format](result) if name is None else FORMATS[format](result, name=name)

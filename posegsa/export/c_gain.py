@@ -101,7 +101,8 @@ def controller_values(controller: FuzzyController) -> dict[str, object]:
         "output_terms": _terms(controller.output_terms),
         "rules": _rows([map(str, row) for row in controller.rules], "rate "),
         # As JAX has it: formed in double, then rounded.
-        "initial_gain": repr(1 + 0.5 * (low + high)),
+        "initial_gain": repr(controller.offset + 0.5 * (low + high)),
+        "offset": repr(controller.offset),
         "no_rule": _NO_RULE[controller.no_rule],
     }
 

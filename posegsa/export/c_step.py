@@ -39,6 +39,7 @@ stands for a number in C, an `export.scalar_c.Argument`, and so it is `Any` to t
 _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
     "gamma_linear": ("", "gain of the bias law of the velocity at K = 10/s [1/s^2]"),
+    "length": ("", "l [m], unit of length in which attitude and position share the gain"),
     "gain_limit": ("", "largest step of the innovation, K h L"),
     "vectors.cross_weight": ("cross_vector_weight", "s of v_1 x v_2"),
     "vector_bias.gain": ("", "gamma_c, gain of the vectors' bias law at K = 10/s [1/s]"),
@@ -182,22 +183,29 @@ class Step:
             (now, sample, seen, memory, self._signal),
             (("w->error", "w->rate"), _wanted(self._memory("next")._replace(gain=_scalar(0.0)))),
         )
+        gamma: Any = None
         if not isinstance(schedule, FuzzyGain):
             inputs = ScheduleInputs(
                 *map(_scalar, ("w->error", "w->rate", "now->time", "now->gain"))
             )
+            zero: Any = np.zeros(())
+            with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
+                nothing = ScheduleInputs(zero, zero, zero, zero)
+                asked = jax.eval_shape(schedule.prepare(), nothing)
+            if asked.gamma is not None:
+                gamma = "w->gamma"
             named = self._named(schedule, "schedule.")
             self._piece(
                 *("schedule", f"{type(schedule).__name__}: the gain that is asked for"),
-                lambda schedule, inputs: schedule.prepare()(inputs),
+                lambda schedule, inputs: tuple(jax.tree.leaves(schedule.prepare()(inputs))),
                 (named, inputs),
-                Gains(_scalar("w->gain"), _scalar("w->learning")),
+                ("w->gain", "w->learning", *([] if gamma is None else [gamma])),
             )
         moved = None if self.attitude_only else _vec3("w->v")
         self._piece(
             *("correct", "the innovation U, its gain after the limit, and the biases' law"),
             _correct,
-            (following, sample, seen, "w->gain", "h", "moving", settings),
+            (following, sample, seen, "w->gain", gamma, "h", "moving", settings),
             (
                 "w->used",
                 (_vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
@@ -343,6 +351,7 @@ def _correct(
     sample: Sample,
     seen: Seen,
     gain: Any,
+    gamma: Any,
     h: Any,
     moving: Any,
     settings: FilterSettings,
@@ -350,7 +359,7 @@ def _correct(
     """A sub-step up to its exponential, as `model.filter.observe` makes it."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
-    biases = learnt_biases(state, sample, W, used, h, settings)
+    biases = learnt_biases(state, sample, W, used, h, settings, gamma)
     return used, (omega, v, se3.dot(omega, omega)), biases
 
 

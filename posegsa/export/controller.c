@@ -88,5 +88,5 @@ static inline posegsa_real posegsa_membership(posegsa_real x, const posegsa_real
             moment += spike * (POSEGSA_C(0.5) * (term[0] + term[2]));
         }
     }
-    return 1 + moment / area;
+    return POSEGSA_C({{ offset }}) + moment / area;
 }

@@ -185,6 +185,7 @@ typedef struct posegsa_work {
     posegsa_real rate;           /* scaled, 0 to 1 */
     posegsa_real gain;           /* K [1/s] */
     posegsa_real learning;       /* factor on the gain of the vectors' bias law */
+    posegsa_real gamma;          /* factor on gamma */
     posegsa_real used;           /* K after its limit [1/s] */
     posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
     posegsa_real v[3];           /* and its displacement [m] */

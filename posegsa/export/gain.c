@@ -37,7 +37,7 @@
 /* Gain K [1/s] of the scaled error and its scaled rate; last_gain is the one before [1/s]. */
 posegsa_real posegsa_gain(posegsa_real error, posegsa_real rate, posegsa_real last_gain);
 
-/* What last_gain is at the first sample [1/s]: 1 + the middle of the output range. */
+/* What last_gain is at the first sample [1/s]: the offset + the middle of the output range. */
 posegsa_real posegsa_initial_gain(void);
 
 {% include 'controller.c' %}

@@ -70,7 +70,9 @@ _INFIX = {
 _ARITHMETIC, _ARITHMETIC_BINDS = ("add", "sub", "mul", "div"), 5
 _PREDICATES = ("lt", "gt", "le", "ge", "eq", "ne", "and", "or", "not", "is_finite")
 FUNCTIONS = {
-    **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
+    **{
+        name: name for name in ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh")
+    },
     **{"abs": "fabs", "floor": "floor", "round": "rint"},
 }
 """Functions of `<math.h>` by JAX's names; in C they are called through `posegsa_NAME`."""

@@ -22,7 +22,8 @@ RESOLUTION = 101
 """Points along each input in the control surface."""
 
 INFERENCE = (
-    "K = 1 + centroid [1/s] by Mamdani inference: min for AND and implication, max for aggregation."
+    "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
+    "aggregation."
 )
 _ABOUT = (
     f"Gain schedule of a pose filter on SE(3). {INFERENCE} Terms are [left foot, peak, right "
@@ -60,6 +61,7 @@ def export_json(result: TuneResult) -> str:
             "sampled_points": controller.sampled_points,
             "sampled_rule": controller.sampled_rule,
             "no_rule": controller.no_rule,
+            "offset_1_s": controller.offset,
             "initial_gain_1_s": initial_gain,
         },
         "gain": experiment.gain,

@@ -57,7 +57,7 @@ def plot_surface(controller: FuzzyController) -> Figure:
     if gain.count():
         _plot_contours(ax, axis, gain)
     low, high = controller.output_range
-    middle = f"$K$ = {1 + 0.5 * (low + high):g} 1/s"
+    middle = f"$K$ = {controller.offset + 0.5 * (low + high):g} 1/s"
     meaning = "the last gain is held" if controller.no_rule == "hold" else middle
     _hatch(figure, ax, [ax.axvspan, ax.axhspan], controller, f"no rule fires: {meaning}")
     for side in (ax.xaxis, ax.yaxis):
@@ -119,12 +119,14 @@ def plot_input_terms(controller: FuzzyController) -> Figure:
     FIGURES,
     name="output_terms",
     title="Output terms",
-    caption="What the rules ask for; the gain is 1 plus the centroid of these terms as they fire.",
+    caption="What the rules ask for; the gain is the offset plus the centroid of these terms as "
+    "they fire.",
 )
 def plot_output_terms(controller: FuzzyController) -> Figure:
-    """Output terms VS to VL over the controller's output k_op [1/s]; the gain is 1 + centroid."""
+    """Output terms VS to VL over the output k_op [1/s]; the gain is offset + centroid."""
     check_type("controller", controller, FuzzyController)
-    label = r"Output $k_\mathrm{op}$ [1/s];  gain $K = 1 + $ centroid"
+    gain = f"$K = {controller.offset:g} + $ centroid"
+    label = rf"Output $k_\mathrm{{op}}$ [1/s];  gain {gain}"
     figure, _ = _plot_terms(controller.output_terms, controller.output_range, label)
     return figure
 

@@ -93,7 +93,8 @@ def best_constant(problem: TuningProblem) -> Candidate:
     """
     low, high = problem.experiment.parameters.gain_range
     training = problem.training
-    gains = jnp.linspace(1 + low, 1 + high, CONSTANT_GAINS, dtype=training.dtype)
+    offset = problem.experiment.fuzzy.offset
+    gains = jnp.linspace(offset + low, offset + high, CONSTANT_GAINS, dtype=training.dtype)
     by_scenario = costs_by_scenario(Candidate(ConstantGain(gains)), training, cost=problem.cost)
     costs = np.asarray(over_scenarios(by_scenario, problem.experiment.objective))
     return Candidate(

@@ -1,6 +1,7 @@
 """The invariant Kalman filter (`model.ekf`) as a baseline: its noises tuned as users tune them."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -75,14 +76,25 @@ def tune_kalman(
         training_keys(run.seed, run.training_scenarios),
         vector_biases=vector_biases,
     )
-    names = _names(vector_biases)
+    names = tuple(noise_names(vector_biases))
+    objective = _Objective(experiment.objective, names, cost)
+    return search_noises(objective, training, names, run.seed)
+
+
+def search_noises(
+    objective: Callable[[ScenarioBatch], Callable[[Array], Array]],
+    training: ScenarioBatch,
+    names: tuple[str, ...],
+    seed: int,
+) -> Description:
+    """The noises, by name, of lowest objective, a function of their logarithms (A, d)."""
     bounds = np.log([BOUNDS[name] for name in names]).T
     box = Box(*(jnp.asarray(ends, training.dtype) for ends in bounds))
     optimiser = DifferentialEvolution(
         agents=AGENTS, iterations=MOST // AGENTS, strategy="best/1/bin", factor=0.6
     )
-    go = runner(optimiser, _Objective(experiment.objective, tuple(names), cost), box, training)
-    search, before = start(optimiser, box, keys(run.seed).baselines), math.inf
+    go = runner(optimiser, objective, box, training)
+    search, before = start(optimiser, box, keys(seed).baselines), math.inf
     chunk = CHECKED // AGENTS
     for stop in range(chunk, optimiser.iterations + 1, chunk):
         search = go(search, stop)
@@ -101,7 +113,7 @@ def tune_kalman(
 
 def kalman_tracks(found: Description, batch: ScenarioBatch) -> ErrorTrack:
     """What the filter does on all S `kalman_scenarios`; on the host, leaves (S, ...)."""
-    noise = _noise({name: jnp.asarray(n[0], batch.dtype) for name, n in found.numbers.items()})
+    noise = noise_of(found, batch.dtype)
     count, parts = batch.bias.shape[0], []
     for first in range(0, count, SCENARIOS):
         # The last part wraps round, so that all have one shape and are compiled once.
@@ -110,12 +122,18 @@ def kalman_tracks(found: Description, batch: ScenarioBatch) -> ErrorTrack:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 
-def _names(vector_biases: bool) -> list[str]:
+def noise_of(found: Description, dtype: jnp.dtype) -> EkfNoise:
+    """The noises that were stored."""
+    return named_noise({name: jnp.asarray(n[0], dtype) for name, n in found.numbers.items()})
+
+
+def noise_names(vector_biases: bool) -> list[str]:
     """The noises that a filter with or without the vectors' biases as states has."""
     return [n for n in BOUNDS if vector_biases or n not in ("vector_walk", "initial_vector_bias")]
 
 
-def _noise(given: dict[str, Array]) -> EkfNoise:
+def named_noise(given: dict[str, Array]) -> EkfNoise:
+    """Noises by name; those that are not given are 0."""
     nothing = jnp.zeros_like(next(iter(given.values())))
     return EkfNoise(**{name: given.get(name, nothing) for name in EkfNoise._fields})
 
@@ -136,7 +154,7 @@ class _Objective(NamedTuple):
                 weights = training.weights.until(samples.time, end)
 
                 def agent(vector: Array) -> Array:
-                    noise = _noise(dict(zip(self.names, jnp.exp(vector), strict=True)))
+                    noise = named_noise(dict(zip(self.names, jnp.exp(vector), strict=True)))
                     if self.cost is not None:
                         return self.cost(ekf_errors(samples, initial, noise), samples.time)
                     return ekf_cost(samples, initial, weights, noise).total

@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from pydantic import Field
 
-from posegsa.arguments import check_type
+from posegsa.arguments import check_type, refuse
 from posegsa.config import PARAMETERS, Experiment, with_tuned
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.endurance import Endurance
@@ -21,9 +21,11 @@ from posegsa.judging.trust import Trust
 from posegsa.model.filter import FilterSettings, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, run_filter
+from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import run_filter, state_of
 from posegsa.search.build import filter_settings, parameter_space, signal_settings
 from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
@@ -99,41 +101,45 @@ class TuneResult:
 
     def estimate(
         self,
-        measurements: Measurements,
-        rotation: ArrayLike,
-        position: ArrayLike,
+        measurements: Measurements | Recording,
+        rotation: ArrayLike | None = None,
+        position: ArrayLike | None = None,
         bias: ArrayLike | None = None,
     ) -> Estimates:
         """Run the tuned filter on measurements of one's own, with the experiment's settings.
 
         Args:
-            measurements: N samples (`Measurements.from_arrays`), brought to its precision. If there
-                are as many vectors, or landmarks, as in the experiment, they have the weights of
-                those, else 1 each.
-            rotation: (3, 3) R_est at the first sample, body to inertial.
+            measurements: N samples (`Measurements.from_arrays`), or a recording, brought to its
+                precision. If there are as many vectors, or landmarks, as in the experiment, they
+                have the weights of those, else 1 each.
+            rotation: (3, 3) R_est at the first sample, body to inertial; by default that of the
+                recording, with its position and bias.
             position: (3,) P_est there [m], inertial frame.
             bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
 
         Raises:
             MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
-            ArgumentError: The schedule was tuned on the signal "pose", which needs the truth.
+            ArgumentError: The schedule was tuned on the signal "pose", which needs the truth; or
+                a start is missing.
         """
-        check_type("measurements", measurements, Measurements)
+        check_type("measurements", measurements, Measurements, Recording)
+        recorded = isinstance(measurements, Recording)
+        sensed = measurements.measurements if recorded else measurements
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
-            vectors, landmarks = (
-                np.shape(a)[-2] for a in (measurements.vectors, measurements.landmarks)
-            )
+            vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
             settings = self.settings_for(vectors, landmarks)
+            signal = signal_settings(self.tuned.gain, dtype)
             learnt = 0 if settings.vector_bias is None else vectors
-            start = checked_state(rotation, position, bias, dtype, learnt_vectors=learnt)
-            estimates = run_filter(
-                self.schedule,
-                jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), measurements),
-                start,
-                settings,
-                signal_settings(self.tuned.gain, dtype),
-            )
+            if recorded and rotation is None and position is None and bias is None:
+                start = state_of(measurements.initial(), learnt_vectors=learnt)
+            elif rotation is None or position is None:
+                refuse("rotation, position: not both given", "both, or neither with a Recording")
+            else:
+                start = checked_state(rotation, position, bias, dtype, learnt_vectors=learnt)
+            if not recorded:
+                measurements = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), sensed)
+            estimates = run_filter(self.schedule, measurements, start, settings, signal)
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
         if used < 0.1 * asked:
             warnings.warn(

@@ -1,9 +1,11 @@
-"""The paper's cost (Eq. 17): transient plus steady-state error, as sums over samples."""
+"""Costs of a simulation: the paper's (Eq. 17), as sums over samples, and that on recordings."""
 
 from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array
+
+from posegsa.model.se3 import safe_sqrt
 
 
 class CostWeights(NamedTuple):
@@ -58,3 +60,33 @@ def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> C
         return jnp.einsum("...n,n->...", error, weight, precision="highest")
 
     return CostParts(total(weights.transient), total(weights.steady))
+
+
+class RecordedCost(NamedTuple):
+    """The cost on a recording: root mean squares of attitude and position over what is judged.
+
+    C = RMSE of the attitude [deg] + weight x RMSE of the position [m]. The attitude's error is
+    taken as its chord, 2 sin(angle / 2), which is the angle but for 1 % at 28 deg; the position's
+    is |P_est - P|.
+    """
+
+    weight: Array
+    """(N,) share of each sample, 0 where it is not judged; they sum up to 1."""
+    position: tuple[Array, Array, Array]
+    """True P, each (N,) [m]; anything where it is not judged."""
+    position_weight: Array
+    """[deg/m], 0 where the position is not judged."""
+
+
+class SquaredErrors(NamedTuple):
+    """Mean squares, run up sample by sample."""
+
+    attitude: Array
+    """sin^2(angle / 2)."""
+    position: Array
+    """[m^2]."""
+
+    def cost(self, position_weight: Array) -> Array:
+        """C [deg]."""
+        attitude = jnp.degrees(2 * safe_sqrt(self.attitude))
+        return attitude + position_weight * safe_sqrt(self.position)

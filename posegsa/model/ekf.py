@@ -69,12 +69,18 @@ import jax.numpy as jnp
 from jax import Array
 
 from posegsa.errors import ArgumentError
-from posegsa.model.cost import CostParts, CostWeights, sample_error
+from posegsa.model.cost import (
+    CostParts,
+    CostWeights,
+    RecordedCost,
+    SquaredErrors,
+    sample_error,
+)
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.filter import FilterState
 from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import ErrorTrack, Estimates, Samples, samples_of
+from posegsa.model.rollout import ErrorTrack, Estimates, Samples, samples_of, squared_errors
 from posegsa.model.sample import Sample
 from posegsa.model.se3 import (
     Quaternion,
@@ -322,6 +328,28 @@ def ekf_cost(
         total=CostParts(zero, zero),
     )
     return parts
+
+
+def ekf_recorded_cost(
+    samples: Samples, initial: FilterState, recorded: RecordedCost, noise: EkfNoise
+) -> Array:
+    """Cost on a recording, run up sample by sample; nothing else is stored (pure, jittable)."""
+
+    def look(
+        total: SquaredErrors, state: EkfState, now: Samples, entry: Any
+    ) -> tuple[SquaredErrors, None]:
+        return squared_errors(total, state.estimate, now, *entry), None
+
+    zero = jnp.zeros_like(initial.place[0])
+    _, squares, _ = _simulate(
+        look,
+        samples,
+        initial,
+        noise,
+        extra=(recorded.weight, recorded.position),
+        total=SquaredErrors(zero, zero),
+    )
+    return squares.cost(recorded.position_weight)
 
 
 def ekf_errors(samples: Samples, initial: FilterState, noise: EkfNoise) -> ErrorTrack:

@@ -19,7 +19,7 @@ def choose(condition: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
     return lax.select(_to(condition, shape, bool), _to(a, shape, dtype), _to(b, shape, dtype))
 
 
-def minimum(a: Array, b: ArrayLike) -> Array:
+def minimum(a: Array | float, b: Array | float) -> Array:
     """The smaller of a and b, one instruction; b, and its derivative, where equal or a is NaN."""
     return choose(a < b, a, b)
 

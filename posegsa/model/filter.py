@@ -42,6 +42,13 @@ landmark by its distance |y_i| times as much, and its residual comes back with t
 oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit step is
 unstable; so both laws keep, with y the farthest landmark,
     gamma dt (1 + |y|^2) <= K / 2  for the angular velocity,   gamma dt <= K / 2  for the linear.
+The unit of length. The gain K turns and moves the estimate, and their shares depend on the unit of
+length: where landmarks are d metres from the origin, the cost's curvature is d^2 times as high in
+attitude as in position, and the K that the attitude allows leaves the position d^2 times as slow.
+In a unit of l metres (`length`) u_2 counts l^2 times,
+    W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
+for the law "gradient", and every 1 beside a squared length, in L and above, is l^2. With l about d
+both converge alike. It is the same observer, run in that unit.
 What holds in theory: with f the cost whose gradient U is and constant gamma, f + |b_err|^2 / (2
 gamma) never rises (without noise). With a changing gamma that function serves while gamma rises and
 gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
@@ -125,25 +132,36 @@ class VectorBias:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FilterSettings:
-    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced."""
+    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced.
 
-    law: Law = field(metadata={"static": True})
-    gamma_law: GainLaw = field(metadata={"static": True})
+    The defaults suit vectors and landmarks of any motion; only vectors' biases are not learnt.
+    """
+
+    law: Law = field(default="gradient", metadata={"static": True})
+    gamma_law: GainLaw = field(default="quadratic", metadata={"static": True})
     """How gamma follows the gain."""
-    substeps: int = field(metadata={"static": True})
+    substeps: int = field(default=2, metadata={"static": True})
     """n, inner steps per sample."""
-    gamma_angular: Array
+    gamma_angular: Array | float = 2.5
     """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
-    gamma_linear: Array
+    gamma_linear: Array | float = 2.5
     """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
-    gain_limit: Array
+    gain_limit: Array | float = 1.5
     """c; infinite for no limit."""
-    vectors: VectorSettings
+    vectors: VectorSettings = field(default_factory=VectorSettings)
     """What is made of the vectors before they are used."""
-    landmark_weights: tuple[Array, ...] | None
+    landmark_weights: tuple[Array, ...] | None = None
     """s_i^L of each landmark [1/m^2]; None is 1 for all."""
-    vector_bias: VectorBias | None
+    vector_bias: VectorBias | None = None
     """How the vectors' biases are learnt; None where they are not."""
+    length: Array | None = None
+    """l, the unit of length [m] in which the observer's equations are those of the module's head;
+    None is 1 m, with law "printed" always."""
+
+    @property
+    def unit(self) -> Array | int:
+        """l^2 [m^2]."""
+        return 1 if self.length is None else self.length * self.length
 
 
 class FilterState(NamedTuple):
@@ -335,15 +353,15 @@ def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
     return Seen(wahba, freed, tuple(s * f for s, f in zip(weights, factors, strict=True)))
 
 
-def innovation(state: FilterState, sample: Sample, seen: Seen) -> Innovation:
-    """U (Eq. 9) and L.
+def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int = 1) -> Innovation:
+    """U (Eq. 9) and L, with l^2 = `unit` [m^2].
 
     The vectors' part of u_1 is the antisymmetric part of R_est B, since (R u) x v is that of
     (R u) v^T. U is minus the gradient of
         f = 1/4 sum s_i^L |x_i - p_i|^2 + 1/4 sum s_i^R |R_est u_i - v_i^I|^2,
     and L bounds its Hessian:
         L = 1/2 sum s_i^R |u_i||v_i^I|
-          + 1/4 sum s_i^L [1 + |x_i||p_i| + sqrt((1 + |x_i|^2)(1 + |p_i|^2))].
+          + 1/4 sum s_i^L [l^2 + |x_i||p_i| + sqrt((l^2 + |x_i|^2)(l^2 + |p_i|^2))].
     """
     R = rows(state.attitude)
     columns = tuple(zip(*seen.wahba.profile, strict=True))
@@ -362,29 +380,33 @@ def innovation(state: FilterState, sample: Sample, seen: Seen) -> Innovation:
         u1 = add(u1, scale(s, cross(x, p)))
         u2 = add(u2, scale(s, subtract(p, x)))
         x2, p2 = dot(x, x), dot(p, p)
-        product = safe_sqrt(x2 * p2) + jnp.sqrt((1 + x2) * (1 + p2))
-        curvature = curvature + 0.25 * s * (1 + product)
+        product = safe_sqrt(x2 * p2) + jnp.sqrt((unit + x2) * (unit + p2))
+        curvature = curvature + 0.25 * s * (unit + product)
     return Innovation(scale(0.5, u1), scale(0.5, u2), curvature)
 
 
-def correction(state: FilterState, U: Innovation, law: Law) -> Correction:
-    """W, and the bias law without its gains (Eq. 9, and the module's head)."""
+def correction(state: FilterState, U: Innovation, law: Law, unit: Array | int = 1) -> Correction:
+    """W, and the bias law without its gains (Eq. 9, and the module's head); l^2 = `unit` [m^2]."""
     R, P = rows(state.attitude), state.place
+    pull = U.linear if isinstance(unit, int) else scale(unit, U.linear)
     # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2].
-    inverse = unrotate(R, U.angular), unrotate(R, subtract(U.linear, cross(P, U.angular)))
-    transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, U.linear)
+    inverse = unrotate(R, U.angular), unrotate(R, subtract(pull, cross(P, U.angular)))
+    transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, pull)
     W, bias = (inverse, transpose) if law == "gradient" else (transpose, inverse)
     return Correction(*W, *bias)
 
 
-def bias_gains(used: Array, sample: Sample, settings: FilterSettings) -> tuple[Array, Array]:
+def bias_gains(
+    used: Array, sample: Sample, settings: FilterSettings
+) -> tuple[Array | float, Array | float]:
     """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step."""
     gammas = settings.gamma_angular, settings.gamma_linear
     if settings.gamma_law == "fixed":
         return gammas
     follow = _following(settings.gamma_law, used)
     linear = 0.5 / sample.time_step
-    angular = linear / (1 + sample.reach)
+    reach = sample.reach if settings.length is None else sample.reach / settings.unit
+    angular = linear / (1 + reach)
     largest = used * angular, used * linear
     angular, linear = (minimum(g * follow, most) for g, most in zip(gammas, largest, strict=True))
     return angular, linear
@@ -405,8 +427,8 @@ def limited_correction(
     settings: FilterSettings,
 ) -> tuple[Correction, Array]:
     """W at an estimate, and the gain K [1/s] that is used with it over a sub-step of h [s]."""
-    U = innovation(state, sample, seen)
-    W = correction(state, U, settings.law)
+    U = innovation(state, sample, seen, settings.unit)
+    W = correction(state, U, settings.law, settings.unit)
     # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
     # without a limit that is infinite: then neither a value nor a derivative comes from them.
     length = h * U.curvature
@@ -442,9 +464,15 @@ def learnt_biases(
     used: Array,
     h: Array,
     settings: FilterSettings,
+    share: Array | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s]."""
+    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s].
+
+    `share` is a factor on gamma, if there is one.
+    """
     gamma_angular, gamma_linear = bias_gains(used, sample, settings)
+    if share is not None:
+        gamma_angular, gamma_linear = share * gamma_angular, share * gamma_linear
     return (
         add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
         add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
@@ -482,7 +510,7 @@ def observe(
         used_total = used_total + used
         omega, v = displacement(state, sample, W, used, h, dt if j == n - 1 else None)
         attitude, place = move(state.attitude, state.place, omega, v)
-        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings)
+        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings, gains.gamma)
         state = state._replace(
             attitude=attitude, place=place, bias_angular=bias_angular, bias_linear=bias_linear
         )

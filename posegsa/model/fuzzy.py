@@ -174,7 +174,7 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FuzzyController:
-    """A Mamdani controller: gain K = 1 + centroid from an error and its rate, both in [0, 1].
+    """A Mamdani controller: gain K = offset + centroid from an error and its rate, both in [0, 1].
 
     Args:
         input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
@@ -190,6 +190,7 @@ class FuzzyController:
         reach: how far apart in their order output terms may overlap, if that is known: 2 says that
             term i and term i + 3 never do. The exact centroid then leaves such pairs out, which
             changes nothing but its price.
+        offset: what is added to the centroid [1/s], at least 0; 1 in the paper.
 
     Raises:
         FuzzyError: shapes, order, rules or reach do not fit. Checked when made outside jit only;
@@ -205,6 +206,7 @@ class FuzzyController:
     sampled_rule: SampledRule = field(default="sum", metadata={"static": True})
     no_rule: NoRule = field(default="hold", metadata={"static": True})
     reach: int | None = field(default=None, metadata={"static": True})
+    offset: float = field(default=1.0, metadata={"static": True})
 
     def __post_init__(self) -> None:
         given = (self.input_terms, self.output_terms)
@@ -258,7 +260,7 @@ class FuzzyController:
         return firing_heights(of_error, of_rate, self.rules, len(prepared.middles))
 
     def defuzzify(self, heights: Heights, prepared: PreparedController, last: Array) -> Array:
-        """Gain K = 1 + centroid of the terms clipped at the heights; never NaN.
+        """Gain K = offset + centroid of the terms clipped at the heights; never NaN.
 
         Args:
             heights: one array for each output term.
@@ -284,13 +286,13 @@ class FuzzyController:
         spike_moment = sum(s * x for s, x in zip(spikes, prepared.middles, strict=True))
         area = choose(regular, area, choose(fires, spike_area, 1.0))
         moment = choose(regular, moment, spike_moment)
-        idle = last if self.no_rule == "hold" else 1 + prepared.midrange
-        return choose(fires, 1 + moment / area, idle)
+        idle = last if self.no_rule == "hold" else self.offset + prepared.midrange
+        return choose(fires, self.offset + moment / area, idle)
 
     def initial_gain(self) -> Array:
         """The gain held before any rule has fired: the mid-range of the output [1/s]."""
         low, high = self.output_range
-        return jnp.asarray(1 + 0.5 * (low + high), self.output_terms.dtype)
+        return jnp.asarray(self.offset + 0.5 * (low + high), self.output_terms.dtype)
 
     def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
         """Gain K [1/s] of errors and rates.
@@ -362,6 +364,10 @@ def _check(controller: FuzzyController) -> None:
         if getattr(controller, name) not in get_args(kind):
             allowed = " or ".join(map(repr, get_args(kind)))
             raise FuzzyError(f"{name}: must be {allowed}, got {getattr(controller, name)!r}")
+    if not (_float64((controller.offset,)) >= 0).all() or controller.offset == np.inf:
+        raise FuzzyError(
+            f"offset: must be a finite number of at least 0, got {controller.offset!r}"
+        )
     points, ends = controller.sampled_points, controller.output_range
     if not isinstance(points, int) or points < 2:
         raise FuzzyError(f"sampled_points: must be at least 2, got {points!r}")

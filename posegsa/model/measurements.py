@@ -88,32 +88,17 @@ class Measurements(NamedTuple):
                 a time step is not positive or a weight is negative. The message names the argument.
         """
         check_dtype("dtype", dtype)
-        omega = finite_array("angular_velocity", angular_velocity, (None, 3))
-        samples = omega.shape[0]
-        steps = np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step
-        step = finite_array("time_step", steps, (samples,))
-        if samples == 0:
-            raise MeasurementError("angular_velocity: at least one sample is needed, got none")
-        if (step <= 0).any():
-            k = int(np.argmax(step <= 0))
-            raise MeasurementError(f"time_step: must be positive, got {step[k]:g} s at sample {k}")
-        v, v_ref, v_weight = _sightings(
-            "vector", vectors, vector_references, vector_weights, samples
+        values = checked_arrays(
+            time_step=time_step,
+            angular_velocity=angular_velocity,
+            velocity=velocity,
+            vectors=vectors,
+            vector_references=vector_references,
+            vector_weights=vector_weights,
+            landmarks=landmarks,
+            landmark_references=landmark_references,
+            landmark_weights=landmark_weights,
         )
-        y, y_ref, y_weight = _sightings(
-            "landmark", landmarks, landmark_references, landmark_weights, samples
-        )
-        values = {
-            "time_step": step,
-            "angular_velocity": omega,
-            "velocity": finite_array("velocity", velocity, (samples, 3)),
-            "vectors": v,
-            "vector_references": v_ref,
-            "vector_weights": v_weight,
-            "landmarks": y,
-            "landmark_references": y_ref,
-            "landmark_weights": y_weight,
-        }
         return cls(**{name: jnp.asarray(a, dtype) for name, a in values.items()})
 
     def checked(self) -> "Measurements":
@@ -126,6 +111,49 @@ class Measurements(NamedTuple):
             return self
         dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
         return Measurements.from_arrays(**self._asdict(), dtype=dtype)
+
+
+def checked_arrays(
+    *,
+    time_step: ArrayLike,
+    angular_velocity: ArrayLike,
+    velocity: ArrayLike,
+    vectors: ArrayLike | None = None,
+    vector_references: ArrayLike | None = None,
+    vector_weights: ArrayLike | None = None,
+    landmarks: ArrayLike | None = None,
+    landmark_references: ArrayLike | None = None,
+    landmark_weights: ArrayLike | None = None,
+) -> dict[str, np.ndarray]:
+    """The fields of `Measurements` from its `from_arrays`' arguments, as float64 NumPy arrays.
+
+    Raises:
+        MeasurementError: as `Measurements.from_arrays`.
+    """
+    omega = finite_array("angular_velocity", angular_velocity, (None, 3))
+    samples = omega.shape[0]
+    steps = np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step
+    step = finite_array("time_step", steps, (samples,))
+    if samples == 0:
+        raise MeasurementError("angular_velocity: at least one sample is needed, got none")
+    if (step <= 0).any():
+        k = int(np.argmax(step <= 0))
+        raise MeasurementError(f"time_step: must be positive, got {step[k]:g} s at sample {k}")
+    v, v_ref, v_weight = _sightings("vector", vectors, vector_references, vector_weights, samples)
+    y, y_ref, y_weight = _sightings(
+        "landmark", landmarks, landmark_references, landmark_weights, samples
+    )
+    return {
+        "time_step": step,
+        "angular_velocity": omega,
+        "velocity": finite_array("velocity", velocity, (samples, 3)),
+        "vectors": v,
+        "vector_references": v_ref,
+        "vector_weights": v_weight,
+        "landmarks": y,
+        "landmark_references": y_ref,
+        "landmark_weights": y_weight,
+    }
 
 
 def finite_array(

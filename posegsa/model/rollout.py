@@ -13,13 +13,19 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting
-from posegsa.model.cost import CostParts, CostWeights, sample_error
+from posegsa.model.cost import (
+    CostParts,
+    CostWeights,
+    RecordedCost,
+    SquaredErrors,
+    sample_error,
+)
 from posegsa.model.filter import FilterSettings, FilterState, observe, ready, see
 from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
-from posegsa.model.se3 import quaternion, unstack
+from posegsa.model.se3 import Vec3, dot, quaternion, subtract, unstack
 from posegsa.model.signal import (
     Measured,
     SignalMemory,
@@ -216,6 +222,46 @@ def simulate_cost(
     return parts
 
 
+def squared_errors(
+    total: SquaredErrors, state: FilterState, now: Samples, weight: Array, place: Vec3
+) -> SquaredErrors:
+    """What has been summed up with one more sample, of this weight and true position [m]."""
+    attitude, _ = pose_errors(state, now.truth)
+    off = subtract(state.place, place)
+    return SquaredErrors(
+        total.attitude + weight * attitude, total.position + weight * dot(off, off)
+    )
+
+
+def simulate_recorded_cost(
+    schedule: GainSchedule,
+    samples: Samples,
+    initial: FilterState,
+    recorded: RecordedCost,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> Array:
+    """Cost on a recording, run up sample by sample; nothing else is stored (pure, jittable)."""
+
+    def look(
+        total: SquaredErrors, state: FilterState, record: StepRecord, now: Samples, entry: Any
+    ) -> tuple[SquaredErrors, None]:
+        return squared_errors(total, state, now, *entry), None
+
+    zero = jnp.zeros_like(initial.place[0])
+    _, squares, _ = _simulate(
+        look,
+        schedule,
+        samples,
+        begin(schedule, initial),
+        settings,
+        signal,
+        extra=(recorded.weight, recorded.position),
+        total=SquaredErrors(zero, zero),
+    )
+    return squares.cost(recorded.position_weight)
+
+
 @jax.jit
 def simulate(
     schedule: GainSchedule,
@@ -225,14 +271,32 @@ def simulate(
     signal: SignalSettings,
 ) -> Estimates:
     """The estimates of one simulation over all its samples."""
-
-    def look(
-        total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
-        return total, (state, record)
-
     loop = begin(schedule, initial)
-    _, _, (states, records) = _simulate(look, schedule, samples, loop, settings, signal)
+    _, _, stored = _simulate(_everything, schedule, samples, loop, settings, signal)
+    return _estimates(samples, *stored)
+
+
+@jax.jit
+def simulate_part(
+    schedule: GainSchedule,
+    samples: Samples,
+    loop: ClosedLoop,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> tuple[ClosedLoop, Estimates]:
+    """The estimates over a part of a sequence, and the closed loop before the next part."""
+    last, _, stored = _simulate(_everything, schedule, samples, loop, settings, signal)
+    return last, _estimates(samples, *stored)
+
+
+def _everything(
+    total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
+) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
+    """Stores all that `Estimates` are made of."""
+    return total, (state, record)
+
+
+def _estimates(samples: Samples, states: FilterState, records: StepRecord) -> Estimates:
     return Estimates(
         time=samples.time,
         rotation=states.rotation,

@@ -41,16 +41,16 @@ class TruePose(NamedTuple):
 class SignalSettings:
     """How the error signal is made; `signal` and `rate` are structure, the numbers are traced."""
 
-    signal: Signal = field(metadata={"static": True})
-    rate: Rate = field(metadata={"static": True})
+    signal: Signal = field(default="measured", metadata={"static": True})
+    rate: Rate = field(default="per_sample", metadata={"static": True})
     """What the change of the signal is counted over."""
-    position_weight: Array
+    position_weight: Array | float = 0.2
     """Weight of the position part [1/m]."""
-    smoothing: Array
+    smoothing: Array | float = 1.5
     """Time constant of the low-pass filter that the signal passes [s]; 0 passes it as it is."""
-    error_scale: Array
+    error_scale: Array | float = 0.3
     """Signal at which the scaled error is 1."""
-    rate_scale: Array
+    rate_scale: Array | float = 1.0
     """Factor on the signal's change (per sample, or [s] per second) before it is clipped."""
 
 

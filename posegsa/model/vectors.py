@@ -31,16 +31,16 @@ from posegsa.model.se3 import Matrix3, Vec3, add, cross, dot, safe_sqrt, scale, 
 class VectorSettings:
     """What is made of the vectors; the numbers are traced, the rest is structure."""
 
-    weights: tuple[Array, ...] | None
+    weights: tuple[Array, ...] | None = None
     """s_i^R of each vector; None is 1 for all."""
-    cross_weight: Array
+    cross_weight: Array | float = 0.5
     """s^R of the cross product of the first two."""
-    normalise: bool = field(metadata={"static": True})
+    normalise: bool = field(default=True, metadata={"static": True})
     """Whether vectors and references are brought to length 1 (Eq. 3)."""
-    cross: bool = field(metadata={"static": True})
+    cross: bool = field(default=True, metadata={"static": True})
     """Whether the cross product of the first two, if there are two, is added (Section V of the
     paper)."""
-    each_agent: bool = field(metadata={"static": True})
+    each_agent: bool = field(default=False, metadata={"static": True})
     """Whether what is made of them may differ from agent to agent, and so is made in the loop."""
 
 

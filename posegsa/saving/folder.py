@@ -18,6 +18,7 @@ from posegsa.errors import RunFolderError
 from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
+RECORDED = "recorded.json"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 MAX_BYTES = 2**27
@@ -49,7 +50,8 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """Make a folder, unless it is one that a run may not be written to."""
     folder = as_path("folder", folder)
     if not overwrite:
-        if any((folder / place / RESULT).exists() for place in ("", _COMMITTED)):
+        held = (folder / place / name for place in ("", _COMMITTED) for name in (RESULT, RECORDED))
+        if any(path.exists() for path in held):
             raise RunFolderError(
                 f"{folder}: holds a run already; choose another folder, or replace the run "
                 "(--overwrite; overwrite=True)"

@@ -112,7 +112,7 @@ def _result_summary(result: TuneResult) -> dict[str, Any]:
 
 
 def load(folder: str | Path) -> TuneResult:
-    """Read a run's folder back.
+    """Read back the folder of a run on simulated scenarios.
 
     Raises:
         RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or

@@ -268,6 +268,10 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         )
         if learnt
         else None,
+        # A length of 1 m is none, whose program multiplies less.
+        length=number(section.length)
+        if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
+        else None,
     )
 
 
@@ -334,6 +338,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
         sampled_rule=fuzzy.sampled_rule,
         no_rule=fuzzy.no_rule,
         reach=_reach(parameters),
+        offset=fuzzy.offset,
     )
 
 

@@ -54,6 +54,8 @@ def _with_value(
             return replace(settings, gamma_angular=value), signal
         case ["filter", "gamma", "1"]:
             return replace(settings, gamma_linear=value), signal
+        case ["filter", "length"]:
+            return replace(settings, length=value), signal
         case ["filter", "gain_limit"]:
             return replace(settings, gain_limit=value), signal
         case ["filter", "cross_vector_weight"]:

@@ -53,6 +53,8 @@ class ParameterSpace:
     no_rule: NoRule = field(metadata=_STATIC)
     reach: int = field(metadata=_STATIC)
     """How far apart in their order output terms may overlap anywhere in the boxes."""
+    offset: float = field(default=1.0, metadata=_STATIC)
+    """What is added to the controller's output [1/s]."""
 
     @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
     def terms(self, k: Array) -> tuple[Array, Array]:
@@ -88,6 +90,7 @@ class ParameterSpace:
             sampled_rule=self.sampled_rule,
             no_rule=self.no_rule,
             reach=self.reach,
+            offset=self.offset,
         )
 
     def schedule(self, vector: Array) -> FuzzyGain:

@@ -11,9 +11,15 @@ from jax import Array, lax
 
 from posegsa.arguments import refuse
 from posegsa.config import ObjectiveConfig
-from posegsa.model.cost import CostWeights
+from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import ErrorTrack, Samples, simulate_cost, simulate_errors
+from posegsa.model.rollout import (
+    ErrorTrack,
+    Samples,
+    simulate_cost,
+    simulate_errors,
+    simulate_recorded_cost,
+)
 from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate, SearchSpace
 
@@ -65,6 +71,8 @@ class ScenarioBatch(NamedTuple):
     weights: CostWeights
     settings: FilterSettings
     signal: SignalSettings
+    recorded: RecordedCost | None = None
+    """Leaves (S, ...): the cost where the scenarios are recordings; None where they are not."""
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -73,7 +81,7 @@ class ScenarioBatch(NamedTuple):
 
     def select(self, index: np.ndarray | slice) -> "ScenarioBatch":
         """Some of the scenarios."""
-        names = ("samples", "initial", "bias", "vector_bias", "end")
+        names = ("samples", "initial", "bias", "vector_bias", "end", "recorded")
         chosen = {name: getattr(self, name) for name in names}
         return self._replace(**jax.tree.map(lambda a: a[index], chosen))
 
@@ -146,11 +154,16 @@ def agent_costs(
 
     def piece(part: Array) -> Array:
         group, chunk = part // cut.chunks, part % cut.chunks
-        given = batch.samples, batch.initial, batch.end
-        samples, initial, end = _part(given, group, cut.scenarios, count[0])
+        given = batch.samples, batch.initial, batch.end, batch.recorded
+        each = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
 
-        def on_scenario(samples: Samples, initial: FilterState, end: Array | None) -> Array:
+        def on_scenario(
+            samples: Samples,
+            initial: FilterState,
+            end: Array | None,
+            recorded: RecordedCost | None,
+        ) -> Array:
             weights = batch.weights.until(samples.time, end)
 
             def agent(one: Candidate) -> Array:
@@ -158,13 +171,17 @@ def agent_costs(
                 if cost is not None:
                     track = simulate_errors(one.schedule, samples, initial, settings, signal)
                     return cost(track, samples.time)
+                if recorded is not None:
+                    return simulate_recorded_cost(
+                        one.schedule, samples, initial, recorded, settings, signal
+                    )
                 return simulate_cost(
                     one.schedule, samples, initial, weights, settings, signal
                 ).total
 
             return jax.vmap(agent)(some)
 
-        return jax.vmap(on_scenario)(samples, initial, end)
+        return jax.vmap(on_scenario)(*each)
 
     mine = jnp.arange(cut.groups * cut.chunks // shards)
     if axis is not None:

@@ -227,6 +227,8 @@ def test_configurations_are_listed_and_printed(capsys):
     assert "allowed: a TOML file, or field" in capsys.readouterr().err
 
 
+@pytest.mark.quick
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

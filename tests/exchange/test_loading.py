@@ -43,6 +43,17 @@ def test_of_a_run_in_float32_too(form, tmp_path):
     np.testing.assert_array_equal(again.output_terms, one.output_terms)
 
 
+@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("offset", [0.0, 0.25, 12.0])
+def test_the_offset_of_the_gain_is_in_the_outputs_name(form, offset, tmp_path):
+    one = dataclasses.replace(controller("covering"), offset=offset)
+    text = WRITERS[form](one)
+    assert f"K = {offset:g} + output" in " ".join(text.replace("#", " ").replace("%", " ").split())
+    path = tmp_path / f"gain.{form}"
+    path.write_text(text, encoding="utf-8")
+    assert posegsa.load_controller(path, no_rule="hold").offset == offset
+
+
 def test_inputs_in_the_other_order(tmp_path):
     path = tmp_path / "gain.fis"
     text = posegsa.export_fis(controller("covering"))

@@ -40,6 +40,7 @@ from posegsa.config import (
     override,
 )
 from posegsa.errors import ArgumentError
+from posegsa.model import se3
 from posegsa.model.filter import FilterSettings, FilterState, _step, bias_gains, initial_state, step
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import begin, run_filter, scheduled_step
@@ -320,6 +321,37 @@ def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
     leaked, _ = jitted_observe(state, prepared_for(m, forgets), jnp.full(30, 5.0), forgets)
     kept = (1 - 0.5 * np.asarray(m.time_step))[:, None, None]
     np.testing.assert_allclose(leaked.vector_bias, kept * state.vector_bias, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_unit_of_length_is_the_same_observer_run_in_that_unit() -> None:
+    metres, (m, _, state) = 3.7, random_samples(30)
+    K = jnp.geomspace(0.5, 200.0, 30)
+    in_metres = settings(gamma_law="quadratic", substeps=2)
+    in_metres = replace(in_metres, length=jnp.asarray(metres))
+    found, used = jitted_observe(state, jitted_prepare(m), K, in_metres)
+    scaled = m._replace(
+        velocity=m.velocity / metres,
+        landmarks=m.landmarks / metres,
+        landmark_references=m.landmark_references / metres,
+        landmark_weights=m.landmark_weights * metres**2,
+    )
+    start = state._replace(
+        place=se3.scale(1 / metres, state.place),
+        bias_linear=se3.scale(1 / metres, state.bias_linear),
+    )
+    want, wanted_gain = jitted_observe(
+        start, jitted_prepare(scaled), K, settings(gamma_law="quadratic", substeps=2)
+    )
+    np.testing.assert_allclose(used, wanted_gain, rtol=1e-12)
+    leaves_close(found.attitude, want.attitude, atol=1e-12)
+    leaves_close(found.bias_angular, want.bias_angular, atol=1e-12)
+    leaves_close(found.place, se3.scale(metres, want.place), atol=1e-11)
+    leaves_close(found.bias_linear, se3.scale(metres, want.bias_linear), atol=1e-11)
+    in_one = replace(in_metres, length=jnp.asarray(1.0))
+    one, _ = jitted_observe(state, jitted_prepare(m), K, in_one)
+    none, _ = jitted_observe(state, jitted_prepare(m), K, replace(in_metres, length=None))
+    leaves_close(one, none, atol=1e-14)
 
 
 @pytest.mark.usefixtures("x64")

@@ -1,0 +1,190 @@
+"""The filter on recorded motion, beside an invariant Kalman filter; what a long recording costs.
+
+1. EuRoC V1_02 with a velocity and landmarks made of its truth, at 200 and at 20 Hz: both filters
+   tuned on the first 40 s, from 45 deg and 1 m off and from 150 deg and 5 m off, and judged on the
+   rest from either, with other noise and other starts.
+2. Seconds per sample of a filter run over recordings of 10^4 to 10^6 samples, and its memory.
+
+DATA_FOLDER has a folder `euroc` with V1_02_medium as published (docs/recordings.md says where), or
+with its two files as *imu0.csv and *groundtruth.csv. BROAD is in `benchmarks/broad.py`.
+
+    python benchmarks/recordings.py DATA_FOLDER [--only euroc|speed] [--write]
+"""
+
+import argparse
+import json
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from readme import ROOT, write_block
+
+import posegsa
+from posegsa.judging.evaluation import EKF
+from posegsa.judging.recorded import RecordingResult, mean_errors
+from posegsa.runtime import environment
+
+JSON = ROOT / "benchmarks" / "recordings.json"
+PAGE = "docs/recordings.md"
+RATES = 200.0, 20.0
+"""Of the landmarks [Hz]."""
+STARTS = (45.0, 1.0), (150.0, 5.0)
+"""How far off a filter starts [deg], [m]."""
+TRAINING_SEEDS, HELD_OUT_SEEDS = 3, 6
+SPLIT = 40.0
+"""What is tuned on comes before this time, what judges after it [s]."""
+SAMPLES = 10_000, 100_000, 1_000_000
+"""Lengths of the recordings that are timed."""
+
+
+def euroc(folder: Path) -> list[dict[str, Any]]:
+    """Both filters at both rates, a row for each rate, start and filter."""
+    rows = []
+    for rate in RATES:
+        noisy = {
+            seed: posegsa.Recording.from_euroc(folder, landmark_rate=rate, seed=seed)
+            for seed in (*range(TRAINING_SEEDS), *range(100, 100 + HELD_OUT_SEEDS))
+        }
+        training = [
+            noisy[seed].window(0, SPLIT).off(*start, seed=10 * which + seed)
+            for seed in range(TRAINING_SEEDS)
+            for which, start in enumerate(STARTS)
+        ]
+        held_out = [
+            noisy[100 + i].window(SPLIT).off(*start, seed=500 + i)
+            for start in STARTS
+            for i in range(HELD_OUT_SEEDS)
+        ]
+        tuned = posegsa.tune(ROOT / "configs" / "landmarks.toml", recordings=training)
+        print(tuned.summary(), flush=True)
+        judged = posegsa.evaluate(tuned, recordings=held_out, training=training, progress=print)
+        rows += _rows(rate, judged)
+    return rows
+
+
+def _rows(rate: float, judged: RecordingResult) -> list[dict[str, Any]]:
+    rows = []
+    filters = {"tuned fuzzy gain": judged.held_out, **judged.baselines}
+    for which, (degrees, metres) in enumerate(STARTS):
+        part = slice(which * HELD_OUT_SEEDS, (which + 1) * HELD_OUT_SEEDS)
+        for name, scores in filters.items():
+            errors = mean_errors(scores[part])
+            each = [one.errors["judged"] for one in scores[part]]
+            rows.append(
+                {
+                    "rate": rate,
+                    "start": [degrees, metres],
+                    "filter": name,
+                    **errors._asdict(),
+                    "total_each": [one.total for one in each],
+                    "position_each": [one.position for one in each],
+                }
+            )
+    return rows
+
+
+def euroc_table(rows: list[dict[str, Any]]) -> str:
+    """As Markdown; what is at most 1.1 times the Kalman filter's stands beside it as a ratio."""
+    kalman = {(r["rate"], *r["start"]): r for r in rows if r["filter"] == EKF}
+    lines = [
+        "| landmarks | start off by | filter | total [deg] | heading [deg] | inclination [deg] | "
+        "position [cm] | total, position: times the Kalman filter's |",
+        "| --- | --- | --- | --: | --: | --: | --: | --- |",
+    ]
+    for row in rows:
+        beside = kalman[row["rate"], *row["start"]]
+        ratios = [row[name] / beside[name] for name in ("total", "position")]
+        spread = [np.ptp(row[f"{name}_each"]) / 2 for name in ("total", "position")]
+        lines.append(
+            f"| {row['rate']:g} Hz | {row['start'][0]:g}°, {row['start'][1]:g} m | {row['filter']} "
+            f"| {row['total']:.2f} ± {spread[0]:.2f} | {row['heading']:.2f} "
+            f"| {row['inclination']:.2f} "
+            f"| {100 * row['position']:.2f} ± {100 * spread[1]:.2f} "
+            f"| {ratios[0]:.2f}, {ratios[1]:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def speed() -> list[dict[str, float]]:
+    """Time and memory of filter runs over recordings of several lengths."""
+    schedule, rows = posegsa.ConstantGain(np.float32(5.0)), []  # type: ignore[arg-type]
+    for samples in (SAMPLES[0], *SAMPLES):  # the first compiles
+        recording = _recording(samples)
+        before, times = _memory(), []
+        for _ in range(3):
+            begun = time.perf_counter()
+            posegsa.run_filter(schedule, recording)
+            times.append(time.perf_counter() - begun)
+        rows.append({"samples": samples, "seconds": min(times), "more_mib": _memory() - before})
+    return rows[1:]
+
+
+def _recording(samples: int) -> posegsa.Recording:
+    """A body at rest at 200 Hz that sees three landmarks at 20 Hz."""
+    rng = np.random.default_rng(0)
+    known = np.array([[3.0, 1, 2], [-2, 4, 1], [1, -3, 0.5]])
+    landmarks = known + 0.05 * rng.normal(size=(samples, 3, 3))
+    landmarks[np.arange(samples) % 10 != 0] = np.nan
+    return posegsa.Recording.from_arrays(
+        time_step=0.005,
+        angular_velocity=0.01 * rng.normal(size=(samples, 3)),
+        velocity=0.01 * rng.normal(size=(samples, 3)),
+        landmarks=landmarks,
+        landmark_references=known,
+    )
+
+
+def _memory() -> float:
+    """Peak of the process [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def speed_table(rows: list[dict[str, float]]) -> str:
+    """As Markdown."""
+    lines = [
+        "| samples | at 200 Hz | time | per sample | more memory than the recording itself |",
+        "| --: | --: | --: | --: | --: |",
+    ]
+    lines += [
+        f"| {row['samples']:,.0f} | {row['samples'] / 200 / 60:.3g} min | {row['seconds']:.3g} s "
+        f"| {1e6 * row['seconds'] / row['samples']:.2f} us | {row['more_mib']:.0f} MiB |"
+        for row in rows
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="The filter on recorded motion.")
+    parser.add_argument("data", metavar="DATA_FOLDER", type=Path)
+    parser.add_argument("--only", choices=("euroc", "speed"))
+    parser.add_argument("--write", action="store_true", help=f"into {PAGE} and {JSON.name}")
+    options = parser.parse_args()
+    posegsa.enable_fast_path()
+    held: dict[str, Any] = json.loads(JSON.read_text("utf-8")) if JSON.exists() else {}
+    if options.only in (None, "speed"):
+        held["speed"] = speed()
+        print(speed_table(held["speed"]))
+    if options.only in (None, "euroc"):
+        held["euroc"] = euroc(options.data / "euroc")
+        print(euroc_table(held["euroc"]))
+    held["environment"] = environment()
+    if options.write:
+        JSON.write_text(json.dumps(held, indent=1) + "\n", encoding="utf-8")
+        write(held)
+
+
+def write(held: dict[str, Any]) -> None:
+    """Put the tables into the page."""
+    where = held["environment"]
+    by = (
+        f"\n\nBy `python benchmarks/recordings.py DATA_FOLDER --write` ({where['device']}, jax "
+        f"{where['jax']})."
+    )
+    write_block("euroc", euroc_table(held["euroc"]) + by, PAGE)
+    write_block("speed", speed_table(held["speed"]) + by, PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""The figures of a filter on a recording over time: errors, position and gain."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from posegsa.figures import style
+from posegsa.figures.style import finite, styled
+from posegsa.judging.replay import Replay
+
+MOST = 4000
+"""Most points of a curve; of more samples the largest of each of so many bins is drawn."""
+
+
+def draw_replay(replay: Replay) -> dict[str, Figure]:
+    """The figures of a replay by name; those that have nothing to show are left out."""
+    drawn = {
+        "attitude_errors": plot_attitude_errors(replay),
+        "position": plot_position(replay),
+        "gain": plot_gain(replay),
+    }
+    return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+@styled
+def plot_attitude_errors(replay: Replay) -> Figure | None:
+    """Total, heading and inclination errors [deg], and the position's [m], over time [s].
+
+    What is not judged is grey. None without a truth.
+    """
+    errors = replay.errors
+    if errors is None:
+        return None
+    panels = [
+        (name.capitalize(), "[deg]", values) for name, values in errors.attitude._asdict().items()
+    ]
+    if errors.position is not None:
+        panels.append(("Position", "[m]", errors.position))
+    figure, axes = style.panels(len(panels), 1.2 + 1.1 * len(panels))
+    judged = errors.masks["judged"]
+    for ax, (name, unit, values) in zip(axes, panels, strict=True):
+        known = finite(values)
+        time, all_of_it = _largest(errors.time, known)
+        _, counted = _largest(errors.time, np.where(judged, known, np.nan))
+        ax.plot(time, all_of_it, color="0.75", linewidth=0.8)
+        ax.plot(time, counted, color=style.BLUE, linewidth=1.0)
+        style.scale_errors(ax, finite(all_of_it))
+        ax.set_ylabel(f"{name} {unit}")
+        ax.grid(axis="y", color="0.88", linewidth=0.6)
+    style.finish_time(axes, errors.time)
+    return figure
+
+
+@styled
+def plot_position(replay: Replay) -> Figure | None:
+    """True and estimated position [m] over time [s]; None where it is not estimated."""
+    recording, estimates = replay.recording, replay.estimates
+    if recording.attitude_only:
+        return None
+    figure, axes = style.panels(3, 5.2)
+    every = slice(None, None, max(1, recording.samples // MOST))
+    truth = None if recording.truth is None else recording.truth.position
+    for i, (ax, axis) in enumerate(zip(axes, "xyz", strict=True)):
+        if truth is not None:
+            ax.plot(
+                *(recording.time[every], finite(truth[every, i])),
+                **{"label": "true", "color": style.BLACK, "linewidth": 1.8},
+            )
+        ax.plot(
+            *(recording.time[every], finite(estimates.position[every, i])),
+            **{"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))},
+        )
+        ax.set_ylabel(f"${axis}$ [m]")
+    style.finish_time(axes, recording.time)
+    style.legend_above(figure, axes[0])
+    return figure
+
+
+@styled
+def plot_gain(replay: Replay) -> Figure:
+    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s]."""
+    figure, (ax,) = style.panels(1, 3.0)
+    for name, gain, colour, width in (
+        ("asked for", replay.estimates.gain, style.SKY, 2.4),
+        ("used, after the limit", replay.estimates.gain_used, style.BLACK, 1.0),
+    ):
+        ax.plot(
+            *_largest(replay.recording.time, finite(gain)),
+            **{"label": name, "color": colour, "linewidth": width},
+        )
+    ax.set_ylabel("Gain $K$ [1/s]")
+    ax.set_ylim(bottom=0)
+    style.finish_time([ax], replay.recording.time)
+    style.legend_above(figure, ax)
+    return figure
+
+
+def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A curve as the largest values of MOST bins at most; NaN where a bin has none."""
+    size = -(-len(values) // MOST)
+    short = -len(values) % size
+    bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
+    known = np.isfinite(bins).any(axis=1)
+    largest = np.max(np.where(np.isfinite(bins), bins, -np.inf), axis=1)
+    return time[::size], np.where(known, largest, np.nan)

@@ -1,0 +1,142 @@
+"""Attitude filters of other libraries on recordings of an IMU, each with its paper's settings.
+
+They come with `pip install "posegsa[compare]"`. All read the accelerometer [m/s^2] and the
+magnetometer of `Recording.sensors`, and start from the first samples of both; their frame is x
+east, y north (magnetic), z up, and so must be the recording's.
+
+VQF       D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation
+          and magnetic disturbance rejection", Information Fusion 91, 2023; package vqf, as it comes
+Madgwick  S. Madgwick, "An efficient orientation filter for inertial and inertial/magnetic sensor
+          arrays", 2010: gain 0.041 rad/s; package ahrs
+Mahony    R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear complementary filters on the special
+          orthogonal group", IEEE Transactions on Automatic Control 53(5), 2008: k_P = 1 rad/s,
+          k_I = 0.3 rad/s; package ahrs
+"""
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posegsa.errors import ArgumentError, RecordingError
+from posegsa.model.rollout import Estimates
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.rotations import matrices, quaternions
+
+Signals: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Gyroscope, accelerometer and magnetometer, each (K, 3)."""
+
+MADGWICK_GAIN = 0.041
+"""beta [rad/s] of a filter with magnetometer, in Madgwick's report."""
+MAHONY_GAINS = 1.0, 0.3
+"""k_P, k_I [rad/s] of the experiments in Mahony's paper."""
+_NORTH_WEST_TO_EAST_NORTH = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def other_filter(name: str, recording: Recording) -> Estimates:
+    """What one of `OTHER_FILTERS` makes of a recording; it has no position, bias or gain.
+
+    Raises:
+        ArgumentError: Its library is not installed.
+        RecordingError: The recording lacks a signal that it needs.
+    """
+    signals = _signals(recording)
+    R = OTHER_FILTERS[name](signals, recording.time_step)
+    count = recording.samples
+    nothing = np.full(count, np.nan)
+    arrays: dict[str, Any] = {
+        "time": recording.time,
+        "rotation": R,
+        "position": np.full((count, 3), np.nan),
+        "bias": np.full((count, 6), np.nan),
+        "vector_bias": np.zeros((count, 0, 3)),
+        "gain": nothing,
+        "gain_used": nothing,
+        "error": nothing,
+        "rate": nothing,
+    }
+    return Estimates(**arrays)
+
+
+def installed(name: str) -> bool:
+    """Whether the library of one of `OTHER_FILTERS` is there."""
+    return find_spec("vqf" if name == "VQF" else "ahrs") is not None
+
+
+def readable(recording: Recording) -> bool:
+    """Whether these filters can be tried on a recording."""
+    return recording.attitude_only and {"accelerometer", "magnetometer"} <= set(recording.sensors)
+
+
+def _vqf(signals: Signals, step: float) -> np.ndarray:
+    filter_type = _imported("vqf", "VQF")
+    contiguous = (np.ascontiguousarray(signal) for signal in signals)
+    return matrices(np.asarray(filter_type(step).updateBatch(*contiguous)["quat9D"]))
+
+
+def _madgwick(signals: Signals, step: float) -> np.ndarray:
+    made = _imported("ahrs.filters", "Madgwick")(frequency=1 / step, gain=MADGWICK_GAIN)
+    north_west_up = _sample_by_sample(made, signals, _NORTH_WEST_TO_EAST_NORTH.T)
+    return _NORTH_WEST_TO_EAST_NORTH @ north_west_up
+
+
+def _mahony(signals: Signals, step: float) -> np.ndarray:
+    k_p, k_i = MAHONY_GAINS
+    made = _imported("ahrs.filters", "Mahony")(frequency=1 / step, k_P=k_p, k_I=k_i)
+    return _sample_by_sample(made, signals, np.eye(3))
+
+
+def _sample_by_sample(made: Any, signals: Signals, frame: np.ndarray) -> np.ndarray:
+    """Rotations of a filter of ahrs, in its own frame: `frame` (3, 3) of x east, y north, z up."""
+    gyr, acc, mag = signals
+    q = np.empty((len(gyr), 4))
+    q[0] = quaternions(frame @ _first(acc[0], mag[0]))
+    for k in range(1, len(gyr)):
+        q[k] = made.updateMARG(q[k - 1], gyr=gyr[k], acc=acc[k], mag=mag[k])
+    return matrices(q)
+
+
+def _first(acc: np.ndarray, mag: np.ndarray) -> np.ndarray:
+    """The rotation, to east, north and up, that an accelerometer and a magnetometer say."""
+    up = acc / np.linalg.norm(acc)
+    east = np.cross(mag, up)
+    east = east / np.linalg.norm(east)
+    return np.stack([east, np.cross(up, east), up])
+
+
+OTHER_FILTERS: dict[str, Callable[[Signals, float], np.ndarray]] = {
+    "VQF": _vqf,
+    "Madgwick": _madgwick,
+    "Mahony": _mahony,
+}
+
+
+def _signals(recording: Recording) -> Signals:
+    if not readable(recording):
+        raise RecordingError(
+            f"{recording.name}: other filters need a recording of attitude only, with sensors "
+            f"accelerometer and magnetometer; it has: {', '.join(recording.sensors) or 'none'}"
+        )
+    gyr = np.asarray(recording.measurements.angular_velocity)
+    acc, mag = (_held(recording.sensors[name]) for name in ("accelerometer", "magnetometer"))
+    return gyr, acc, mag
+
+
+def _held(signal: np.ndarray) -> np.ndarray:
+    """A signal (K, 3) whose missing samples have the last value before, or the first after."""
+    known = np.flatnonzero(np.isfinite(signal).all(axis=1))
+    if known.size == 0:
+        raise RecordingError("sensors: a signal is missing at all samples")
+    last = np.searchsorted(known, np.arange(len(signal)), side="right") - 1
+    return signal[known[np.maximum(last, 0)]]
+
+
+def _imported(module: str, name: str) -> Any:
+    try:
+        return getattr(__import__(module, fromlist=[name]), name)
+    except ImportError as error:
+        raise ArgumentError(
+            f"{module.partition('.')[0]} is not installed ({error}); allowed: after "
+            'pip install "posegsa[compare]"'
+        ) from None

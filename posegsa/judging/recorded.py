@@ -1,0 +1,270 @@
+"""What a search on recordings found, and what it is worth on recordings that it has not seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from posegsa.arguments import check_type
+from posegsa.config import Experiment, override, with_tuned
+from posegsa.errors import RecordingError
+from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
+from posegsa.judging.evaluation import Description
+from posegsa.judging.replay import HEADS, error_rows, replayed_on
+from posegsa.judging.result import VERSION
+from posegsa.model.filter import FilterSettings
+from posegsa.model.rollout import Estimates
+from posegsa.model.schedules import FuzzyGain, GainSchedule
+from posegsa.model.signal import SignalSettings
+from posegsa.recordings.accuracy import Rmse
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import run_filter, state_of
+from posegsa.runtime import environment
+from posegsa.search.build import TuningProblem, parameter_space, signal_settings
+from posegsa.search.candidates import Candidate
+from posegsa.search.recorded import settings_on
+from posegsa.search.run import Found
+from posegsa.settings.arrays import Cost
+from posegsa.settings.fields import NonNegative
+from posegsa.words import counted, text_table
+
+
+class RecordingScore(NamedTuple):
+    """A filter on one recording."""
+
+    name: str
+    samples: int
+    duration: float
+    """[s]"""
+    attitude_only: bool
+    sources: dict[str, str]
+    """What is measured and what was made from the truth, in words."""
+    notes: list[str]
+    """What was bridged, dropped or left out."""
+    errors: dict[str, Rmse]
+    """Root mean squares by phase, "judged" first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingResult:
+    """A gain schedule tuned on recordings, how it was found, and what it is worth."""
+
+    experiment: Experiment
+    filter: Description
+    """The schedule by its kind and its own numbers, and what was tuned beside it."""
+    position_weight: NonNegative
+    """Of the position's RMSE in the cost [deg/m]."""
+    best_cost: Cost | None
+    """Least cost on the recordings that were tuned on [deg]; None of a filter made by hand."""
+    training: list[RecordingScore]
+    """On each of them."""
+    held_out: list[RecordingScore]
+    """On recordings that only judge; empty if there were none."""
+    compile_seconds: NonNegative
+    search_seconds: NonNegative
+    environment: dict[str, str]
+    version: str
+    baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
+    """Other filters on the same held-out recordings, by name (`evaluate`)."""
+
+    @property
+    def candidate(self) -> Candidate:
+        """The tuned schedule, with what was tuned beside it."""
+        with jax.enable_x64(self.experiment.run.dtype == "float64"):
+            return candidate_of(self.filter, parameter_space(self.experiment))
+
+    @property
+    def schedule(self) -> GainSchedule:
+        """The tuned gain schedule, ready for `run_filter`."""
+        return self.candidate.schedule
+
+    @property
+    def tuned(self) -> Experiment:
+        """The experiment with the numbers in it that were tuned beside the schedule."""
+        return with_tuned(self.experiment, self.filter.also)
+
+    def settings(self, recording: Recording) -> tuple[FilterSettings, SignalSettings]:
+        """The tuned filter and its error signal for a recording's sensors."""
+        dtype = self.experiment.run.dtype
+        sensors = _sensors(recording)
+        return settings_on(self.tuned, *sensors), signal_settings(self.tuned.gain, dtype)
+
+    def estimate(self, recording: Recording) -> Estimates:
+        """Run the tuned filter over a recording.
+
+        Raises:
+            ArgumentError: It is none.
+            MeasurementError: It can't be started.
+        """
+        check_type("recording", recording, Recording)
+        with jax.enable_x64(self.experiment.run.dtype == "float64"):
+            settings, signal = self.settings(recording)
+            learnt = 0 if settings.vector_bias is None else _sensors(recording)[0]
+            start = state_of(recording.initial(), learnt)
+            return run_filter(self.schedule, recording, start, settings, signal)
+
+    def __repr__(self) -> str:
+        return f"<RecordingResult: a {self.filter.kind} gain; see summary()>"
+
+    def summary(self) -> str:
+        """A short text for a person; the held-out recordings always stand in it."""
+        search = self.experiment.search
+        numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
+        found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
+        head = f"A {self.filter.kind} gain made by hand"
+        if self.best_cost is not None:
+            head = (
+                f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
+                f"{counted(len(self.training), 'recording')}: "
+                f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
+                f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
+            )
+        alone = (
+            "No recording was held out: these errors say how well the filter fits the recordings "
+            "that it was tuned on, not how good it is on others."
+        )
+        parts = [
+            head,
+            f"Numbers: {found}" if found else "",
+            self.table() if self.training or self.held_out else "",
+            "" if self.held_out else alone,
+            self.origins(),
+        ]
+        return "\n\n".join(part for part in parts if part)
+
+    def table(self) -> str:
+        """Root mean square errors by recording and phase, and those of other filters."""
+        heads = ["", *HEADS]
+        blocks = {"tuned on": self.training, "held out": self.held_out}
+        blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
+        rows = [
+            [title if first == 0 else "", *row]
+            for title, scores in blocks.items()
+            for first, row in enumerate(_rows(scores))
+        ]
+        if not any(row[-1] for row in rows):
+            heads, rows = heads[:-1], [row[:-1] for row in rows]
+        return text_table([heads, *rows])
+
+    def origins(self) -> str:
+        """What of the recordings is measured and what synthetic, and what was bridged."""
+        lines = []
+        for one in (*self.training, *self.held_out):
+            words = [f"{quantity}: {text}" for quantity, text in one.sources.items()]
+            lines += [f"{one.name}: {text}" for text in (*words, *one.notes)]
+        return "\n".join(dict.fromkeys(lines))
+
+
+def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
+    """A row for each phase of each recording, and the mean of what is judged of several."""
+    rows = [row for one in scores for row in error_rows(one.name, one.errors.items())]
+    if len(scores) > 1:
+        mean = mean_errors(scores)
+        rows += error_rows("mean", [("judged", mean)])
+    return rows
+
+
+def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
+    """Means over recordings of the root mean squares of what is judged."""
+    judged = [one.errors["judged"] for one in scores]
+    positions = [one.position for one in judged if one.position is not None]
+    return Rmse(
+        total=float(np.mean([one.total for one in judged])),
+        heading=float(np.mean([one.heading for one in judged])),
+        inclination=float(np.mean([one.inclination for one in judged])),
+        position=float(np.mean(positions)) if positions else None,
+        samples=sum(one.samples for one in judged),
+    )
+
+
+def score(recording: Recording, estimates: Estimates) -> RecordingScore:
+    """A filter's estimates of a recording with a truth, judged."""
+    errors = replayed_on(recording, estimates).errors
+    if errors is None:
+        raise RecordingError(f"{recording.name}: has no truth, so that nothing can be judged")
+    return RecordingScore(
+        name=recording.name,
+        samples=recording.samples,
+        duration=recording.duration,
+        attitude_only=recording.attitude_only,
+        sources=recording.sources,
+        notes=list(recording.notes),
+        errors=errors.rmse(),
+    )
+
+
+def judge_on_recordings(
+    problem: TuningProblem,
+    found: Found,
+    position_weight: float,
+    training: Sequence[Recording],
+    held_out: Sequence[Recording],
+) -> RecordingResult:
+    """Judge the best candidate that a search on recordings found."""
+    experiment, search = problem.experiment, found.search
+    tuned = problem.space.candidate(search.best_position)
+    result = RecordingResult(
+        experiment=experiment,
+        filter=describe(tuned, parameter_space(experiment), experiment.search.evaluations),
+        position_weight=position_weight,
+        best_cost=float(search.best_cost),
+        training=[],
+        held_out=[],
+        compile_seconds=found.compile_seconds,
+        search_seconds=found.search_seconds,
+        environment=environment(),
+        version=VERSION,
+    )
+    result.training.extend(score(one, result.estimate(one)) for one in training)
+    result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
+    return result
+
+
+def by_hand(
+    schedule: GainSchedule,
+    experiment: Experiment | None = None,
+    *,
+    recordings: Sequence[Recording] = (),
+) -> RecordingResult:
+    """A filter whose gain schedule was not searched, as a result: to be judged, saved, exported.
+
+    Args:
+        schedule: `ConstantGain`, `FuzzyGain` of a controller that the experiment can have, or
+            another of `posegsa.model.schedules`.
+        experiment: Whose filter, signal and weights it has; by default the recommended one.
+        recordings: That judge it.
+
+    Raises:
+        ArgumentError: It is another schedule.
+        FuzzyError: The controller is none that the experiment can have.
+    """
+    chosen = Experiment() if experiment is None else experiment
+    check_type("experiment", chosen, Experiment)
+    check_type("schedule", schedule, FuzzyGain, *SCHEDULES.values())
+    chosen = override(chosen, ["parameters.also=[]"])  # nothing is searched
+    with jax.enable_x64(chosen.run.dtype == "float64"):
+        space = parameter_space(chosen)
+        if isinstance(schedule, FuzzyGain):
+            space.checked(np.asarray(space.vector(schedule.controller)))
+        found = describe(Candidate(schedule), space, 0)
+    result = RecordingResult(
+        experiment=chosen,
+        filter=found,
+        position_weight=0.0,
+        best_cost=None,
+        training=[],
+        held_out=[],
+        compile_seconds=0.0,
+        search_seconds=0.0,
+        environment=environment(),
+        version=VERSION,
+    )
+    result.held_out.extend(score(one, result.estimate(one)) for one in recordings)
+    return result
+
+
+def _sensors(recording: Recording) -> tuple[int, int]:
+    m = recording.measurements
+    return np.shape(m.vectors)[1], np.shape(m.landmarks)[1]

@@ -1,0 +1,1 @@
+"""Recorded motion: read, checked, started, run and compared with its reference."""

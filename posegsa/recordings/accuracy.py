@@ -1,0 +1,152 @@
+"""How far estimates are from a recording's reference: total, heading, inclination, position.
+
+With the error quaternion q_err = q_est q_ref^-1 = (w, x, y, z) in the inertial frame, whose z axis
+is vertical (D. Laidig et al., "BROAD - a benchmark for robust inertial orientation estimation",
+Data 6(7):72, 2021):
+
+    total        2 arccos |w|                    the angle of the whole error
+    heading      2 arctan |z / w|                what a turn about the vertical could undo
+    inclination  2 arccos sqrt(w^2 + z^2)        the smallest rest that no such turn undoes
+
+The position's error is |P_est - P|, as other tools for trajectories take it.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_type
+from posegsa.errors import RecordingError
+from posegsa.model.measurements import finite_array
+from posegsa.model.rollout import Estimates
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.rotations import product, quaternions
+from posegsa.settings.arrays import Numbers
+
+AnyNumber = Annotated[float, Numbers(allow="any")]
+"""A number that may be infinite, where a filter diverged, or NaN."""
+
+
+class AttitudeErrors(NamedTuple):
+    """Of each sample [deg]; NaN where the truth, or the estimate, is."""
+
+    total: np.ndarray
+    heading: np.ndarray
+    inclination: np.ndarray
+
+
+class Rmse(NamedTuple):
+    """Root mean squares over the samples of a phase; NaN without any."""
+
+    total: AnyNumber
+    """[deg]"""
+    heading: AnyNumber
+    """[deg]"""
+    inclination: AnyNumber
+    """[deg]"""
+    position: AnyNumber | None
+    """[m]; None where the position is not judged."""
+    samples: int
+    """How many were judged."""
+
+
+class RecordingErrors(NamedTuple):
+    """The errors of estimates over the K samples of a recording."""
+
+    time: np.ndarray
+    """(K,) [s]."""
+    attitude: AttitudeErrors
+    """Each (K,) [deg]."""
+    position: np.ndarray | None
+    """(K,) [m]; None where the position is not judged."""
+    masks: dict[str, np.ndarray]
+    """The samples of each phase, "judged" first."""
+
+    def rmse(self) -> dict[str, Rmse]:
+        """Root mean squares by phase; a phase without any sample is left out."""
+        return {
+            name: Rmse(
+                total=rmse(self.attitude.total, mask),
+                heading=rmse(self.attitude.heading, mask),
+                inclination=rmse(self.attitude.inclination, mask),
+                position=None if self.position is None else rmse(self.position, mask),
+                samples=int(mask.sum()),
+            )
+            for name, mask in self.masks.items()
+            if name == "judged" or mask.any()
+        }
+
+
+def attitude_errors(estimated: ArrayLike, true: ArrayLike) -> AttitudeErrors:
+    """Total, heading and inclination errors (K,) [deg] of rotations (K, 3, 3), body to inertial.
+
+    Raises:
+        MeasurementError: of another shape, or not of the same length.
+    """
+    est = finite_array("estimated", estimated, (None, 3, 3), finite=False)
+    ref = finite_array("true", true, (len(est), 3, 3), finite=False)
+    w, x, y, z = product(quaternions(est), quaternions(ref) * [1, -1, -1, -1]).T
+    # Arc cosines of numbers near 1, written so that they lose no digits there.
+    total = np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w))
+    inclination = np.arctan2(np.hypot(x, y), np.hypot(w, z))
+    heading = np.arctan2(np.abs(z), np.abs(w))
+    return AttitudeErrors(*(2 * np.degrees(a) for a in (total, heading, inclination)))
+
+
+def position_errors(estimated: ArrayLike, true: ArrayLike) -> np.ndarray:
+    """Distances (K,) [m] of positions (K, 3).
+
+    Raises:
+        MeasurementError: of another shape, or not of the same length.
+    """
+    est = finite_array("estimated", estimated, (None, 3), finite=False)
+    ref = finite_array("true", true, (len(est), 3), finite=False)
+    return np.linalg.norm(est - ref, axis=1)
+
+
+def rmse(errors: ArrayLike, mask: ArrayLike | None = None) -> float:
+    """Root mean square of errors (K,) over a mask (K,); NaN without any sample.
+
+    An error there that is not finite is no smaller for being unknown: the result is infinite.
+
+    Raises:
+        MeasurementError: of another shape.
+    """
+    values = finite_array("errors", errors, (None,), finite=False)
+    if mask is not None:
+        chosen = np.asarray(mask)
+        if chosen.shape != values.shape or chosen.dtype != bool:
+            raise RecordingError(f"mask: must be bool of the shape {values.shape}")
+        values = values[chosen]
+    if not values.size:
+        return float("nan")
+    if not np.isfinite(values).all():
+        return float("inf")
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErrors:
+    """The errors of estimates of a recording.
+
+    Args:
+        estimates: of all its samples (`run_filter`).
+        recording: with a truth.
+
+    Raises:
+        RecordingError: it has no truth.
+        MeasurementError: the estimates are of another number of samples.
+    """
+    check_type("estimates", estimates, Estimates)
+    check_type("recording", recording, Recording)
+    masks = recording.masks()
+    truth = recording.truth
+    assert truth is not None
+    return RecordingErrors(
+        time=recording.time,
+        attitude=attitude_errors(estimates.rotation, truth.rotation),
+        position=None
+        if truth.position is None
+        else position_errors(estimates.position, truth.position),
+        masks=masks,
+    )

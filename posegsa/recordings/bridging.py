@@ -1,0 +1,194 @@
+"""Time stamps that can be used, and what is done about samples that are missing.
+
+A recording whose stamps go back, that has a gap, or whose velocities hold NaN is refused, unless a
+policy says how to bridge that:
+
+    "refuse"        nothing is bridged
+    "hold"          the last velocities are held
+    "interpolate"   velocities are interpolated linearly
+
+Both of the latter drop samples whose stamp does not come after the one before, and fill a gap with
+samples at the median time step, with nothing measured in them but the velocities. What is bridged
+is counted, and no gap is longer than a given time.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.errors import RecordingError
+from posegsa.model.measurements import finite_array
+from posegsa.words import counted
+
+Policy = Literal["refuse", "hold", "interpolate"]
+
+GAP = 5.0
+"""Time steps longer than this many median ones are gaps."""
+LONGEST_STEP = 3600.0
+"""No longer gap [s] is bridged, whoever asks for it: stamps in another unit look like that."""
+ALLOWED = 'allowed: bridge = "hold" or "interpolate"'
+
+
+class Bridged(NamedTuple):
+    """Which samples of a recording are used, and what stands between them."""
+
+    time: np.ndarray
+    """(N,) from the first sample [s], ascending."""
+    source: np.ndarray
+    """(N,) the sample that each was made of; -1 where there was none."""
+    notes: tuple[str, ...]
+    """What was done, counted."""
+
+    def spread(self, values: np.ndarray, missing: float | bool) -> np.ndarray:
+        """Values (K, ...) of the given samples as (N, ...), `missing` where there was none."""
+        taken = values[self.source]  # -1 takes the last, and is replaced
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        return np.where((self.source >= 0).reshape(shape), taken, missing)
+
+
+def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) -> np.ndarray:
+    """Time (K,) since the first sample [s], float64.
+
+    Args:
+        time: (K,) stamps: whole numbers are ns, others s; None where there is a time step.
+        time_step: scalar or (K,) [s], to the next sample.
+        samples: K.
+
+    Raises:
+        RecordingError: not exactly one of both, of another shape or not finite.
+    """
+    if samples < 2:
+        raise RecordingError(f"a recording has {counted(samples, 'sample')}; allowed: 2 or more")
+    if (time is None) == (time_step is None):
+        raise RecordingError("time, time_step: give one of both")
+    if time is None:
+        assert time_step is not None
+        steps = np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step
+        steps = finite_array("time_step", steps, (samples,))
+        if (steps <= 0).any():
+            k = int(np.argmax(steps <= 0))
+            raise RecordingError(f"time_step: must be positive, got {steps[k]:g} s at sample {k}")
+        return np.concatenate([[0.0], np.cumsum(steps[:-1])])
+    given = np.asarray(time)
+    if given.dtype.kind in "iu":
+        if given.shape != (samples,):
+            raise RecordingError(f"time: must have the shape ({samples},), got {given.shape}")
+        if given.max() > 2**62 or given.min() < -(2**62):
+            raise RecordingError(f"time: {given.max()} ns is no time stamp; allowed: up to 2^62 ns")
+        # The difference first, in whole ns: float64 would lose some of a stamp since 1970.
+        return (given.astype(np.int64) - np.int64(given[0])) / 1e9
+    seconds = finite_array("time", given, (samples,))
+    return seconds - seconds[0]
+
+
+def bridged_samples(
+    time: np.ndarray, velocities: np.ndarray, policy: Policy, longest: float
+) -> Bridged:
+    """Samples to be used, by a policy.
+
+    Args:
+        time: (K,) since the first sample [s].
+        velocities: (K, d) what must be known at each sample; NaN where it is not.
+        policy: what is done where stamps or velocities are missing.
+        longest: time [s] up to which anything is bridged.
+
+    Raises:
+        RecordingError: something is missing that the policy does not bridge.
+    """
+    if policy not in ("refuse", "hold", "interpolate"):
+        raise RecordingError(f'bridge = {policy!r}; allowed: "refuse", "hold", "interpolate"')
+    if not 0 <= longest <= LONGEST_STEP:
+        raise RecordingError(f"longest_gap = {longest!r}; allowed: 0 to {LONGEST_STEP:g} s")
+    notes = []
+    kept = _advancing(time)
+    if dropped := int(np.count_nonzero(~kept)):
+        k = int(np.argmin(kept))
+        where = f"first at sample {k}, {time[k]:.9g} s after {time[k - 1]:.9g} s"
+        if policy == "refuse":
+            raise RecordingError(
+                f"time: {counted(dropped, 'stamp')} not after the one before ({where}); {ALLOWED}, "
+                "which drops them"
+            )
+        notes.append(f"{counted(dropped, 'sample')} dropped: stamps that do not go on, {where}")
+    source = np.flatnonzero(kept)
+    if len(source) < 2:
+        raise RecordingError("time: no two stamps ascend")
+    found = time[source]
+    steps = np.diff(found)
+    usual = float(np.median(steps))
+    gaps = np.flatnonzero(steps > GAP * usual)
+    if gaps.size:
+        most = int(gaps[np.argmax(steps[gaps])])
+        where = f"the longest {steps[most]:.4g} s after {found[most]:.6g} s"
+        words = f"{counted(gaps.size, 'gap')} longer than {GAP:g} median steps, {where}"
+        if policy == "refuse" or steps[most] > longest:
+            raise RecordingError(
+                f"time: {words}; {ALLOWED}, with gaps of up to longest_gap = {longest:g} s, or a "
+                "recording without them"
+            )
+        found, source = _filled(found, source, gaps, usual)
+        notes.append(f"{words}: bridged by {counted(int((source < 0).sum()), 'sample')} ({policy})")
+    unknown = (source < 0) | ~np.isfinite(velocities[source]).all(axis=1)
+    lost = unknown & (source >= 0)
+    if lost.any():
+        k = int(source[np.argmax(lost)])
+        words = f"{counted(int(lost.sum()), 'sample')} without velocities, the first at {k}"
+        if policy == "refuse":
+            raise RecordingError(f"angular_velocity, velocity: {words}; {ALLOWED}")
+        notes.append(f"{words}: bridged ({policy})")
+    _refuse_long_runs(found, unknown, longest)
+    return Bridged(found - found[0], source, tuple(notes))
+
+
+def known_everywhere(bridged: Bridged, values: np.ndarray, policy: Policy) -> np.ndarray:
+    """Velocities (N, d) at the samples of a bridge from those given (K, d), by its policy."""
+    spread = bridged.spread(values, np.nan)
+    missing = ~np.isfinite(spread).all(axis=1)
+    if not missing.any():
+        return spread
+    known = np.flatnonzero(~missing)
+    if policy == "hold":
+        before = known[np.maximum(np.searchsorted(known, np.flatnonzero(missing)) - 1, 0)]
+        spread[missing] = spread[before]
+        return spread
+    for column in spread.T:
+        column[missing] = np.interp(bridged.time[missing], bridged.time[known], column[known])
+    return spread
+
+
+def _advancing(time: np.ndarray) -> np.ndarray:
+    """Whether each stamp (K,) comes after all before it."""
+    latest = np.maximum.accumulate(time)
+    return np.concatenate([[True], time[1:] > latest[:-1]])
+
+
+def _filled(
+    time: np.ndarray, source: np.ndarray, gaps: np.ndarray, usual: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and sources with samples put into gaps, about `usual` [s] apart."""
+    times, where = [], []
+    for k in gaps:
+        parts = max(2, round(float(time[k + 1] - time[k]) / usual))
+        times.append(np.linspace(time[k], time[k + 1], parts + 1)[1:-1])
+        where.append(np.full(parts - 1, k + 1))
+    between, at = np.concatenate(times), np.concatenate(where)
+    return np.insert(time, at, between), np.insert(source, at, -1)
+
+
+def _refuse_long_runs(time: np.ndarray, unknown: np.ndarray, longest: float) -> None:
+    """Raise a RecordingError where velocities are unknown for too long, or for ever."""
+    known = np.flatnonzero(~unknown)
+    if known.size == 0:
+        raise RecordingError("angular_velocity, velocity: no sample has them")
+    # Before the first and after the last known one, too, time passes.
+    ends = np.concatenate([time[:1], time[known], time[-1:]])
+    runs = np.diff(ends)
+    inner = np.concatenate([[known[0] > 0], np.diff(known) > 1, [known[-1] < len(time) - 1]])
+    runs = np.where(inner, runs, 0.0)
+    if runs.max() > longest:
+        k = int(np.argmax(runs))
+        raise RecordingError(
+            f"angular_velocity, velocity: missing for {runs[k]:.4g} s after {ends[k]:.6g} s; "
+            f"allowed: up to longest_gap = {longest:g} s"
+        )

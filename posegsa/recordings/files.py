@@ -1,0 +1,44 @@
+"""Files that recordings are read from: opened with care, refused by their name."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from posegsa.arguments import check_type
+from posegsa.errors import RecordingError
+
+MAX_BYTES = 4 * 2**30
+"""Size up to which a file is read: 4 GiB."""
+
+
+def as_path(value: str | Path) -> Path:
+    """A path from a user."""
+    check_type("path", value, str, os.PathLike, allowed="a path")
+    return Path(value)
+
+
+def file_of(value: str | Path) -> Path:
+    """The path of a regular file that is small enough to read.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    path = as_path(value)
+    if not path.is_file():
+        raise RecordingError(f"{path}: there is no such file")
+    if (size := path.stat().st_size) > MAX_BYTES:
+        raise RecordingError(f"{path}: {size} bytes; allowed: up to 4 GiB")
+    return path
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """What goes wrong while a file is read comes as a RecordingError with its name."""
+    try:
+        yield
+    except RecordingError:
+        raise
+    except Exception as error:  # whatever the reader of a damaged file raises
+        what = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordingError(f"{path}: cannot be read: {what}") from error

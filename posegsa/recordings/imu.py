@@ -1,0 +1,405 @@
+"""From gyroscope, accelerometer and magnetometer to vectors that the filter can use.
+
+Two vectors are made, neither of them normalised:
+
+    up    a_f / g                 reference: up
+    east  m x a_f / (g h)         reference: east
+
+a the specific force (at rest it points up), a_f the same low-passed in an almost inertial frame
+(`inertial_frame`), g its length at rest; m the magnetic field, h its horizontal part. A normalised
+a is no unbiased direction of gravity while the body shakes, a mean of a is; and east, unlike m
+itself, says nothing of the inclination, however wrong the field is. East has a weight that falls
+where the field is not the one expected (`magnetic_field`). There is no position: a recording made
+so is one of attitude only.
+"""
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_number, check_type
+from posegsa.config.imu import ImuVectorsConfig
+from posegsa.errors import RecordingError
+from posegsa.recordings.inertial_frame import held, low_passed, strapdown
+from posegsa.recordings.magnetic_field import field_parts, field_weights, mean_so_far
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.rest import rest_at_start
+from posegsa.recordings.start import Start
+from posegsa.recordings.units import check_units
+from posegsa.words import counted
+
+Frame = Literal["ENU", "NED", "NWU"]
+"""The axes x, y, z of the inertial frame: east, north, up; north, east, down; north, west, up.
+North is magnetic north."""
+
+GRAVITY = 9.81
+"""Length of the acceleration at rest where no rest shows it [m/s^2]."""
+FIRST = 1.0
+"""Time over which sensors are averaged for the start of a recording that begins in motion [s]."""
+STARTUP = 20.0
+"""Time constant with which the field gets its weights in such a recording, and gamma its value
+[s]."""
+UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
+EAST: dict[str, tuple[float, float, float]] = {
+    "ENU": (1, 0, 0),
+    "NED": (0, 1, 0),
+    "NWU": (0, -1, 0),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImuRecording(Recording):
+    """A recording of an inertial sensor; made by `imu` or `as_imu`.
+
+    Its `sensors` hold the "gyroscope" too, as it was measured.
+    """
+
+    frame: Frame = "ENU"
+    """The inertial frame."""
+    settings: ImuVectorsConfig = field(default_factory=ImuVectorsConfig)
+    """With which its vectors were made."""
+    resting: int = 0
+    """Number of samples at rest at the start; 0 if it begins in motion."""
+
+
+def imu(
+    gyr: ArrayLike,
+    acc: ArrayLike,
+    mag: ArrayLike | None = None,
+    *,
+    rate: float | None = None,
+    time: ArrayLike | None = None,
+    frame: Frame = "ENU",
+    rest: float | Literal["auto"] = "auto",
+    settings: ImuVectorsConfig | None = None,
+    **more: Any,
+) -> ImuRecording:
+    """A recording of attitude only from an inertial sensor's signals, ready for `run_filter`.
+
+    All three sensors have the same, right-handed axes: those of the body.
+
+    Args:
+        gyr: (K, 3) angular velocity [rad/s].
+        acc: (K, 3) specific force [m/s^2]: at rest 9.8 upwards; NaN is missing.
+        mag: (K, 3) magnetic field, in any unit, calibrated; NaN is missing. Without it, the heading
+            is free: it begins at an arbitrary value and drifts with the gyroscope.
+        rate: samples per second; or give `time`.
+        time: (K,) stamps: whole numbers are ns, others s.
+        frame: the inertial frame (`Frame`).
+        rest: time at rest at the start [s], from which the gyroscope's bias, the lengths of the
+            references and the first attitude are taken; 0 if the recording begins in motion, "auto"
+            to find it (`rest_at_start`). Without rest the bias begins at 0 and is learnt, the
+            attitude is that of the first second, and the field is compared with its mean so far.
+        settings: numbers of the preparation, such as `config.load_imu(file).vectors`; by default
+            those of the shipped filter.
+        more: further arguments of `Recording.from_arrays`, such as name, truth_quaternion, judged,
+            phases or bridge.
+
+    Raises:
+        RecordingError: units look wrong (degrees per second, multiples of g), signals are missing
+            or say nothing, or an argument is not one of those allowed; names it.
+        MeasurementError: an array has the wrong shape or holds what it may not.
+    """
+    if (rate is None) == (time is None):
+        raise RecordingError("rate, time: give one of both")
+    if rate is not None:
+        check_number("rate", rate, 1e-3, 1e6)
+        more |= {"time_step": 1 / float(rate)}
+    sensors = {"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag})
+    sources = {"angular velocity": "measured (gyroscope)"} | more.pop("sources", {})
+    recording = Recording.from_arrays(
+        time=time, angular_velocity=gyr, sensors=sensors, sources=sources, **more
+    )
+    return as_imu(recording, frame=frame, rest=rest, settings=settings)
+
+
+def as_imu(
+    recording: Recording,
+    *,
+    frame: Frame = "ENU",
+    rest: float | Literal["auto"] = "auto",
+    settings: ImuVectorsConfig | None = None,
+) -> ImuRecording:
+    """A recording with its vectors and its start made anew from its sensors, attitude only.
+
+    Args:
+        recording: whose `sensors` hold "accelerometer" and, for a heading, "magnetometer", such as
+            those of `Recording.from_broad` and `from_csv`.
+        frame: as `imu`'s.
+        rest: as `imu`'s.
+        settings: as `imu`'s.
+
+    Raises:
+        RecordingError: as `imu`, or the recording lacks an accelerometer.
+    """
+    check_type("recording", recording, Recording)
+    settings = ImuVectorsConfig() if settings is None else settings
+    check_type("settings", settings, ImuVectorsConfig)
+    if frame not in UP:
+        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    signals = _signals(recording)
+    check_units(signals.gyr, signals.acc, signals.time_step)
+    resting = _samples_at_rest(rest, signals)
+    return _with_vectors(recording, signals, frame, settings, resting, None)
+
+
+def with_known_bias(recording: ImuRecording, bias: np.ndarray) -> ImuRecording:
+    """A recording with its vectors made anew with the gyroscope's bias known better than before.
+
+    Args:
+        recording: of an inertial sensor.
+        bias: (K, 3) at each sample [rad/s], such as a first run's estimates of it.
+    """
+    signals = _signals(recording)
+    made = recording.frame, recording.settings, recording.resting
+    return _with_vectors(recording, signals, *made, bias)
+
+
+def _signals(recording: Recording) -> "Signals":
+    """What the sensors of a recording measured."""
+    if "accelerometer" not in recording.sensors:
+        raise RecordingError(
+            f"{recording.name}: has no accelerometer; allowed: sensors with one, as from columns "
+            "ax, ay, az of a CSV file"
+        )
+    gyr = recording.sensors.get("gyroscope", recording.measurements.angular_velocity)
+    return Signals(
+        gyr=np.asarray(gyr),
+        acc=recording.sensors["accelerometer"],
+        mag=recording.sensors.get("magnetometer"),
+        steps=np.asarray(recording.measurements.time_step),
+    )
+
+
+def _with_vectors(
+    recording: Recording,
+    signals: "Signals",
+    frame: Frame,
+    settings: ImuVectorsConfig,
+    resting: int,
+    bias: np.ndarray | None,
+) -> ImuRecording:
+    made = prepared(signals, resting, frame, settings, bias)
+    truth = recording.truth
+    found = Recording.from_arrays(
+        name=recording.name,
+        time_step=signals.steps,
+        angular_velocity=made.angular_velocity,
+        vectors=made.vectors,
+        vector_references=made.references,
+        vector_weights=made.weights,
+        truth_rotation=None if truth is None else truth.rotation,
+        judged=recording.judged,
+        phases=recording.phases,
+        start=made.start,
+        sources=recording.sources | made.sources,
+        sensors=recording.sensors | {"gyroscope": signals.gyr},
+        notes=recording.notes,
+    )
+    held_by = {each.name: getattr(found, each.name) for each in fields(found)}
+    return ImuRecording(**held_by, frame=frame, settings=settings, resting=resting)
+
+
+class Signals(NamedTuple):
+    """What an inertial sensor measured in K samples, body frame."""
+
+    gyr: np.ndarray
+    """(K, 3) [rad/s]."""
+    acc: np.ndarray
+    """(K, 3) specific force [m/s^2]; NaN where missing."""
+    mag: np.ndarray | None
+    """(K, 3) magnetic field; NaN where missing, None without a magnetometer."""
+    steps: np.ndarray
+    """(K,) time to the next sample [s]."""
+
+    @property
+    def time_step(self) -> float:
+        """The median time step [s]."""
+        return float(np.median(self.steps))
+
+
+class Prepared(NamedTuple):
+    """What is made of K samples of an inertial sensor, with n = 1 or 2 vectors."""
+
+    angular_velocity: np.ndarray
+    """(K, 3) from each sample to the next [rad/s]."""
+    vectors: np.ndarray
+    """(K, n, 3) up and east, body frame; NaN where missing."""
+    references: np.ndarray
+    """(n, 3) the same, inertial frame."""
+    weights: np.ndarray
+    """(K, n) in [0, 1]."""
+    start: Start
+    sources: dict[str, str]
+    """What was made of each sensor, in words; what was left out is counted."""
+
+
+def prepared(
+    signals: Signals,
+    resting: int,
+    frame: Frame,
+    settings: ImuVectorsConfig,
+    bias: np.ndarray | None = None,
+) -> Prepared:
+    """The vectors, their references and the start of a recording (causal but for the first second).
+
+    Args:
+        signals: with units that have been looked at.
+        resting: number of samples at rest at the start; 0 for none.
+        frame: the inertial frame.
+        settings: numbers of the preparation.
+        bias: (K, 3) of the gyroscope at each sample [rad/s], for the almost inertial frame; by
+            default its mean at rest, or 0.
+
+    Raises:
+        RecordingError: a sensor says nothing in the first second, or at rest.
+    """
+    sources = {"start": _rest_in_words(resting, signals), "vectors": _in_words(settings, signals)}
+    omega = signals.gyr
+    if settings.gyroscope_interval == "before":
+        omega = np.concatenate([omega[1:], omega[-1:]])
+    at_rest = signals.gyr[:resting].mean(axis=0) if resting else np.zeros(3)
+    S = strapdown(omega - (at_rest if bias is None else bias), signals.steps)
+    first = resting or min(len(omega), max(1, round(FIRST / signals.time_step)))
+
+    acc = np.einsum("kij,kj->ki", S, signals.acc)
+    gravity = _median("acc", acc[:first])
+    length = float(np.linalg.norm(gravity)) if resting else GRAVITY
+    acc_known, sources["accelerometer"] = _used(acc, length, settings)
+    steady = low_passed(
+        held(acc, acc_known, gravity), settings.low_pass, signals.time_step, gravity
+    )
+    up = np.einsum("kji,kj->ki", S, steady) / length
+    vectors, weights = [up], [acc_known.astype(float)]
+
+    east_at_first = None
+    if signals.mag is None:
+        sources["heading"] = "free, without a magnetometer: it begins anywhere, and drifts"
+    else:
+        turned = np.einsum("kij,kj->ki", S, signals.mag)
+        usual = _median("mag", turned[:first])
+        known, sources["magnetometer"] = _used(turned, float(np.linalg.norm(usual)), settings)
+        parts = np.where(known[:, None], field_parts(turned, steady), math.nan)
+        reference = field_parts(usual[None], gravity[None])[0]
+        if not reference[0] > 1e-3 * np.linalg.norm(reference):
+            raise RecordingError(
+                "mag: is parallel to acc at first, so that there is no heading in it; allowed: None"
+            )
+        east = np.cross(signals.mag, up) / reference[0]
+        vectors.append(np.where(known[:, None], east, math.nan))
+        weight = np.ones(len(up))
+        if settings.field_tolerance != "off":
+            weight = field_weights(
+                parts,
+                reference if resting else mean_so_far(parts, first),
+                signals.time_step,
+                tolerance=settings.field_tolerance,
+                recovery=settings.field_recovery,
+            )
+            if not resting:
+                # Nothing is known of the field yet: at first it is believed as it is.
+                age = np.arange(len(up)) * signals.time_step
+                weight = np.maximum(weight, np.exp(-age / STARTUP))
+        weights.append(np.where(known & acc_known, weight, 0.0))
+        east_at_first = np.cross(usual, gravity)
+
+    return Prepared(
+        angular_velocity=omega,
+        vectors=np.stack(vectors, axis=1),
+        references=np.array([UP[frame], EAST[frame]][: len(vectors)], float),
+        weights=np.stack(weights, axis=1),
+        start=Start(
+            rotation=_attitude(gravity, east_at_first, frame),
+            position=np.zeros(3),
+            bias=np.concatenate([at_rest, np.zeros(3)]),
+        ),
+        sources=sources,
+    )
+
+
+def _samples_at_rest(rest: float | Literal["auto"], signals: Signals) -> int:
+    if rest == "auto":
+        return rest_at_start(signals.gyr, signals.acc, signals.time_step)
+    duration = len(signals.gyr) * signals.time_step
+    if isinstance(rest, str):
+        raise RecordingError(f'rest = {rest!r}; allowed: "auto", or a time from 0 on [s]')
+    check_number("rest", rest, 0.0)
+    if rest > duration * (1 + 1e-9):
+        raise RecordingError(
+            f"rest = {rest:g} s; allowed: up to {duration:g} s, as long as the recording"
+        )
+    return min(len(signals.gyr), round(rest / signals.time_step))
+
+
+def _median(name: str, values: np.ndarray) -> np.ndarray:
+    """Medians (3,) of values (K, 3) that are there; a RecordingError where none is, or it is zero.
+
+    A mean would be off where someone brings a magnet, or knocks, before the motion begins.
+    """
+    known = np.isfinite(values).all(axis=1)
+    median = np.median(values[known], axis=0) if known.any() else np.zeros(3)
+    if not median.any():
+        raise RecordingError(
+            f"{name}: no sample of the first {len(values)} says anything (all missing, or zero); "
+            "allowed: some that do, from which the start is made"
+        )
+    return median
+
+
+def _used(values: np.ndarray, length: float, settings: ImuVectorsConfig) -> tuple[np.ndarray, str]:
+    """Which of values (K, 3) are used, (K,), and in words which are not."""
+    known = np.all(np.isfinite(values), axis=1)
+    with np.errstate(invalid="ignore"):
+        far = known & (np.linalg.norm(values, axis=1) > settings.outlier * length)
+    words = "measured"
+    if missing := int(np.sum(~known)):
+        words += f"; {counted(missing, 'sample')} missing"
+    if outliers := int(np.sum(far)):
+        words += (
+            f"; {counted(outliers, 'sample')} passed over, more than {settings.outlier:g} times as "
+            "long as the reference"
+        )
+    return known & ~far, words
+
+
+def _attitude(up: np.ndarray, east: np.ndarray | None, frame: Frame) -> np.ndarray:
+    """R (3, 3), body to inertial, from up and east (3,) in the body frame, of any length.
+
+    Without an east, the body's x axis, or its y axis where x is steep, points along the frame's x.
+    """
+    u = up / np.linalg.norm(up)
+    z = -u if frame == "NED" else u
+    if east is None:
+        axis = np.eye(3)[0 if abs(u[0]) < math.sqrt(0.5) else 1]
+        x = axis - (axis @ u) * u
+    else:
+        x = east if frame == "ENU" else np.cross(u, east)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _rest_in_words(resting: int, signals: Signals) -> str:
+    if not resting:
+        return (
+            "begins in motion: the gyroscope's bias is learnt from 0, the references are those of "
+            f"the first {FIRST:g} s"
+        )
+    bias = ", ".join(f"{1e3 * b:.2f}" for b in signals.gyr[:resting].mean(axis=0))
+    return (
+        f"at rest for the first {resting * signals.time_step:.1f} s: gyroscope's bias ({bias}) "
+        "mrad/s, references and start from there"
+    )
+
+
+def _in_words(settings: ImuVectorsConfig, signals: Signals) -> str:
+    low_pass = (
+        f"low-passed over {settings.low_pass:g} s in an almost inertial frame"
+        if settings.low_pass
+        else "as measured"
+    )
+    return f"made of the sensors: up = a / g, {low_pass}" + (
+        "" if signals.mag is None else ", and east = m x a / (g h)"
+    )

@@ -1,0 +1,601 @@
+"""One recording: what the sensors said, what is known of the truth, and what is to be judged."""
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import check_type
+from posegsa.errors import PosegsaWarning, RecordingError
+from posegsa.model.measurements import Measurements, checked_arrays, finite_array
+from posegsa.recordings.archive import read_npz, write_npz
+from posegsa.recordings.bridging import Bridged, Policy, bridged_samples, known_everywhere, stamps
+from posegsa.recordings.broad import read_broad
+from posegsa.recordings.euroc import LANDMARKS, read_euroc
+from posegsa.recordings.files import as_path
+from posegsa.recordings.rotations import about, matrices
+from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
+from posegsa.recordings.table import Columns, read_csv
+
+StartRule: TypeAlias = Start | Literal["rest", "sensors"]
+
+
+class RecordedTruth(NamedTuple):
+    """A reference of K samples; NaN where it is not known."""
+
+    rotation: np.ndarray
+    """(K, 3, 3) R, body to inertial."""
+    position: np.ndarray | None
+    """(K, 3) P [m], inertial frame; None where the position is not judged."""
+
+    @property
+    def known(self) -> np.ndarray:
+        """(K,) whether all of it is finite."""
+        arrays = [a for a in self if a is not None]
+        finite = [np.isfinite(a).reshape(len(a), -1) for a in arrays]
+        return np.asarray(np.concatenate(finite, axis=1).all(axis=1))
+
+    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "RecordedTruth":
+        """The same with both arrays changed."""
+        position = None if self.position is None else change(self.position)
+        return RecordedTruth(change(self.rotation), position)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """K samples of recorded motion; made by `from_arrays`, or by a reader of files.
+
+    Frames and signs are those of the whole package: R maps body to inertial coordinates, P is the
+    body's position in the inertial frame, all that is measured is in the body frame, SI units,
+    quaternions (w, x, y, z). Arrays are NumPy's, float64.
+    """
+
+    name: str
+    time: np.ndarray
+    """(K,) since the first sample [s]."""
+    measurements: Measurements
+    """Of all sensors; a weight of 0 is a missing measurement."""
+    truth: RecordedTruth | None
+    """The reference; None without one."""
+    judged: np.ndarray
+    """(K,) which samples are judged: those that were asked for, and where the truth is known."""
+    phases: dict[str, np.ndarray] = field(default_factory=dict)
+    """Parts (K,) of the recording that are judged apart, by name, such as rest and motion."""
+    start: StartRule = "sensors"
+    """Where the estimate begins: a pose; "rest": attitude and position from the means of what is
+    seen at rest, biases from the velocities there; "sensors": the same pose from the first 0.1 s,
+    biases `start_bias`."""
+    start_bias: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    """(6,) b_est with start "sensors" [rad/s, m/s], angular first."""
+    attitude_only: bool = False
+    """Whether there is neither a velocity nor a landmark: the position is not estimated, and is in
+    no result."""
+    sources: dict[str, str] = field(default_factory=dict)
+    """What each quantity is: measured, or made from the truth with which noise; in words."""
+    notes: tuple[str, ...] = ()
+    """What was bridged, dropped or left out, counted."""
+    sensors: dict[str, np.ndarray] = field(default_factory=dict)
+    """Signals (K, 3) as their sensors gave them, body frame, for filters that read these:
+    "accelerometer" [m/s^2], "magnetometer" [any unit]; NaN where missing."""
+    vector_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
+    """(n,) by what each vector's weights were multiplied: samples from one to the next."""
+    landmark_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
+    """(m,) likewise of each landmark."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        name: str = "recording",
+        time: ArrayLike | None = None,
+        time_step: ArrayLike | None = None,
+        angular_velocity: ArrayLike,
+        velocity: ArrayLike | None = None,
+        vectors: ArrayLike | None = None,
+        vector_references: ArrayLike | None = None,
+        vector_weights: ArrayLike | None = None,
+        landmarks: ArrayLike | None = None,
+        landmark_references: ArrayLike | None = None,
+        landmark_weights: ArrayLike | None = None,
+        weights_by_rate: bool = True,
+        truth_rotation: ArrayLike | None = None,
+        truth_quaternion: ArrayLike | None = None,
+        truth_position: ArrayLike | None = None,
+        judged: ArrayLike | None = None,
+        phases: Mapping[str, ArrayLike] | None = None,
+        start: StartRule | Sequence[ArrayLike] = "sensors",
+        bridge: Policy = "refuse",
+        longest_gap: float = 1.0,
+        sources: Mapping[str, str] | None = None,
+        sensors: Mapping[str, ArrayLike] | None = None,
+        notes: Sequence[str] = (),
+    ) -> "Recording":
+        """A checked recording of K samples.
+
+        Args:
+            name: what it is called in tables and files.
+            time: (K,) stamps: whole numbers are ns, others s; or give `time_step`.
+            time_step: scalar or (K,) time to the next sample [s].
+            angular_velocity: (K, 3) gyroscope, body frame [rad/s].
+            velocity: (K, 3) linear velocity, body frame [m/s]; None for attitude only, which has no
+                landmarks either.
+            vectors: (K, n, 3) vectors in the body frame; NaN is missing.
+            vector_references: (n, 3) or (K, n, 3), the same in the inertial frame.
+            vector_weights: scalar, (n,) or (K, n), factors on the filter's weights; default 1.
+            landmarks: (K, m, 3) landmark positions in the body frame [m]; NaN is missing.
+            landmark_references: (m, 3) or (K, m, 3), their inertial positions [m].
+            landmark_weights: scalar, (m,) or (K, m), factors on the filter's weights; default 1.
+            weights_by_rate: multiply the weights of each vector and landmark by the median number
+                of samples from one measurement of it to the next, so that one that is seen at 20 Hz
+                beside a gyroscope at 200 Hz pulls as much over a second as one seen at 200 Hz.
+            truth_rotation: (K, 3, 3) reference of R; NaN is not known.
+            truth_quaternion: (K, 4) the same as (w, x, y, z), instead.
+            truth_position: (K, 3) reference of P [m]; NaN is not known.
+            judged: (K,) which samples are judged; all by default, and in any case only those whose
+                truth is known.
+            phases: masks (K,) by name of parts that are judged apart; "rest" is used by start
+                "rest", which otherwise takes the first second.
+            start: "rest", "sensors" or a pose: (rotation (3, 3), position (3,)) or with the bias
+                (6,) as a third.
+            bridge: what is done where a stamp does not go on, velocities are NaN or there is a gap
+                (`posegsa.recordings.bridging`): refused, held or interpolated.
+            longest_gap: time [s] up to which anything is bridged.
+            sources: what each quantity is, in words, by its name.
+            sensors: `Recording.sensors`.
+            notes: what else a reader should know, such as what was left out.
+
+        Raises:
+            MeasurementError: an array has the wrong shape, holds what it may not, or something is
+                missing that `bridge` does not cover; names the argument, the value and what is
+                allowed. A `RecordingError`, which is one too, where only recordings have it.
+        """
+        check_type("name", name, str)
+        omega = finite_array("angular_velocity", angular_velocity, (None, 3), finite=False)
+        samples = len(omega)
+        attitude_only = velocity is None
+        if attitude_only and landmarks is not None:
+            raise RecordingError(
+                "velocity: None beside landmarks; allowed: (K, 3) [m/s], or neither (attitude only)"
+            )
+        linear = np.zeros_like(omega) if velocity is None else velocity
+        linear = finite_array("velocity", linear, (samples, 3), finite=False)
+        velocities = np.concatenate([omega, linear], axis=1)
+        if np.isinf(velocities).any():
+            raise RecordingError("angular_velocity, velocity: must not be infinite")
+        found = bridged_samples(
+            stamps(time, time_step, samples), velocities, policy=bridge, longest=longest_gap
+        )
+        omega, linear = np.hsplit(known_everywhere(found, velocities, bridge), 2)
+        if truth_rotation is not None and truth_quaternion is not None:
+            raise RecordingError("truth_rotation, truth_quaternion: give one of both")
+        truth = _truth(samples, truth_rotation, truth_quaternion, truth_position, attitude_only)
+        values = checked_arrays(
+            time_step=np.append(np.diff(found.time), np.median(np.diff(found.time))),
+            angular_velocity=omega,
+            velocity=linear,
+            **_spread_sightings(
+                "vector", found, samples, vectors, vector_references, vector_weights
+            ),
+            **_spread_sightings(
+                "landmark", found, samples, landmarks, landmark_references, landmark_weights
+            ),
+        )
+        intervals = {}
+        for kind in ("vector", "landmark"):
+            weights = values[f"{kind}_weights"]
+            each = _intervals(weights > 0) if weights_by_rate else np.ones(weights.shape[1])
+            values[f"{kind}_weights"] = weights * each
+            intervals[f"{kind}_interval"] = each
+        if truth is not None:
+            truth = truth.each(lambda a: found.spread(a, math.nan))
+        where = found.spread(_mask("judged", True if judged is None else judged, samples), False)
+        recording = cls(
+            name=name,
+            time=found.time,
+            measurements=with_numpy_arrays(values),
+            truth=truth,
+            judged=where if truth is None else where & truth.known,
+            phases={
+                str(key): found.spread(_mask(f"phases[{key!r}]", mask, samples), False)
+                for key, mask in (phases or {}).items()
+            },
+            start=_start(start),
+            attitude_only=attitude_only,
+            sources={str(key): str(words) for key, words in (sources or {}).items()},
+            notes=(*notes, *found.notes),
+            sensors={
+                str(key): found.spread(
+                    finite_array(f"sensors[{key!r}]", signal, (samples, 3), finite=False), math.nan
+                )
+                for key, signal in (sensors or {}).items()
+            },
+            **intervals,
+        )
+        if found.notes:
+            warnings.warn(f"{name}: {'; '.join(found.notes)}", PosegsaWarning, stacklevel=2)
+        return recording
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        columns: Columns | None = None,
+        *,
+        time_unit: str = "s",
+        delimiter: str = ",",
+        **more: Any,
+    ) -> "Recording":
+        """A recording from a CSV file with one head line; an empty cell is NaN.
+
+        Args:
+            path: the file.
+            columns: names of columns by the argument of `from_arrays` that they make:
+                `{"time": "t", "angular_velocity": ["gx", "gy", "gz"], "vectors": [["ax", "ay",
+                "az"], ["mx", "my", "mz"]]}`; "accelerometer" and "magnetometer" become `sensors`.
+                By default those of `posegsa.recordings.table.COLUMNS` that the file has.
+            time_unit: of the stamps: "s", "ms", "us" or "ns"; whole ones keep all their digits.
+            delimiter: between two cells.
+            more: further arguments of `from_arrays`, such as references, weights and `bridge`.
+
+        Raises:
+            RecordingError: the file cannot be read or lacks a column.
+            MeasurementError: as `from_arrays`.
+        """
+        found: dict[str, Any] = {"name": as_path(path).stem}
+        found |= read_csv(path, columns, time_unit, delimiter)
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_npz(cls, path: str | Path, **more: Any) -> "Recording":
+        """A recording from an .npz file, of `save` or of one's own.
+
+        Args:
+            path: the file; its arrays are called like the arguments of `from_arrays`, those of
+                dictionaries "phases/rest" and the like.
+            more: arguments of `from_arrays` that replace the file's.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            MeasurementError: as `from_arrays`.
+        """
+        found: dict[str, Any] = {"name": as_path(path).stem} | read_npz(path)
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_euroc(
+        cls,
+        folder: str | Path,
+        *,
+        landmarks: ArrayLike | Sequence[Sequence[float]] = LANDMARKS,
+        landmark_noise: float = 0.05,
+        landmark_rate: float = 20.0,
+        velocity_noise: float = 0.05,
+        velocity_bias: ArrayLike | Sequence[float] = (0.05, -0.05, 0.02),
+        seed: int = 0,
+        **more: Any,
+    ) -> "Recording":
+        """A sequence of the EuRoC MAV data set, with a velocity and landmarks made of its truth.
+
+        Args:
+            folder: of the sequence, with mav0/imu0/data.csv and
+                mav0/state_groundtruth_estimate0/data.csv, or with *imu0.csv and *groundtruth.csv.
+            landmarks: (m, 3) their positions in the reference's frame [m].
+            landmark_noise: standard deviation of each coordinate [m].
+            landmark_rate: how often they are seen [Hz]; the nearest that the samples allow.
+            velocity_noise: standard deviation of each component in each sample [m/s].
+            velocity_bias: (3,) constant, body frame [m/s].
+            seed: of the noise.
+            more: arguments of `from_arrays` that replace those made here.
+
+        Raises:
+            RecordingError: there is no such sequence, or its files cannot be read.
+            MeasurementError: as `from_arrays`.
+        """
+        found = read_euroc(
+            folder,
+            landmarks=landmarks,
+            landmark_noise=landmark_noise,
+            landmark_rate=landmark_rate,
+            velocity_noise=velocity_noise,
+            velocity_bias=velocity_bias,
+            seed=seed,
+        )
+        return cls.from_arrays(**found | more)
+
+    @classmethod
+    def from_broad(cls, path: str | Path, **more: Any) -> "Recording":
+        """A trial of the BROAD data set: attitude only, judged in motion, started at rest.
+
+        Args:
+            path: its .mat file.
+            more: arguments of `from_arrays` that replace those made here.
+
+        Raises:
+            RecordingError: the file cannot be read, or is no trial.
+            MeasurementError: as `from_arrays`.
+        """
+        return cls.from_arrays(**read_broad(path) | more)
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Recording":
+        """A recording from a file or folder by its kind: .csv, .npz, BROAD's .mat, EuRoC's folder.
+
+        Raises:
+            RecordingError: it is of another kind, or cannot be read.
+        """
+        path = as_path(path)
+        if path.is_dir():
+            return cls.from_euroc(path)
+        readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
+        if path.suffix.lower() not in readers:
+            kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
+            raise RecordingError(f"{path}: no recording is read from it; allowed: {kinds}")
+        return readers[path.suffix.lower()](path)
+
+    def save(self, path: str | Path) -> None:
+        """Write it to an .npz file, which `from_npz` reads back.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        m = {name: np.asarray(a) for name, a in self.measurements._asdict().items()}
+        seen = {}
+        for kind in ("vector", "landmark"):
+            if m[f"{kind}s"].shape[1]:
+                values, weights = m[f"{kind}s"], m[f"{kind}_weights"]
+                # Missing ones as from_arrays takes them, and weights before they go by rate.
+                seen[f"{kind}s"] = np.where(weights[..., None] > 0, values, math.nan)
+                seen[f"{kind}_references"] = m[f"{kind}_references"]
+                seen[f"{kind}_weights"] = weights / getattr(self, f"{kind}_interval")
+        start = self.start
+        if start == "sensors" and self.start_bias.any():
+            start = self.initial()
+        arguments = {
+            "name": self.name,
+            "time_step": m["time_step"],
+            "angular_velocity": m["angular_velocity"],
+            "velocity": None if self.attitude_only else m["velocity"],
+            **seen,
+            "truth_rotation": None if self.truth is None else self.truth.rotation,
+            "truth_position": None if self.truth is None else self.truth.position,
+            "judged": self.judged,
+            "start": start,
+            "notes": self.notes,
+        }
+        groups = {name: getattr(self, name) for name in ("phases", "sources", "sensors")}
+        write_npz(path, arguments | groups)
+
+    @property
+    def samples(self) -> int:
+        """K."""
+        return len(self.time)
+
+    @property
+    def time_step(self) -> float:
+        """The median time step [s]."""
+        return float(np.median(self.measurements.time_step))
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to after the last [s]."""
+        return float(self.time[-1] + self.measurements.time_step[-1])
+
+    def masks(self) -> dict[str, np.ndarray]:
+        """What is judged: "judged", then each phase, where the truth is known.
+
+        Raises:
+            RecordingError: there is no truth.
+        """
+        if self.truth is None:
+            raise RecordingError(f"{self.name}: has no truth, so that nothing can be judged")
+        known = self.truth.known
+        return {"judged": self.judged} | {name: m & known for name, m in self.phases.items()}
+
+    def initial(self) -> Start:
+        """Where the estimate begins, made from the sensors where `start` says so.
+
+        Raises:
+            RecordingError: the sensors do not say it.
+        """
+        if isinstance(self.start, Start):
+            return self.start
+        rest = self.start == "rest"
+        samples = self._rest() if rest else slice(0, max(1, int(np.sum(self.time < FIRST))))
+        return aligned(self.measurements, samples, None if rest else self.start_bias)
+
+    def window(self, begin: float = 0.0, end: float = math.inf) -> "Recording":
+        """The samples from `begin` to before `end` [s], with times from the first of them.
+
+        One that begins later than the recording starts from its own first samples ("sensors"), with
+        the biases of the recording's start.
+
+        Raises:
+            RecordingError: it holds fewer than two samples.
+        """
+        if not begin < end:
+            raise RecordingError(f"window {begin!r} to {end!r}; allowed: a beginning before an end")
+        inside = np.flatnonzero((self.time >= begin) & (self.time < end))
+        if inside.size < 2:
+            raise RecordingError(
+                f"window {begin:g} to {end:g} s: holds {inside.size} samples of {self.name}; "
+                f"allowed: within 0 to {self.duration:.6g} s"
+            )
+        part = slice(int(inside[0]), int(inside[-1]) + 1)
+        later = part.start > 0
+        last = "" if math.isinf(end) else f"{end:g}"
+        return replace(
+            self,
+            name=f"{self.name}[{begin:g}:{last}]",
+            time=self.time[part] - self.time[part.start],
+            measurements=with_numpy_arrays(
+                {name: np.asarray(a)[part] for name, a in self.measurements._asdict().items()}
+            ),
+            truth=None if self.truth is None else self.truth.each(lambda a: a[part]),
+            judged=self.judged[part],
+            phases={name: mask[part] for name, mask in self.phases.items()},
+            sensors={name: signal[part] for name, signal in self.sensors.items()},
+            start="sensors" if later else self.start,
+            start_bias=self.initial().bias
+            if later and self.start != "sensors"
+            else self.start_bias,
+        )
+
+    def off(self, degrees: float, metres: float = 0.0, seed: int = 0) -> "Recording":
+        """The same, started so far off the truth, about and along axes drawn at random.
+
+        Raises:
+            RecordingError: the truth is not known at the first sample.
+        """
+        if self.truth is None or not self.truth.known[0]:
+            raise RecordingError(f"{self.name}: the truth is not known at the first sample")
+        axis, along = np.random.default_rng(seed).normal(size=(2, 3))
+        axis, along = axis / np.linalg.norm(axis), along / np.linalg.norm(along)
+        P = self.truth.position
+        rotation = about(axis, math.radians(degrees)) @ self.truth.rotation[0]
+        position = np.zeros(3) if P is None else P[0] + metres * along
+        return replace(self, start=Start(rotation, position, np.zeros(6)))
+
+    def describe(self) -> str:
+        """What it is, what of it is synthetic and what was bridged, as text for a person."""
+        counts = [
+            f"{a.shape[1]} {word}{'' if a.shape[1] == 1 else 's'}"
+            for word, a in (
+                ("vector", self.measurements.vectors),
+                ("landmark", self.measurements.landmarks),
+            )
+        ]
+        judged = "no truth" if self.truth is None else f"{100 * np.mean(self.judged):.1f} % judged"
+        mode = "attitude only" if self.attitude_only else "pose"
+        start = "a pose" if isinstance(self.start, Start) else self.start
+        lines = [
+            f"{self.name}: {self.samples} samples, {self.duration:.6g} s at "
+            f"{1 / self.time_step:.4g} Hz, {', '.join(counts)}, {mode}, {judged}, start: {start}"
+        ]
+        lines += [f"  {quantity}: {words}" for quantity, words in self.sources.items()]
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.describe().splitlines()[0]}>"
+
+    def _rest(self) -> slice:
+        """The samples at rest that the recording begins with."""
+        rest = self.phases.get("rest", self.time < REST)
+        if not rest[0]:
+            raise RecordingError(
+                f'{self.name}: start "rest", but the recording begins in motion (phase "rest"); '
+                'allowed: "sensors" or a pose'
+            )
+        return slice(0, len(rest) if rest.all() else int(np.argmin(rest)))
+
+
+def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:
+    array = np.asarray(mask)
+    if array.ndim == 0:
+        array = np.full(samples, array)
+    if (
+        array.shape != (samples,)
+        or array.dtype.kind not in "bui"
+        or not np.isin(array, (0, 1)).all()
+    ):
+        raise RecordingError(
+            f"{name}: must be a mask of the shape ({samples},), of bool or 0 and 1"
+        )
+    return array.astype(bool)
+
+
+def _start(start: Any) -> StartRule:
+    """A start from a user, checked."""
+    if isinstance(start, str):
+        if start not in ("rest", "sensors"):
+            raise RecordingError(f'start = {start!r}; allowed: "rest", "sensors" or a pose')
+        return start
+    if not isinstance(start, Sequence) or len(start) not in (2, 3):
+        raise RecordingError(
+            'start: must be "rest", "sensors" or a pose, (rotation (3, 3), position (3,)) or with '
+            "the bias (6,)"
+        )
+    rotation = finite_array("start rotation", start[0], (3, 3))
+    _check_rotations("start rotation", rotation[None])
+    bias = np.zeros(6) if len(start) == 2 else finite_array("start bias", start[2], (6,))
+    return Start(rotation, finite_array("start position", start[1], (3,)), bias)
+
+
+def _truth(
+    samples: int,
+    rotation: ArrayLike | None,
+    quaternion: ArrayLike | None,
+    position: ArrayLike | None,
+    attitude_only: bool,
+) -> RecordedTruth | None:
+    """The reference, checked; without a position where that is not estimated."""
+    if quaternion is not None:
+        q = finite_array("truth_quaternion", quaternion, (samples, 4), finite=False)
+        length = np.linalg.norm(q, axis=1, keepdims=True)
+        off = np.abs(length - 1) > 0.05  # NaN is none
+        if off.any():
+            k = int(np.argmax(off))
+            raise RecordingError(
+                f"truth_quaternion: must have the length 1, got {length[k, 0]:.4g} at sample {k}"
+            )
+        R = matrices(q / length)
+    elif rotation is not None:
+        R = finite_array("truth_rotation", rotation, (samples, 3, 3), finite=False)
+        _check_rotations("truth_rotation", R)
+    elif position is not None:
+        raise RecordingError("truth_position: given without a truth_rotation or truth_quaternion")
+    else:
+        return None
+    if position is None or attitude_only:
+        return RecordedTruth(R, None)
+    return RecordedTruth(R, finite_array("truth_position", position, (samples, 3), finite=False))
+
+
+def _check_rotations(name: str, R: np.ndarray) -> None:
+    """Raise a RecordingError unless what is finite of R (K, 3, 3) are rotations."""
+    known = np.isfinite(R).all(axis=(1, 2))
+    some = R[known]
+    off = np.abs(some @ some.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-3
+    off |= np.linalg.det(some) < 0
+    if off.any():
+        k = int(np.flatnonzero(known)[np.argmax(off)])
+        raise RecordingError(f"{name}: must be rotations, got {R[k].tolist()} at sample {k}")
+
+
+def _spread_sightings(
+    kind: str,
+    found: Bridged,
+    samples: int,
+    body: ArrayLike | None,
+    references: ArrayLike | None,
+    weights: ArrayLike | None,
+) -> dict[str, Any]:
+    """Arguments of vectors or landmarks at the samples of a bridge; what is filled in is NaN."""
+
+    def at_samples(name: str, value: ArrayLike | None, missing: float, constant: int) -> Any:
+        array = None if value is None else np.asarray(value)
+        if array is None or array.ndim <= constant:
+            return value  # the same at all samples
+        if len(array) != samples:
+            raise RecordingError(f"{name}: must have {samples} rows, got {len(array)}")
+        return found.spread(array, missing)
+
+    return {
+        name: at_samples(name, value, missing, constant)
+        for name, value, missing, constant in (
+            (f"{kind}s", body, math.nan, 0),
+            (f"{kind}_references", references, 1.0, 2),
+            (f"{kind}_weights", weights, 0.0, 1),
+        )
+    }
+
+
+def _intervals(seen: np.ndarray) -> np.ndarray:
+    """Median number of samples (n,) from one measurement to the next, of those seen (K, n)."""
+    found = [np.diff(np.flatnonzero(column)) for column in seen.T]
+    return np.array([float(np.median(steps)) if steps.size else 1.0 for steps in found])

@@ -1,0 +1,130 @@
+"""A gain schedule run over a recording: in parts, so that memory on the device stays bounded."""
+
+from typing import overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from posegsa.arguments import check_type, fitting, refuse
+from posegsa.errors import ArgumentError
+from posegsa.model import rollout
+from posegsa.model.filter import FilterSettings, FilterState, initial_state, ready
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Estimates, Samples, begin, samples_of, simulate_part
+from posegsa.model.schedules import GainSchedule, check_schedule
+from posegsa.model.signal import SignalSettings
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.start import Start
+
+PART = 2**12
+"""Samples that are on the device at once."""
+
+
+@overload
+def run_filter(
+    schedule: GainSchedule,
+    measurements: Measurements,
+    initial: FilterState,
+    settings: FilterSettings | None = None,
+    signal: SignalSettings | None = None,
+) -> Estimates: ...
+
+
+@overload
+def run_filter(
+    schedule: GainSchedule,
+    measurements: Recording,
+    initial: FilterState | None = None,
+    settings: FilterSettings | None = None,
+    signal: SignalSettings | None = None,
+) -> Estimates: ...
+
+
+def run_filter(
+    schedule: GainSchedule,
+    measurements: Measurements | Recording,
+    initial: FilterState | None = None,
+    settings: FilterSettings | None = None,
+    signal: SignalSettings | None = None,
+) -> Estimates:
+    """Runs a gain schedule over a whole measurement sequence, or a recording, of a user's own.
+
+    The time that it takes is linear in the number of samples. Of a recording, some PART samples
+    are on the device at once, and the estimates are NumPy arrays.
+
+    Args:
+        schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
+        measurements: N samples (`posegsa.Measurements`), or a recording.
+        initial: the estimate at the first sample (`posegsa.initial_state`); by default that of the
+            recording. The vectors' biases, if they are learnt, begin at 0.
+        settings: the filter's; of a tuned result `filter_settings(result.tuned)`.
+        signal: the error signal's; "measured", since the truth is not known.
+
+    Returns:
+        The estimates; of a recording of attitude only, positions are NaN.
+
+    Raises:
+        ArgumentError: an argument is of another type, the signal is "pose", or measurements come
+            without an initial estimate.
+        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
+    """
+    settings = FilterSettings() if settings is None else settings
+    signal = SignalSettings() if signal is None else signal
+    if not isinstance(measurements, Recording):
+        if initial is None:
+            refuse("initial: None", "a FilterState, or None with a Recording")
+        return rollout.run_filter(schedule, measurements, initial, settings, signal)
+    check_schedule(schedule)
+    check_type("settings", settings, FilterSettings)
+    check_type("signal", signal, SignalSettings)
+    if signal.signal == "pose":
+        raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')
+    recording = measurements
+    state = state_of(recording.initial()) if initial is None else initial
+    check_type("initial", state, FilterState)
+    with fitting("run_filter"):
+        state = ready(state, recording.measurements, settings)
+        return _run_in_parts(schedule, recording, state, settings, signal)
+
+
+def state_of(start: Start, learnt_vectors: int = 0) -> FilterState:
+    """A start as the filter's state, at JAX's present precision."""
+    arrays = (jnp.asarray(a) for a in start)
+    return initial_state(*arrays, learnt_vectors=learnt_vectors)
+
+
+@jax.jit
+def _prepared(measurements: Measurements, settings: FilterSettings) -> Samples:
+    return samples_of(measurements, settings.vectors)
+
+
+def _run_in_parts(
+    schedule: GainSchedule,
+    recording: Recording,
+    state: FilterState,
+    settings: FilterSettings,
+    signal: SignalSettings,
+) -> Estimates:
+    count, loop, parts = recording.samples, begin(schedule, state), []
+    length = min(PART, count)
+    for first in range(0, count, length):
+        loop, found = simulate_part(
+            schedule, _part(recording, first, length, settings), loop, settings, signal
+        )
+        parts.append(jax.device_get(found))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    if recording.attitude_only:
+        return joined._replace(position=np.full_like(joined.position, np.nan))
+    return joined
+
+
+def _part(recording: Recording, first: int, length: int, settings: FilterSettings) -> Samples:
+    """`length` samples from `first` on: all parts have one length, and are compiled once.
+
+    The last one is filled up with its last sample; what the filter makes of that is cut off.
+    """
+    index = np.minimum(np.arange(first, first + length), recording.samples - 1)
+    arrays = (jnp.asarray(np.asarray(a)[index]) for a in recording.measurements)
+    samples = _prepared(Measurements(*arrays), settings)
+    return samples._replace(time=jnp.asarray(recording.time[index]))

@@ -1,0 +1,102 @@
+"""Where an estimate begins: a pose, or what the sensors say at rest or in the first samples."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.errors import RecordingError
+from posegsa.model.measurements import Measurements
+
+FIRST = 0.1
+"""Time [s] over which the sensors are averaged for a start in motion."""
+REST = 1.0
+"""Time [s] that counts as rest where nothing says how long it lasts."""
+
+
+class Start(NamedTuple):
+    """The estimate at the first sample."""
+
+    rotation: np.ndarray
+    """(3, 3) R_est, body to inertial."""
+    position: np.ndarray
+    """(3,) P_est [m], inertial frame; zeros where the position is not estimated."""
+    bias: np.ndarray
+    """(6,) b_est, body frame [rad/s, m/s], angular first."""
+
+
+def with_numpy_arrays(arrays: Mapping[str, Any]) -> Measurements:
+    """Measurements whose arrays are NumPy's, float64 whatever JAX is set to."""
+    return Measurements(**arrays)
+
+
+def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None) -> Start:
+    """The pose that fits the means of vectors and landmarks over samples.
+
+    The attitude solves Wahba's problem with vectors and differences of landmarks, all of length
+    one, by singular value decomposition (F. L. Markley, "Attitude determination using vector
+    observations and the singular value decomposition", 1988). With one direction only, it is the
+    smallest rotation that fits; nothing then says what the heading is. The position is where the
+    landmarks put it, 0 without any.
+
+    Args:
+        measurements: NumPy arrays.
+        samples: over which the body hardly turns.
+        bias: (6,) of the velocities; None for their means, at rest.
+
+    Raises:
+        RecordingError: no vector and no two landmarks are seen there.
+    """
+    m = with_numpy_arrays({k: np.asarray(a)[samples] for k, a in measurements._asdict().items()})
+    u, v = _means(m.vectors, m.vector_references, m.vector_weights)
+    y, p = _means(m.landmarks, m.landmark_references, m.landmark_weights)
+    R = _wahba(np.concatenate([u, y[1:] - y[:1]]), np.concatenate([v, p[1:] - p[:1]]))
+    position = np.mean(p - y @ R.T, axis=0) if len(p) else np.zeros(3)
+    if bias is None:
+        bias = np.concatenate([np.mean(a, axis=0) for a in (m.angular_velocity, m.velocity)])
+    return Start(R, position, np.asarray(bias, np.float64))
+
+
+def _means(
+    body: ArrayLike, inertial: ArrayLike, weights: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n, 3) over samples of what is seen at all, in the body and the inertial frame."""
+    seen = np.asarray(weights) > 0
+    some = seen.any(axis=0)
+    count = np.maximum(seen.sum(axis=0), 1)[:, None]
+    means = [np.sum(np.where(seen[..., None], a, 0.0), axis=0) / count for a in (body, inertial)]
+    return means[0][some], means[1][some]
+
+
+def _wahba(body: np.ndarray, inertial: np.ndarray) -> np.ndarray:
+    """R (3, 3) that brings directions (n, 3) of the body nearest to those of the inertial frame."""
+    u, v = (_unit(a) for a in (body, inertial))
+    usable = u.any(axis=1) & v.any(axis=1)
+    if not usable.any():
+        raise RecordingError(
+            "start: no vector and no two landmarks are seen at the first samples; allowed: a Start"
+        )
+    u, v = u[usable], v[usable]
+    apart = np.linalg.norm(np.cross(u[0], u), axis=1).max()
+    if apart < 1e-3:
+        return _smallest_rotation(u[0], v[0])
+    left, _, right = np.linalg.svd(v.T @ u)
+    flip = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+    return left @ flip @ right
+
+
+def _unit(a: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(a, axis=-1, keepdims=True)
+    return np.divide(a, length, out=np.zeros_like(a), where=length > 0)
+
+
+def _smallest_rotation(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) by the smallest angle that brings u to v, both of length one."""
+    cosine = float(u @ v)
+    if cosine < -1 + 1e-12:  # half a turn, about any axis across u
+        across = _unit(np.cross(u, np.eye(3)[np.argmin(np.abs(u))]))
+        return 2 * np.outer(across, across) - np.eye(3)
+    x, y, z = np.cross(u, v)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + K + K @ K / (1 + cosine)

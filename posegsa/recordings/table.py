@@ -1,0 +1,128 @@
+"""Recordings in CSV files: columns by name, as arguments of `Recording.from_arrays`."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posegsa.errors import RecordingError
+from posegsa.recordings.files import file_of, reading
+
+Columns: TypeAlias = Mapping[str, str | Sequence[str] | Sequence[Sequence[str]]]
+"""Names of columns by the argument of `Recording.from_arrays` that they make."""
+
+COLUMNS: dict[str, Any] = {
+    "time": "time",
+    "angular_velocity": ("wx", "wy", "wz"),
+    "velocity": ("vx", "vy", "vz"),
+    "truth_quaternion": ("qw", "qx", "qy", "qz"),
+    "truth_position": ("px", "py", "pz"),
+    "judged": "judged",
+    "accelerometer": ("ax", "ay", "az"),
+    "magnetometer": ("mx", "my", "mz"),
+}
+"""What columns are called where no mapping is given; those that a file lacks are left out. A column
+"time_ns" is the time in whole ns."""
+SENSORS = "accelerometer", "magnetometer"
+"""Signals that become `Recording.sensors`."""
+MASKS = ("judged",)
+TIME_UNITS = {"s": 0, "ms": 6, "us": 3, "ns": 0}
+"""Units of time stamps; of the whole ones, how many digits they lack to be ns."""
+
+
+def read_csv(
+    path: str | Path, columns: Columns | None, time_unit: str, delimiter: str
+) -> dict[str, Any]:
+    """Arguments of `Recording.from_arrays` from a CSV file; see `Recording.from_csv`.
+
+    Raises:
+        RecordingError: it cannot be read, or lacks a column.
+    """
+    path = file_of(path)
+    if time_unit not in TIME_UNITS:
+        raise RecordingError(f"time_unit = {time_unit!r}; allowed: {', '.join(TIME_UNITS)}")
+    with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file, delimiter=delimiter)
+        head = [name.strip().lstrip("#").strip() for name in next(rows, [])]
+        cells = [row for row in rows if row]
+    if not cells:
+        raise RecordingError(f"{path}: holds no sample")
+    if wrong := [k for k, row in enumerate(cells) if len(row) != len(head)]:
+        raise RecordingError(
+            f"{path}: sample {wrong[0]} has {len(cells[wrong[0]])} cells, the head {len(head)}"
+        )
+    if columns is None:
+        columns = _usual_columns(path, head)
+        time_unit = "ns" if columns["time"] == "time_ns" else time_unit
+    table = _Table(path, head, cells)
+    found: dict[str, Any] = {"sensors": {}}
+    for argument, names in columns.items():
+        if argument == "time":
+            found["time"] = table.times(names, time_unit)
+        elif argument in SENSORS:
+            found["sensors"][argument] = table.array(argument, names)
+        elif argument in MASKS:
+            values = table.array(argument, names)
+            found[argument] = np.where(np.isin(values, (0, 1)), values, -1).astype(int)
+        else:
+            found[argument] = table.array(argument, names)
+    return found
+
+
+class _Table:
+    """The cells of a file by the names of its columns."""
+
+    def __init__(self, path: Path, head: list[str], cells: list[list[str]]) -> None:
+        self.path, self.head, self.cells = path, head, cells
+
+    def array(self, argument: str, names: Any) -> np.ndarray:
+        """Numbers (K, ...) of columns that are named like the array's axes after the first."""
+        if not isinstance(names, str):
+            return np.stack([self.array(argument, name) for name in names], axis=1)
+        return np.array([self._number(names, k, cell) for k, cell in self._column(argument, names)])
+
+    def times(self, name: Any, unit: str) -> np.ndarray:
+        """Stamps (K,) as `from_arrays` takes them: s, or whole ns."""
+        if unit == "s":
+            return self.array("time", name)
+        try:
+            whole = [int(cell) for _, cell in self._column("time", name)]
+            return np.array(whole, np.int64) * 10 ** TIME_UNITS[unit]
+        except ValueError:  # with digits after the point
+            return self.array("time", name) * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+
+    def _column(self, argument: str, name: Any) -> list[tuple[int, str]]:
+        if self.head.count(name) != 1:
+            what = "no column" if name not in self.head else "more than one column"
+            raise RecordingError(
+                f"{self.path}: {what} {name!r}, for {argument}; it has: {', '.join(self.head)}"
+            )
+        at = self.head.index(name)
+        return [(k, row[at].strip()) for k, row in enumerate(self.cells)]
+
+    def _number(self, name: str, k: int, cell: str) -> float:
+        try:
+            return float(cell) if cell else float("nan")
+        except ValueError:
+            raise RecordingError(
+                f"{self.path}: {cell!r} in column {name!r} of sample {k} is no number"
+            ) from None
+
+
+def _usual_columns(path: Path, head: list[str]) -> dict[str, Any]:
+    """Of `COLUMNS` those that a file has."""
+    found = {
+        argument: names
+        for argument, names in COLUMNS.items()
+        if set([names] if isinstance(names, str) else names) <= set(head)
+    }
+    if "time_ns" in head:
+        found["time"] = "time_ns"
+    if missing := {"time", "angular_velocity"} - set(found):
+        usual = ", ".join(str(COLUMNS[name]) for name in sorted(missing))
+        raise RecordingError(
+            f"{path}: has no columns {usual}; it has: {', '.join(head)}; give columns="
+        )
+    return found

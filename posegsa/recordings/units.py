@@ -1,0 +1,75 @@
+"""Signals in another unit than expected: told before they make an estimate that is merely wrong.
+
+How far the body turned is seen twice: by the gyroscope, and by the direction u of the acceleration,
+which moves by du = -(omega dt) x u in the body frame while the body moves little otherwise. So the
+least squares of du by -(omega dt) x u give the gyroscope's unit: 1 in rad/s, pi/180 in deg/s.
+"""
+
+import math
+
+import numpy as np
+
+from posegsa.errors import RecordingError
+
+DEGREE = math.pi / 180
+WINDOW = 0.1
+"""Time over which signals are averaged before they are compared [s]."""
+ENOUGH = 0.1
+"""Squares of the turns seen by the accelerometer, summed up, that it takes to say anything [rad^2]:
+some 18 deg in one go."""
+GRAVITIES = 0.5, 2.0
+"""A median length of the acceleration that is a multiple of g."""
+ACCELERATIONS = 5.0, 40.0
+"""A median length that can hold gravity [m/s^2]."""
+
+
+def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
+    """Raise a RecordingError where angular velocity or acceleration look like another unit.
+
+    Args:
+        gyr: (K, 3), expected in rad/s.
+        acc: (K, 3), expected in m/s^2; NaN is missing.
+        time_step: of all samples [s].
+    """
+    lengths = np.linalg.norm(acc[np.isfinite(acc).all(axis=1)], axis=1)
+    if not lengths.size:
+        raise RecordingError("acc: holds no finite sample; allowed: specific force [m/s^2]")
+    median = float(np.median(lengths))
+    if GRAVITIES[0] < median < GRAVITIES[1]:
+        raise RecordingError(
+            f"acc: has a median length of {median:.3g}, which looks like multiples of g; allowed: "
+            "m/s^2 (multiply by 9.80665)"
+        )
+    if not ACCELERATIONS[0] < median < ACCELERATIONS[1]:
+        raise RecordingError(
+            f"acc: has a median length of {median:.3g} m/s^2; allowed: specific force with gravity "
+            "in it, about 9.8 m/s^2 at rest"
+        )
+    unit = gyroscope_unit(gyr, acc, time_step)
+    if unit is not None and DEGREE / 2 < unit < DEGREE * 2:
+        raise RecordingError(
+            f"gyr: turns {1 / unit:.3g} times as far as the direction of acc, so it looks like "
+            "deg/s; allowed: rad/s (np.deg2rad makes them)"
+        )
+
+
+def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float | None:
+    """What gyr (K, 3) has to be multiplied with to fit acc (K, 3); None where little turns.
+
+    What is compared are means over WINDOW, so that it is rough where the body turns fast or shakes.
+    """
+    size = max(1, round(WINDOW / time_step))
+    blocks = len(gyr) // size
+    if blocks < 2:
+        return None
+    turned = gyr[: blocks * size].reshape(blocks, size, 3).mean(axis=1) * (size * time_step)
+    u = acc[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
+    u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
+    moved = u[1:] - u[:-1]
+    expected = -np.cross(0.5 * (turned[1:] + turned[:-1]), 0.5 * (u[1:] + u[:-1]))
+    known = np.isfinite(moved).all(axis=1)
+    moved, expected = moved[known], expected[known]
+    if np.sum(moved**2) < ENOUGH:
+        return None
+    square = float(np.sum(expected**2))
+    return float(np.sum(expected * moved)) / square if square > 0 else None

@@ -1,0 +1,57 @@
+"""A finished run on recordings: what its filter makes of motion that was not simulated."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+from posegsa.arguments import check_type, several
+from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
+from posegsa.judging.recorded import RecordingResult
+from posegsa.judging.replay import Replay, replayed_on
+from posegsa.judging.result import TuneResult
+from posegsa.recordings.imu import ImuRecording, as_imu
+from posegsa.recordings.imu_filter import run_imu
+from posegsa.recordings.recording import Recording
+from posegsa.saving.replay import write_replays
+
+
+def replay(
+    result: TuneResult | RecordingResult | ImuConfig | Literal["imu"],
+    recordings: Recording | Iterable[Recording],
+    *,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+) -> list[Replay]:
+    """Run a tuned filter over recordings, and judge it where they have a truth.
+
+    Args:
+        result: A tuned result, tuned on scenarios or on recordings; or the attitude filter for
+            inertial sensors, "imu" as it is shipped. Recordings that `imu` or `as_imu` have not
+            made then get their vectors and their start from their sensors, by `as_imu`.
+        recordings: One, or several.
+        out: Folder to write tables, trajectories (TUM) and figures to.
+        overwrite: Replace the replays that it holds.
+
+    Raises:
+        ArgumentError: An argument is of another type.
+        MeasurementError: A recording can't be started.
+        RunFolderError: `out` holds replays already, or can't be written.
+    """
+    if result == SHIPPED:
+        result = load_imu()
+    allowed = 'a TuneResult, a RecordingResult, an ImuConfig or "imu"'
+    check_type("result", result, TuneResult, RecordingResult, ImuConfig, allowed=allowed)
+    given = [recordings] if isinstance(recordings, Recording) else recordings
+    each = several("recordings", given, Recording, "recordings, or one")
+    replays = [_replayed(result, one) for one in each]
+    if out is not None:
+        write_replays(replays, out, overwrite=overwrite)
+    return replays
+
+
+def _replayed(result: TuneResult | RecordingResult | ImuConfig, recording: Recording) -> Replay:
+    if not isinstance(result, ImuConfig):
+        return replayed_on(recording, result.estimate(recording))
+    if not isinstance(recording, ImuRecording):
+        recording = as_imu(recording, settings=result.vectors)
+    return replayed_on(recording, run_imu(recording, result))

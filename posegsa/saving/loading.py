@@ -1,0 +1,42 @@
+"""Finished runs written and read back, whatever they were tuned on."""
+
+from pathlib import Path
+
+from posegsa.judging.recorded import RecordingResult
+from posegsa.judging.result import TuneResult
+from posegsa.saving import run
+from posegsa.saving.folder import locked_folder
+from posegsa.saving.recorded import holds_recorded, load_recorded, write_recorded
+
+
+def save(
+    result: TuneResult | RecordingResult, folder: str | Path, *, overwrite: bool = False
+) -> Path:
+    """Write a result to the folder of a run: JSON, tables, and of simulations figures and report.
+
+    Args:
+        result: From `tune`, `evaluate` or `by_hand`.
+        folder: Where; made if missing.
+        overwrite: Replace another run's files there.
+
+    Returns:
+        The folder.
+
+    Raises:
+        RunFolderError: It holds a run already, or can't be written.
+    """
+    if not isinstance(result, RecordingResult):
+        return run.save(result, folder, overwrite=overwrite)
+    with locked_folder(folder, overwrite=overwrite) as locked:
+        write_recorded(result, locked)
+    return locked
+
+
+def load(folder: str | Path) -> TuneResult | RecordingResult:
+    """Read a run's folder back: a `RecordingResult` where it was tuned on recordings.
+
+    Raises:
+        RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or
+            does not fit to the others; names the file and the field.
+    """
+    return load_recorded(folder) if holds_recorded(folder) else run.load(folder)

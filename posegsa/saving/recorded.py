@@ -1,0 +1,49 @@
+"""The files of a search on recordings: the result, and its table."""
+
+from pathlib import Path
+
+from posegsa.errors import RunFolderError
+from posegsa.judging.recorded import RecordingResult
+from posegsa.saving.folder import MAX_BYTES, RECORDED, RESULT, as_path, read_text, replace_files
+from posegsa.saving.records import from_json, to_json
+
+SCHEMA = 1
+"""Number of the layout of recorded.json; it changes with its records."""
+DATA, TABLE = FILES = RECORDED, "recorded.txt"
+
+
+def write_recorded(result: RecordingResult, folder: Path) -> None:
+    """Write the files of a result at once, to a folder that the caller has locked.
+
+    Raises:
+        RunFolderError: They can't be written; the folder is as it was.
+    """
+    files = {DATA: to_json(result, SCHEMA), TABLE: result.summary() + "\n"}
+    replace_files(folder, {name: text.encode() for name, text in files.items()}, remove=[])
+
+
+def holds_recorded(folder: str | Path) -> bool:
+    """Whether a folder holds the result of a search on recordings, and no other."""
+    path = as_path("folder", folder)
+    return (path / DATA).exists() and not (path / RESULT).exists()
+
+
+def load_recorded(folder: str | Path) -> RecordingResult:
+    """Read a result back.
+
+    Raises:
+        RunFolderError: It is none, is damaged or of another layout; names the file and the field.
+    """
+    path = as_path("folder", folder)
+    text = read_text(path, DATA, of="result of a search on recordings", limit=MAX_BYTES)
+    result = from_json(RecordingResult, text, SCHEMA, path / DATA)
+    also = sorted(one.key for one in result.experiment.also)
+    if sorted(result.filter.also) != also:
+        raise RunFolderError(
+            f"{path / DATA}: filter.also = {sorted(result.filter.also)}; in experiment: {also}"
+        )
+    try:
+        _ = result.schedule, result.tuned
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise RunFolderError(f"{path / DATA}: filter: {error}") from None
+    return result

@@ -1,0 +1,96 @@
+"""The files of replays: a table, and for each recording its trajectories and figures."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posegsa.errors import RunFolderError
+from posegsa.figures.replay import draw_replay
+from posegsa.figures.style import png
+from posegsa.judging.replay import Replay, replay_table
+from posegsa.recordings.tum import tum_text
+from posegsa.saving.folder import as_path, lock, replace_files, write_errors
+from posegsa.settings.plain import json_text, plain
+
+SCHEMA = 1
+"""Number of the layout of replay.json; it changes when a key changes its meaning."""
+TABLE, DATA = "replay.txt", "replay.json"
+
+
+def write_replays(
+    replays: Sequence[Replay], folder: str | Path, *, overwrite: bool = False
+) -> Path:
+    """Write replays to a folder, made if missing.
+
+    These are replay.txt and replay.json, and for each recording a folder with estimated.tum,
+    true.tum (what is judged of the truth) and figures.
+
+    Raises:
+        RunFolderError: It holds replays already, or can't be written.
+    """
+    folder = as_path("folder", folder)
+    if not overwrite and (folder / DATA).exists():
+        raise RunFolderError(
+            f"{folder}: holds replays already; choose another folder, or replace them "
+            "(--overwrite; overwrite=True)"
+        )
+    with write_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, bytes] = {}
+    names = folder_names([each.recording.name for each in replays])
+    for name, each in zip(names, replays, strict=True):
+        files |= {f"{name}/{file}": content for file, content in _files(each).items()}
+    data = {"schema": SCHEMA, "recordings": [_summary(each) for each in replays]}
+    described = [each.recording.describe() for each in replays]
+    files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
+    files[DATA] = (json_text(plain(data)) + "\n").encode()
+    with lock(folder):
+        replace_files(folder, files, remove=())
+    return folder
+
+
+def folder_names(names: Sequence[str]) -> list[str]:
+    """Names of folders for names of recordings, all different."""
+    found: list[str] = []
+    for name in names:
+        plain_name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "recording"
+        number, candidate = 2, plain_name
+        while candidate in found:
+            number, candidate = number + 1, f"{plain_name}_{number}"
+        found.append(candidate)
+    return found
+
+
+def _files(replay: Replay) -> dict[str, bytes]:
+    recording, estimates = replay.recording, replay.estimates
+    position = None if recording.attitude_only else estimates.position
+    files = {"estimated.tum": tum_text(recording.time, estimates.rotation, position).encode()}
+    if (truth := recording.truth) is not None:
+        judged = recording.judged
+        true = tum_text(
+            recording.time[judged],
+            truth.rotation[judged],
+            None if truth.position is None else truth.position[judged],
+        )
+        files["true.tum"] = true.encode()
+    figures = {f"{name}.png": png(figure) for name, figure in draw_replay(replay).items()}
+    return files | figures
+
+
+def _summary(replay: Replay) -> dict[str, Any]:
+    recording = replay.recording
+    return {
+        "name": recording.name,
+        "samples": recording.samples,
+        "duration_s": recording.duration,
+        "attitude_only": recording.attitude_only,
+        "sources": recording.sources,
+        "notes": list(recording.notes),
+        "median_gain_1_s": float(np.median(replay.estimates.gain_used)),
+        "rmse": None
+        if replay.errors is None
+        else {phase: each._asdict() for phase, each in replay.errors.rmse().items()},
+    }

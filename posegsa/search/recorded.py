@@ -1,0 +1,261 @@
+"""Recordings as what a search simulates on: one batch, whatever their lengths and rates.
+
+Shorter recordings are filled up with samples in which nothing is measured and nothing counts;
+sensors that one lacks have the weight 0 there. What counts is each recording's own mask.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from posegsa import config
+from posegsa.errors import ConfigError, RecordingError
+from posegsa.model.cost import CostWeights, RecordedCost
+from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.model.measurements import Measurements
+from posegsa.model.rollout import Samples, samples_of
+from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import state_of
+from posegsa.recordings.start import with_numpy_arrays
+from posegsa.search.build import (
+    TuningProblem,
+    filter_settings,
+    parameter_space,
+    search_space,
+    signal_settings,
+)
+from posegsa.search.candidates import SimpleSpace
+from posegsa.search.population import ScenarioBatch
+
+RecordedSchedule = Literal["fuzzy", "constant", "smooth"]
+"""What a search on recordings may look for: k1 to k22, one gain, or K(e) of three numbers."""
+DEGREES_PER_METRE = 100.0
+"""Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
+GAINS = (1e-3, 200.0)
+"""Gains of the simple schedules [1/s], searched by their logarithm."""
+HALF = (0.003, 1.0)
+"""Scaled error half-way between the two gains of a smooth schedule, likewise."""
+_EYE = np.eye(3)
+
+
+def recorded_problem(
+    experiment: config.Experiment,
+    recordings: Sequence[Recording],
+    schedule: RecordedSchedule,
+    position_weight: float,
+    *,
+    strict: bool = True,
+) -> TuningProblem:
+    """A search of an experiment's filter on recordings.
+
+    Args:
+        experiment: Its filter, signal, fuzzy inference, boxes, objective and optimiser are used;
+            its scenario says the weights of vectors and landmarks, in order.
+        recordings: At least one, each with a truth.
+        schedule: What is searched, beside `experiment.also`.
+        position_weight: Of the position's RMSE [deg/m].
+        strict: Refuse a number to be tuned that has no effect; else it is left out.
+
+    Raises:
+        ConfigError: The experiment's signal is "pose", or it wants a number tuned that has no
+            effect here.
+        RecordingError: A recording has no judged sample.
+    """
+    if experiment.gain.signal == "pose":
+        raise ConfigError(
+            'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
+        )
+    most = _most_sensors(recordings)
+    experiment = with_effect_on(experiment, *most, schedule, strict=strict)
+    return TuningProblem(
+        experiment=experiment,
+        scenario=None,  # type: ignore[arg-type]  # nothing is simulated
+        scenarios=None,  # type: ignore[arg-type]
+        training=recorded_batch(experiment, recordings, position_weight),
+        space=search_space(experiment, _space(schedule, experiment)),
+    )
+
+
+def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> FilterSettings:
+    """The filter that an experiment configures, for recordings with so many sensors.
+
+    The first of them have the weights of the experiment's, further ones 1.
+    """
+    settings = filter_settings(experiment)
+
+    def first(weights: tuple[Array, ...] | None, count: int) -> tuple[Array, ...]:
+        given = weights or ()
+        one = jnp.ones((), experiment.run.dtype)
+        return (*given[:count], *(one,) * (count - len(given)))
+
+    return replace(
+        settings,
+        vectors=replace(settings.vectors, weights=first(settings.vectors.weights, vectors)),
+        landmark_weights=first(settings.landmark_weights, landmarks),
+    )
+
+
+def with_effect_on(
+    experiment: config.Experiment,
+    vectors: int,
+    landmarks: int,
+    schedule: RecordedSchedule,
+    *,
+    strict: bool = True,
+) -> config.Experiment:
+    """An experiment that tunes, of its default list, only what has an effect on recordings.
+
+    Raises:
+        ConfigError: A number that is not of the default list has none, and `strict`.
+    """
+    kept = []
+    for one in experiment.also:
+        if _has_effect(one.key, vectors, landmarks, schedule):
+            kept.append(one.model_dump(mode="json"))
+        elif strict and one not in config.DEFAULT_ALSO:
+            raise ConfigError(
+                f"parameters.also: {one.key!r} has no effect on these recordings, with "
+                f"{vectors} vectors, {landmarks} landmarks and a {schedule} gain"
+            )
+    data = experiment.model_dump(mode="json")
+    data["parameters"]["also"] = kept
+    return config.from_dict(data)
+
+
+def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:
+    match key.split("."):
+        case ["gain", "position_weight"]:
+            return schedule != "constant" and landmarks > 0 and vectors > 0
+        case ["gain", _]:
+            return schedule != "constant"
+        case ["scenario", "vectors", index, _]:
+            return int(index) < vectors
+        case ["scenario", "landmarks", index, _]:
+            return int(index) < landmarks
+        case ["filter", "cross_vector_weight"]:
+            return vectors >= 2
+        case ["filter", name] if name.startswith(("vector_bias", "excitation")):
+            return vectors > 0
+        case ["filter", "gamma", "1"] | ["filter", "length"]:
+            return landmarks > 0
+    return True
+
+
+def recorded_batch(
+    experiment: config.Experiment, recordings: Sequence[Recording], position_weight: float
+) -> ScenarioBatch:
+    """Recordings as S scenarios, at an experiment's dtype."""
+    dtype = jnp.dtype(experiment.run.dtype)
+    most = _most_sensors(recordings)
+    settings = settings_on(experiment, *most)
+    length = max(one.samples for one in recordings)
+    filled = [_filled(one, length, *most, position_weight) for one in recordings]
+    together: dict[str, Any] = jax.tree.map(
+        lambda *leaves: jnp.asarray(np.stack(leaves), dtype), *filled
+    )
+    samples = _prepared(
+        together["measurements"], together["rotation"], together["position"], settings
+    )
+    learnt = 0 if settings.vector_bias is None else most[0]
+    starts: list[FilterState] = [state_of(one.initial(), learnt) for one in recordings]
+    initial = jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(dtype), *starts)
+    count, nothing = len(recordings), jnp.zeros((), dtype)
+    return ScenarioBatch(
+        samples=samples,
+        initial=initial,
+        bias=jnp.zeros((count, 6), dtype),
+        vector_bias=jnp.zeros((count, most[0], 3), dtype),
+        end=None,
+        weights=CostWeights(nothing, nothing, nothing > 0, nothing),
+        settings=settings,
+        signal=signal_settings(experiment.gain, dtype),
+        recorded=together["cost"],
+    )
+
+
+@jax.jit
+def _prepared(
+    measurements: Measurements, rotation: Array, position: Array, settings: FilterSettings
+) -> Samples:
+    def one(m: Measurements, R: Array, P: Array) -> Samples:
+        return samples_of(m, settings.vectors, R, P)
+
+    return jax.vmap(one)(measurements, rotation, position)
+
+
+def _most_sensors(recordings: Sequence[Recording]) -> tuple[int, int]:
+    """The largest numbers of vectors and of landmarks that a recording has."""
+    vectors = max(np.shape(one.measurements.vectors)[1] for one in recordings)
+    return vectors, max(np.shape(one.measurements.landmarks)[1] for one in recordings)
+
+
+def _filled(
+    recording: Recording, length: int, vectors: int, landmarks: int, position_weight: float
+) -> dict[str, Any]:
+    """A recording's arrays at `length` samples with so many sensors, and what of it counts."""
+    judged, truth = recording.masks()["judged"], recording.truth
+    assert truth is not None
+    if not judged.any():
+        raise RecordingError(f"{recording.name}: no sample is judged where the truth is known")
+    more = length - recording.samples
+
+    def longer(a: Any, sensors: int | None = None) -> np.ndarray:
+        """Filled up with the last sample, and with sensors of the weight 0."""
+        array = np.asarray(a)
+        if sensors is not None:
+            lacking = sensors - array.shape[1]
+            array = np.pad(array, [(0, 0), (0, lacking), *[(0, 0)] * (array.ndim - 2)])
+        return np.concatenate([array, np.repeat(array[-1:], more, axis=0)])
+
+    m = recording.measurements._asdict()
+    counts = {"vector": vectors, "landmark": landmarks}
+    for name, array in m.items():
+        sensors = next((n for kind, n in counts.items() if name.startswith(kind)), None)
+        m[name] = longer(array, sensors)
+        if name.endswith("_weights"):
+            m[name][recording.samples :] = 0.0
+    P = np.zeros((recording.samples, 3)) if truth.position is None else truth.position
+    weight = longer(judged / judged.sum())
+    weight[recording.samples :] = 0.0
+    known = longer(truth.known)
+    R = np.where(known[:, None, None], longer(truth.rotation), _EYE)
+    P = np.where(known[:, None], longer(P), 0.0)
+    cost: dict[str, Any] = {
+        "weight": weight,
+        "position": tuple(P.T),
+        "position_weight": np.float64(0.0 if truth.position is None else position_weight),
+    }
+    return {
+        "measurements": with_numpy_arrays(m),
+        "rotation": R,
+        "position": P,
+        "cost": RecordedCost(**cost),
+    }
+
+
+# What is searched ---------------------------------------------------------------------------------
+
+
+def _space(schedule: RecordedSchedule, experiment: config.Experiment) -> Any:
+    if schedule == "fuzzy":
+        return parameter_space(experiment)
+    gain, half = np.log(GAINS), np.log(HALF)
+    bounds = {"constant": [gain], "smooth": [gain, gain, half]}[schedule]
+    make = {"constant": _constant, "smooth": _smooth}[schedule]
+    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
+    return SimpleSpace(lower, upper, make)
+
+
+def _constant(vector: Array) -> GainSchedule:
+    return ConstantGain(jnp.exp(vector[0]))
+
+
+def _smooth(vector: Array) -> GainSchedule:
+    low, high, half = jnp.exp(vector)
+    return SmoothGain(low, high, half)

@@ -1,0 +1,45 @@
+"""The attitude filter for inertial sensors as a file."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from posegsa.config import ImuConfig, load_imu
+from posegsa.errors import ConfigError
+
+pytestmark = pytest.mark.quick
+
+SHIPPED = Path(__file__).parent.parent.parent / "configs" / "imu.toml"
+
+
+def test_the_shipped_file_is_the_default_with_every_value_written_out() -> None:
+    assert load_imu() == load_imu("imu") == load_imu(SHIPPED) == ImuConfig()
+    assert tomllib.loads(SHIPPED.read_text("utf-8")) == ImuConfig().model_dump()
+
+
+def test_what_a_file_leaves_out_keeps_its_shipped_number(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[observer]\ngain = 3.0\n", encoding="utf-8")
+    found = load_imu(path)
+    assert found.observer.gain == 3.0
+    assert found.observer.gamma == ImuConfig().observer.gamma
+    assert found.vectors == ImuConfig().vectors
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[observer]\ngain = 0.0\n", "observer.gain"),
+        ("[vectors]\nlow_pass = -1.0\n", "vectors.low_pass"),
+        ("[vectors]\nlowpass = 1.0\n", "vectors.lowpass"),
+        ("[filter]\ngamma = 1.0\n", "filter"),
+        ("gain", "not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_named(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=message) as error:
+        load_imu(path)
+    assert "mine.toml" in str(error.value)

@@ -1,0 +1,109 @@
+"""`posegsa replay`: a tuned filter on recordings, its table, trajectories and figures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiments import tiny
+from recorded_motion import motion
+
+import posegsa
+from posegsa.cli.command import main
+from posegsa.errors import ArgumentError, RunFolderError
+from posegsa.judging.replay import replay_table
+from posegsa.judging.result import TuneResult
+from posegsa.recordings.recording import Recording
+from posegsa.saving.replay import folder_names
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+@pytest.fixture(scope="module")
+def result() -> TuneResult:
+    with pytest.warns(posegsa.PosegsaWarning):
+        return posegsa.tune(tiny())
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    given = motion(start="rest", landmark_weights=0.1)
+    return Recording.from_arrays(name="bench", **given, sources={"velocity": "synthetic: R^T v"})
+
+
+def test_a_replay_is_the_estimates_and_their_errors(
+    result: TuneResult, recording: Recording
+) -> None:
+    (found,) = posegsa.replay(result, recording)
+    np.testing.assert_array_equal(found.estimates.rotation, result.estimate(recording).rotation)
+    assert found.errors is not None
+    expected = posegsa.recording_errors(found.estimates, recording).rmse()
+    assert found.errors.rmse() == expected
+    start = recording.initial()
+    by_hand = result.estimate(recording, start.rotation, start.position, start.bias)
+    np.testing.assert_array_equal(by_hand.rotation, found.estimates.rotation)
+    with pytest.raises(ArgumentError, match="rotation, position: not both given"):
+        result.estimate(recording, rotation=start.rotation)
+    with pytest.raises(ArgumentError, match="rotation, position: not both given"):
+        result.estimate(recording.measurements)
+    table = replay_table([found])
+    assert "bench" in table
+    assert f"{100 * (expected['judged'].position or 0):.2f}" in table
+
+
+def test_the_table_has_no_position_where_none_is_judged(
+    result: TuneResult, recording: Recording
+) -> None:
+    blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
+    without = replay_table(posegsa.replay(result, blind))
+    assert "no truth" in without
+    assert "position" not in without
+    both = replay_table(posegsa.replay(result, [blind, recording]))
+    assert "position" in both
+
+
+def test_the_command_writes_what_it_found(
+    result: TuneResult, recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    posegsa.save(result, tmp_path / "run")
+    recording.save(tmp_path / "bench.npz")
+    out = tmp_path / "out"
+    command = ["replay", str(tmp_path / "run"), str(tmp_path / "bench.npz")]
+    assert main([*command, "--window", "0.5:3", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "velocity: synthetic: R^T v" in said
+    assert "bench[0.5:3]" in said
+    table = (out / "replay.txt").read_text()
+    assert "velocity: synthetic: R^T v" in table
+    assert "inclination" in said
+    (data,) = json.loads((out / "replay.json").read_text())["recordings"]
+    assert data["samples"] == 250
+    assert data["sources"] == {"velocity": "synthetic: R^T v"}
+    folder = out / "bench_0.5_3"
+    assert {path.name for path in folder.iterdir()} == {
+        "attitude_errors.png",
+        "position.png",
+        "gain.png",
+        "estimated.tum",
+        "true.tum",
+    }
+    # The trajectories are those of the table.
+    true, estimated = (np.loadtxt(folder / name)[:, 1:4] for name in ("true.tum", "estimated.tum"))
+    rmse = posegsa.rmse(posegsa.position_errors(estimated, true))
+    assert rmse == pytest.approx(data["rmse"]["judged"]["position"], rel=1e-6)
+    assert main([*command, "--out", str(out)]) == 2
+    assert "holds replays already" in capsys.readouterr().err
+    assert main([*command, "--overwrite"]) == 2
+    with pytest.raises(SystemExit):
+        main([*command, "--window", "3:1"])
+    with pytest.raises(RunFolderError, match="holds replays already"):
+        posegsa.replay(result, recording, out=out)
+
+
+def test_folders_have_names_of_their_own() -> None:
+    assert folder_names(["a[0:1]", "a/0:1", "..", "V1_02.b"]) == [
+        "a_0_1",
+        "a_0_1_2",
+        "recording",
+        "V1_02.b",
+    ]

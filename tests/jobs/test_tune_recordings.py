@@ -1,0 +1,178 @@
+"""`tune` on recordings: what it finds, says, saves, and what it refuses."""
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_motion import motion
+
+import posegsa
+from posegsa import config
+from posegsa.cli.command import main
+from posegsa.errors import ArgumentError, RecordingError, RunFolderError
+from posegsa.export import export
+from posegsa.judging.recorded import RecordingResult
+from posegsa.recordings.recording import Recording
+
+TINY = {
+    "filter": {"vector_bias": "off", "cross_vector": False},
+    "parameters": {"also": [{"key": "filter.gamma", "lower": 0.01, "upper": 5.0}]},
+    "search": {"optimiser": "de", "agents": 8, "iterations": 3},
+}
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[Recording]:
+    made = Recording.from_arrays(
+        name="bench", **motion(), landmark_weights=0.1, sources={"velocity": "synthetic: R^T v"}
+    )
+    return [made.off(60, 1, seed=seed) for seed in range(2)]
+
+
+@pytest.fixture(scope="module")
+def result(recordings: list[Recording]) -> RecordingResult:
+    return posegsa.tune(
+        config.from_dict(TINY),
+        recordings=recordings[0],
+        held_out=recordings[1],
+        schedule="constant",
+    )
+
+
+def test_the_best_gain_is_found_and_judged_on_what_was_held_out(
+    result: RecordingResult, recordings: list[Recording]
+) -> None:
+    gain = result.filter.numbers["gain"][0]
+    assert 1 < gain < 100
+    assert result.filter.evaluations == 24
+    (held_out,) = result.held_out
+    again = posegsa.recording_errors(result.estimate(recordings[1]), recordings[1]).rmse()
+    assert held_out.errors == again
+    judged = result.training[0].errors["judged"]
+    assert judged.position is not None
+    assert result.best_cost == pytest.approx(judged.total + 100 * judged.position, rel=0.02)
+    (replayed,) = posegsa.replay(result, recordings[1])
+    assert replayed.errors is not None
+    assert replayed.errors.rmse() == again
+
+
+def test_the_summary_shows_the_held_out_or_says_that_there_are_none(
+    result: RecordingResult, recordings: list[Recording]
+) -> None:
+    assert "held out" in result.summary()
+    assert "No recording was held out" not in result.summary()
+    assert "synthetic: R^T v" in result.summary()
+    alone = RecordingResult(**{**vars(result), "held_out": []})
+    assert "No recording was held out" in alone.summary()
+
+
+def test_a_result_is_saved_and_read_back(
+    result: RecordingResult, recordings: list[Recording], tmp_path: Path
+) -> None:
+    found = posegsa.tune(
+        config.from_dict(TINY),
+        recordings=recordings[0],
+        held_out=recordings[1],
+        schedule="constant",
+        out=tmp_path,
+    )
+    assert found.filter == result.filter
+    read = posegsa.load_recorded(tmp_path)
+    assert isinstance(read, RecordingResult)
+    for name, value in vars(found).items():
+        assert getattr(read, name) == value, name
+    np.testing.assert_array_equal(
+        read.estimate(recordings[1]).rotation, result.estimate(recordings[1]).rotation
+    )
+    with pytest.raises(RunFolderError, match="holds a run already"):
+        posegsa.tune(config.from_dict(TINY), recordings=recordings[0], out=tmp_path)
+    path = tmp_path / "recorded.json"
+    whole = path.read_text()
+    for change in (
+        lambda data: data["filter"].update(kind="constant", numbers={}),
+        lambda data: data["filter"].update(also={}),
+        lambda data: data["training"][0].update(samples="many"),
+        lambda data: data.update(schema=99),
+    ):
+        data = json.loads(whole)
+        change(data)
+        path.write_text(json.dumps(data))
+        with pytest.raises(RunFolderError, match=r"recorded\.json"):
+            posegsa.load_recorded(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_the_command_tunes_on_files(
+    recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tiny.toml").write_text(
+        "[filter]\nvector_bias = 'off'\ncross_vector = false\n[parameters]\n"
+        "also = [{key = 'filter.gamma', lower = 0.01, upper = 5.0}]\n"
+        "[search]\noptimiser = 'de'\nagents = 8\niterations = 3\n"
+    )
+    recordings[0].save(tmp_path / "a.npz")
+    recordings[1].save(tmp_path / "b.npz")
+    command = ["tune", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "run"), "--quiet"]
+    files = ["--recording", str(tmp_path / "a.npz"), "--held-out", str(tmp_path / "b.npz")]
+    assert main([*command, *files, "--schedule", "constant", "--window", "0:4"]) == 0
+    said = capsys.readouterr().out
+    assert "velocity: synthetic: R^T v" in said
+    assert "held out" in said
+    assert "Written to" in said
+    assert (tmp_path / "run" / "recorded.txt").read_text().strip() in said
+    assert main(["replay", str(tmp_path / "run"), str(tmp_path / "b.npz")]) == 0
+    assert main([*command, "--schedule", "constant"]) == 2
+    assert "--schedule; allowed: with --recording" in capsys.readouterr().err
+    assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_a_gain_made_by_hand_is_judged_saved_and_exported(
+    recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = config.from_dict(TINY)
+    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]
+    assert mine.filter.numbers == {"gain": [8.0]}
+    assert "A constant gain made by hand" in mine.summary()
+    posegsa.save(mine, tmp_path / "run")
+    read = posegsa.load_recorded(tmp_path / "run")
+    assert vars(read) == vars(mine)
+    assert main_quietly(["export", str(tmp_path / "run"), "--format", "json"]) == 0
+    exported = json.loads(capsys.readouterr().out)
+    assert exported["kind"] == "constant"
+    assert exported["numbers"] == {"gain": [8.0]}
+    assert exported["filter"]["cross_vector"] is False
+    assert main_quietly(["export", str(tmp_path / "run"), "--format", "c"]) == 2
+    assert "allowed: 'json'" in capsys.readouterr().err
+    space = posegsa.parameter_space(chosen)
+    controller = space.controller(0.5 * (space.lower + space.upper))
+    again = json.loads(export(posegsa.by_hand(posegsa.FuzzyGain(controller), chosen), "json"))
+    assert again["controller"]["offset_1_s"] == 1.0
+    assert len(again["numbers"]) == 22
+    with pytest.raises(ArgumentError, match="schedule: a str"):
+        posegsa.by_hand("fast")  # type: ignore[arg-type]
+
+
+def main_quietly(arguments: list[str]) -> int:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", posegsa.PosegsaWarning)
+        return main(arguments)
+
+
+def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None:
+    for arguments, words in (
+        ({"recordings": []}, "recordings: none"),
+        ({"recordings": recordings, "held_out": recordings[1]}, "held_out: bench is tuned on"),
+        ({"recordings": recordings, "schedule": "best"}, "schedule = 'best'"),
+        ({"recordings": recordings, "position_weight": -1.0}, "position_weight = -1.0"),
+        ({"recordings": recordings, "resume": "run"}, "recordings with resume or cost"),
+        ({"held_out": recordings}, "held_out without recordings"),
+        ({"recordings": "bench.csv"}, "recordings = 'bench.csv'"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]
+    blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
+    with pytest.raises(RecordingError, match="has no truth"):
+        posegsa.tune(config.from_dict(TINY), recordings=blind)

@@ -1,0 +1,57 @@
+"""Other libraries' attitude filters on a recording of an IMU: frames, starts and what they need."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa.errors import ArgumentError, RecordingError
+from posegsa.judging import other_filters
+from posegsa.judging.other_filters import OTHER_FILTERS, installed, other_filter
+from posegsa.recordings.recording import Recording
+
+
+def imu(samples: int = 2000, rate: float = 100.0) -> Recording:
+    """A body that turns slowly and never accelerates, x east, y north, z up."""
+    time = np.arange(samples) / rate
+    R = Rotation.from_euler("zx", np.stack([1 + 0.3 * np.sin(time), 0.2 * np.cos(time)], axis=1))
+    omega = np.zeros((samples, 3))
+    omega[1:] = (R[:-1].inv() * R[1:]).as_rotvec() * rate
+    mag = R.inv().apply([0, 15.0, -41.0])
+    mag[10] = np.nan
+    return Recording.from_arrays(
+        time_step=1 / rate,
+        angular_velocity=omega,
+        truth_rotation=R.as_matrix(),
+        judged=time > 5,
+        sensors={"accelerometer": R.inv().apply([0, 0, 9.81]), "magnetometer": mag},
+    )
+
+
+@pytest.mark.parametrize("name", list(OTHER_FILTERS))
+def test_each_filter_speaks_of_the_same_frame(name: str) -> None:
+    if not installed(name):
+        pytest.skip(f'{name} is not installed (pip install "posegsa[compare]")')
+    recording = imu()
+    estimates = other_filter(name, recording)
+    errors = posegsa.recording_errors(estimates, recording).rmse()["judged"]
+    assert errors.total < 2
+    assert np.isnan(estimates.position).all()
+
+
+@pytest.mark.quick
+def test_what_they_need_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    blind = Recording.from_arrays(time_step=0.01, angular_velocity=np.zeros((9, 3)))
+    with pytest.raises(RecordingError, match="accelerometer and magnetometer; it has: none"):
+        other_filter("VQF", blind)
+    monkeypatch.setitem(__import__("sys").modules, "vqf", None)
+    with pytest.raises(ArgumentError, match=r"vqf is not installed.*posegsa\[compare\]"):
+        other_filter("VQF", imu(20))
+
+
+@pytest.mark.quick
+def test_a_missing_sample_has_the_last_value() -> None:
+    signal = np.array([[np.nan] * 3, [1.0] * 3, [np.nan] * 3, [2.0] * 3])
+    assert other_filters._held(signal)[:, 0].tolist() == [1, 1, 1, 2]
+    with pytest.raises(RecordingError, match="missing at all samples"):
+        other_filters._held(signal[:1])

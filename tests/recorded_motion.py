@@ -1,0 +1,39 @@
+"""A short motion as a recording's arrays."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+RATE = 100.0
+GRAVITY, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+LANDMARKS = np.array([[3.0, 1.0, 2.0], [-2.0, 4.0, 1.0], [1.0, -3.0, 0.5]])
+
+
+def motion(samples: int = 400, **changes: Any) -> dict[str, Any]:
+    """Arguments of `from_arrays`: a body that rests for 1 s, then turns; without noise.
+
+    The gyroscope's bias is 0.02 rad/s about x. `None` takes an argument away.
+    """
+    time = np.arange(samples) / RATE
+    moving = np.clip(time - 1.0, 0.0, None)
+    R = Rotation.from_euler("zx", np.stack([0.4 + 0.8 * moving, 0.2 + 0.5 * moving], axis=1))
+    matrix = R.as_matrix()
+    omega = np.zeros((samples, 3))
+    omega[:-1] = (R[:-1].inv() * R[1:]).as_rotvec() * RATE
+    position = np.stack([1.0 + 0.1 * moving, 0 * time, 2 + 0 * time], axis=1)
+    velocity = np.einsum("kji,kj->ki", matrix, np.gradient(position, 1 / RATE, axis=0))
+    known = np.stack([GRAVITY, EAST])
+    given = {
+        "time": np.round(time * 1e9).astype(np.int64) + 1_403_715_523_912_143_104,
+        "angular_velocity": omega + np.array([0.02, 0, 0]),
+        "velocity": velocity,
+        "vectors": np.einsum("kji,nj->kni", matrix, known),
+        "vector_references": known,
+        "landmarks": np.einsum("kji,knj->kni", matrix, LANDMARKS - position[:, None]),
+        "landmark_references": LANDMARKS,
+        "truth_rotation": matrix,
+        "truth_position": position,
+        "phases": {"rest": time < 1, "motion": time >= 1},
+    }
+    return {name: value for name, value in (given | changes).items() if value is not None}

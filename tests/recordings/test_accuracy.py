@@ -1,0 +1,91 @@
+"""Errors of estimates against a reference, by definitions written out here and by SciPy."""
+
+import numpy as np
+import pytest
+from recorded_motion import motion
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa.errors import MeasurementError, RecordingError
+from posegsa.model.rollout import Estimates
+from posegsa.recordings.recording import Recording
+
+pytestmark = pytest.mark.quick
+
+
+def test_errors_of_attitude_are_those_of_the_error_quaternion() -> None:
+    true, error = Rotation.random(200, rng=0), Rotation.random(200, rng=1)
+    found = posegsa.attitude_errors((error * true).as_matrix(), true.as_matrix())
+    w, _, _, z = error.as_quat(scalar_first=True).T
+    np.testing.assert_allclose(found.total, np.degrees(error.magnitude()), atol=1e-9)
+    np.testing.assert_allclose(found.heading, np.degrees(2 * np.arctan(np.abs(z / w))), atol=1e-9)
+    inclined = 2 * np.arccos(np.minimum(np.sqrt(w * w + z * z), 1))
+    np.testing.assert_allclose(found.inclination, np.degrees(inclined), atol=1e-6)
+
+
+def test_a_turn_about_the_vertical_is_heading_and_any_other_axis_inclination() -> None:
+    true = Rotation.random(1, rng=3)
+    for axis, expected in (((0, 0, 1), (2, 2, 0)), ((0.6, 0.8, 0), (2, 0, 2))):
+        error = Rotation.from_rotvec(np.radians(2) * np.array(axis))
+        found = posegsa.attitude_errors((error * true).as_matrix(), true.as_matrix())
+        np.testing.assert_allclose(np.ravel(found), expected, atol=1e-9)
+    small = Rotation.from_rotvec([1e-9, 0, 0])  # an arc cosine would lose it
+    found = posegsa.attitude_errors((small * true).as_matrix(), true.as_matrix())
+    np.testing.assert_allclose(found.inclination, np.degrees(1e-9), rtol=1e-4)
+
+
+def estimates_of(recording: Recording, turned: Rotation, moved: list[float]) -> Estimates:
+    """The truth, turned in the inertial frame and moved."""
+    assert recording.truth is not None
+    count = recording.samples
+    nothing = np.zeros(count)
+    position = recording.truth.position
+    return Estimates(
+        time=recording.time,
+        rotation=turned.as_matrix() @ recording.truth.rotation,
+        position=np.zeros((count, 3)) if position is None else position + moved,
+        bias=np.zeros((count, 6)),
+        vector_bias=np.zeros((count, 0, 3)),
+        gain=nothing,
+        gain_used=nothing,
+        error=nothing,
+        rate=nothing,
+    )  # type: ignore[arg-type]
+
+
+def test_errors_are_judged_by_phase_where_the_truth_is_known() -> None:
+    given = motion()
+    given["truth_rotation"][5] = np.nan
+    recording = Recording.from_arrays(**given, judged=np.arange(400) < 300)
+    turned = Rotation.from_rotvec([0, 0, 0.1])
+    errors = posegsa.recording_errors(estimates_of(recording, turned, [0.3, 0, 0.4]), recording)
+    found = errors.rmse()
+    assert list(found) == ["judged", "rest", "motion"]
+    assert [one.samples for one in found.values()] == [299, 99, 300]
+    for one in found.values():
+        assert one.total == pytest.approx(np.degrees(0.1))
+        assert one.heading == pytest.approx(np.degrees(0.1))
+        assert one.inclination == pytest.approx(0, abs=1e-6)
+        assert one.position == pytest.approx(0.5)
+    attitude = Recording.from_arrays(
+        **motion(velocity=None, landmarks=None, landmark_references=None)
+    )
+    errors = posegsa.recording_errors(estimates_of(attitude, turned, []), attitude)
+    assert errors.position is None
+    assert errors.rmse()["judged"].position is None
+
+
+def test_root_mean_squares() -> None:
+    assert posegsa.rmse([3.0, 4.0, 100.0], np.array([True, True, False])) == pytest.approx(
+        np.sqrt(12.5)
+    )
+    assert np.isnan(posegsa.rmse([1.0], np.array([False])))
+    assert posegsa.rmse([1.0, np.nan]) == np.inf  # a filter that diverged has no small error
+    with pytest.raises(RecordingError, match="mask: must be bool"):
+        posegsa.rmse([1.0], np.array([1]))
+    np.testing.assert_allclose(posegsa.position_errors([[1, 2, 2]], [[0, 0, 0]]), [3])
+    with pytest.raises(MeasurementError, match=r"true: must have the shape \(1, 3, 3\)"):
+        posegsa.attitude_errors(np.eye(3)[None], np.eye(3))
+    blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
+    with pytest.raises(RecordingError, match="has no truth"):
+        blind.masks()

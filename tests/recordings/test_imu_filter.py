@@ -1,0 +1,122 @@
+"""The attitude filter for inertial sensors, on simulated ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inertial_motion import BIAS, inertial_motion
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa import config
+from posegsa.cli.command import main
+from posegsa.errors import ArgumentError, RecordingError
+from posegsa.judging.replay import Replay
+from posegsa.recordings.recording import Recording
+
+
+def replayed(recording: Recording, changed: config.ImuConfig | None = None) -> Replay:
+    (found,) = posegsa.replay("imu" if changed is None else changed, recording)
+    return found
+
+
+def total(found: Replay, phase: str = "judged") -> float:
+    assert found.errors is not None
+    return found.errors.rmse()[phase].total
+
+
+def test_it_follows_a_motion_it_was_not_tuned_on() -> None:
+    recording = posegsa.imu(**inertial_motion(3.0, 30.0, noise=1.0, shaking=3.0))
+    found = replayed(recording)
+    assert total(found) < 1.0
+    assert np.isnan(found.estimates.position).all()
+    np.testing.assert_array_equal(found.estimates.rotation, posegsa.run_imu(recording).rotation)
+    # What each of its parts is for: without them it is worse.
+    plain = config.ImuVectorsConfig(low_pass=0.0)
+    shaken = posegsa.as_imu(recording, settings=plain)
+    assert total(replayed(shaken)) > 3 * total(found)
+
+
+def test_it_learns_the_gyroscope_s_bias_without_a_rest() -> None:
+    given = inertial_motion(0.0, 120.0, noise=1.0)
+    late = np.arange(len(given["gyr"])) > 9000
+    recording = posegsa.imu(**given, phases={"late": late})
+    found = replayed(recording)
+    wrong = np.linalg.norm(found.estimates.bias[-1, :3] - BIAS)
+    assert wrong < 0.45 * np.linalg.norm(BIAS)
+    # With numbers for larger biases, sooner.
+    eager = config.ImuConfig(
+        vectors=config.ImuVectorsConfig(low_pass=1.0),
+        observer=config.ImuObserverConfig(gamma=3.0),
+    )
+    sooner = posegsa.as_imu(recording, settings=eager.vectors)
+    np.testing.assert_allclose(replayed(sooner, eager).estimates.bias[-1, :3], BIAS, atol=3e-3)
+    never = config.ImuConfig(observer=config.ImuObserverConfig(gamma=0.0))
+    assert total(replayed(recording, never), "late") > 2 * total(found, "late")
+
+
+def test_a_magnet_turns_the_heading_little_and_does_not_tilt() -> None:
+    given = inertial_motion(3.0, 30.0, noise=1.0)
+    clean = replayed(posegsa.imu(**given))
+    given["mag"][1000:2000] += [15.0, 5.0, 10.0]
+    found = replayed(posegsa.imu(**given))
+    assert found.errors is not None
+    assert clean.errors is not None
+    errors, expected = found.errors.rmse()["judged"], clean.errors.rmse()["judged"]
+    assert errors.heading < 3.0
+    assert errors.inclination < expected.inclination + 0.1
+    blind = config.ImuConfig(vectors=config.ImuVectorsConfig(field_tolerance="off"))
+    trusting = posegsa.as_imu(posegsa.imu(**given), settings=blind.vectors)
+    assert total(replayed(trusting, blind)) > 3 * errors.total
+
+
+def test_without_a_magnetometer_the_inclination_is_as_good() -> None:
+    given = inertial_motion(3.0, 30.0, noise=1.0)
+    both = replayed(posegsa.imu(**given))
+    del given["mag"]
+    alone = replayed(posegsa.imu(**given))
+    assert both.errors is not None
+    assert alone.errors is not None
+    inclination = alone.errors.rmse()["judged"].inclination
+    assert inclination < both.errors.rmse()["judged"].inclination + 0.1
+
+
+def test_recordings_of_other_sensors_are_refused() -> None:
+    recording = Recording.from_arrays(
+        time_step=0.01,
+        angular_velocity=np.zeros((10, 3)),
+        vectors=np.ones((10, 1, 3)),
+        vector_references=np.ones((1, 3)),
+    )
+    with pytest.raises(ArgumentError, match=r"recording: a Recording; allowed: .*posegsa\.as_imu"):
+        posegsa.run_imu(recording)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(RecordingError, match="has no accelerometer"):
+        posegsa.replay("imu", recording)
+    with pytest.raises(ArgumentError, match=r'result: a str; allowed: .*"imu"'):
+        posegsa.replay("recommended", recording)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = inertial_motion(3.0, 9.0, noise=1.0)
+    time = np.arange(len(given["gyr"])) / given["rate"]
+    q = Rotation.from_matrix(given["truth_rotation"]).as_quat(scalar_first=True)
+    table = np.column_stack([time, given["gyr"], given["acc"], given["mag"], q])
+    names = "time,wx,wy,wz,ax,ay,az,mx,my,mz,qw,qx,qy,qz"
+    path = tmp_path / "my.csv"
+    np.savetxt(path, table, delimiter=",", header=names, comments="")
+    out = tmp_path / "out"
+    assert main(["replay", "imu", str(path), "--rest", "2", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "at rest for the first 2.0 s" in said
+    assert "attitude only" in said
+    assert len((out / "my" / "estimated.tum").read_text().splitlines()) >= len(time)
+    mine = tmp_path / "mine.toml"
+    mine.write_text("[vectors]\nlow_pass = 0.0\n", encoding="utf-8")
+    # A window that begins in motion, in another frame, with numbers of one's own.
+    assert main(["replay", str(mine), str(path), "--window", "5:", "--frame", "NED"]) == 0
+    said = capsys.readouterr().out
+    assert "begins in motion" in said
+    assert "as measured" in said
+    with pytest.raises(SystemExit):
+        main(["replay", "imu", str(path), "--rest", "long"])

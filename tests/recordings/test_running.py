@@ -1,0 +1,69 @@
+"""A filter run over recordings: in parts as in one piece, from the recording's own start."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from recorded_motion import motion
+
+import posegsa
+from posegsa.errors import ArgumentError
+from posegsa.model import rollout
+from posegsa.model.filter import FilterSettings
+from posegsa.model.measurements import Measurements
+from posegsa.model.schedules import ConstantGain
+from posegsa.model.signal import SignalSettings
+from posegsa.recordings import running
+from posegsa.recordings.recording import Recording
+
+GAIN = ConstantGain(jnp.float32(8.0))
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return Recording.from_arrays(**motion(start="rest"), landmark_weights=0.1)
+
+
+def test_it_follows_the_truth_and_learns_the_bias(recording: Recording) -> None:
+    estimates = posegsa.run_filter(GAIN, recording.off(60, 1))
+    errors = posegsa.recording_errors(estimates, recording)
+    assert errors.attitude.total[0] == pytest.approx(60, abs=1e-3)
+    assert errors.attitude.total[-1] < 1
+    assert errors.position is not None
+    assert errors.position[-1] < 0.1
+    assert isinstance(estimates.rotation, np.ndarray)
+    at_rest = posegsa.run_filter(GAIN, recording)
+    assert posegsa.recording_errors(at_rest, recording).rmse()["judged"].total < 0.5
+
+
+def test_parts_make_the_estimates_of_one_piece(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = posegsa.run_filter(GAIN, recording)
+    monkeypatch.setattr(running, "PART", 150)  # 400 samples: two whole parts, one filled up
+    parts = posegsa.run_filter(GAIN, recording)
+    for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
+    # And of measurements in one piece, by the model alone.
+    m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
+    initial = running.state_of(recording.initial())
+    alone = rollout.run_filter(GAIN, Measurements(*m), initial, FilterSettings(), SignalSettings())
+    np.testing.assert_allclose(alone.rotation, whole.rotation, atol=1e-5)
+    np.testing.assert_allclose(alone.position, whole.position, atol=1e-5)
+
+
+def test_attitude_only_has_no_position() -> None:
+    given = motion(velocity=None, landmarks=None, landmark_references=None)
+    recording = Recording.from_arrays(**given)
+    estimates = posegsa.run_filter(GAIN, recording)
+    assert np.isnan(estimates.position).all()
+    assert posegsa.recording_errors(estimates, recording).rmse()["judged"].total < 2
+
+
+def test_what_does_not_fit_is_refused(recording: Recording) -> None:
+    with pytest.raises(ArgumentError, match="initial: None"):
+        posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]
+    with pytest.raises(ArgumentError, match='signal "pose"'):
+        posegsa.run_filter(GAIN, recording, signal=SignalSettings(signal="pose"))
+    with pytest.raises(ArgumentError, match="schedule: a str"):
+        posegsa.run_filter("fast", recording)  # type: ignore[arg-type]

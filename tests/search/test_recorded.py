@@ -1,0 +1,125 @@
+"""Recordings as a search's scenarios: costs by hand, fillings that count for nothing, keys."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from recorded_motion import motion
+
+import posegsa
+from posegsa import config
+from posegsa.errors import ConfigError
+from posegsa.model.schedules import ConstantGain
+from posegsa.recordings.recording import Recording
+from posegsa.search.candidates import Candidate
+from posegsa.search.population import costs_by_scenario
+from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
+
+BASE: dict[str, Any] = {
+    "filter": {"vector_bias": "off", "cross_vector": False},
+    "parameters": {"also": []},
+}
+GAINS = Candidate(ConstantGain(jnp.array([4.0, 9.0], jnp.float32)))
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[Recording]:
+    """A pose with landmarks at a tenth of the rate, and attitude only, shorter and slower."""
+    pose, attitude = motion(), motion(200, velocity=None, landmarks=None, landmark_references=None)
+    pose["landmarks"][np.arange(400) % 10 != 0] = np.nan
+    pose["truth_rotation"][7] = np.nan
+    attitude["time"] = 2 * (attitude["time"] - attitude["time"][0])
+    return [
+        Recording.from_arrays(name="pose", **pose, judged=np.arange(400) > 50).off(40, 0.5),
+        Recording.from_arrays(name="attitude", **attitude).off(20),
+    ]
+
+
+def cost_by_hand(recording: Recording, gain: float, position_weight: float) -> float:
+    """By the filter's estimates and NumPy."""
+    experiment = config.from_dict(BASE)
+    sensors = [
+        np.shape(a)[1] for a in (recording.measurements.vectors, recording.measurements.landmarks)
+    ]
+    estimates = posegsa.run_filter(
+        ConstantGain(jnp.float32(gain)), recording, settings=settings_on(experiment, *sensors)
+    )
+    errors = posegsa.recording_errors(estimates, recording)
+    chord = np.degrees(2 * np.sin(np.radians(errors.attitude.total) / 2))
+    cost = posegsa.rmse(chord, recording.judged)
+    if errors.position is not None:
+        cost += position_weight * posegsa.rmse(errors.position, recording.judged)
+    return cost
+
+
+def test_the_cost_is_that_of_the_filter_on_each_recording(recordings: list[Recording]) -> None:
+    batch = recorded_batch(config.from_dict(BASE), recordings, position_weight=100.0)
+    assert batch.samples.time.shape == (2, 400)
+    costs = np.asarray(costs_by_scenario(GAINS, batch))
+    expected = [[cost_by_hand(one, gain, 100.0) for gain in (4.0, 9.0)] for one in recordings]
+    np.testing.assert_allclose(costs, expected, rtol=2e-4)
+
+
+def test_what_is_not_judged_counts_for_nothing(recordings: list[Recording]) -> None:
+    one = recordings[0]
+    assert one.truth is not None
+    spoilt = one.truth.each(np.copy)
+    spoilt.rotation[:51] = np.eye(3)  # not judged
+    assert spoilt.position is not None
+    spoilt.position[:51] = 99.0
+    changed = Recording(**{**vars(one), "truth": spoilt})
+    experiment = config.from_dict(BASE)
+    costs = [
+        np.asarray(costs_by_scenario(GAINS, recorded_batch(experiment, [each, recordings[1]], 1.0)))
+        for each in (one, changed)
+    ]
+    np.testing.assert_array_equal(costs[0], costs[1])
+
+
+def also(*keys: str) -> config.Experiment:
+    listed = [{"key": key, "lower": 0.1, "upper": 1.0} for key in keys]
+    data = BASE | {"parameters": {"also": listed}}
+    return config.from_dict(data | {"filter": BASE["filter"] | {"gamma": [1.0, 1.0]}})
+
+
+@pytest.mark.quick
+def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
+    kept = with_effect_on(config.Experiment(), vectors=2, landmarks=0, schedule="constant")
+    assert [one.key for one in kept.also] == [
+        "scenario.vectors.0.weight",
+        "filter.gamma",
+        "filter.cross_vector_weight",
+        "filter.vector_bias_gain",
+    ]
+    kept = with_effect_on(config.Experiment(), vectors=0, landmarks=4, schedule="smooth")
+    assert [one.key for one in kept.also] == [
+        "scenario.landmarks.0.weight",
+        "filter.gamma",
+        "gain.smoothing",
+        "gain.error_scale",
+    ]
+    for key, schedule in (
+        ("scenario.landmarks.0.weight", "fuzzy"),
+        ("scenario.vectors.1.weight", "fuzzy"),
+        ("gain.smoothing", "constant"),
+        ("filter.gamma.1", "fuzzy"),
+    ):
+        with pytest.raises(ConfigError, match=f"'{key}' has no effect on these recordings"):
+            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]
+
+
+@pytest.mark.quick
+def test_weights_are_those_of_the_first_sensors() -> None:
+    settings = settings_on(config.Experiment(), vectors=1, landmarks=3)
+    assert settings.landmark_weights is not None
+    assert len(settings.landmark_weights) == 3
+    assert settings.vectors.weights is not None
+    assert len(settings.vectors.weights) == 1
+
+
+@pytest.mark.quick
+def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -> None:
+    oracle = config.override(config.Experiment(), ["gain.signal=pose"])
+    with pytest.raises(ConfigError, match="looks at the true pose"):
+        recorded_problem(oracle, recordings, "constant", 1.0)
