@@ -35,6 +35,7 @@ STARTS = (45.0, 1.0), (150.0, 5.0)
 TRAINING_SEEDS, HELD_OUT_SEEDS = 3, 6
 SPLIT = 40.0
 """What is tuned on comes before this time, what judges after it [s]."""
+REPEATS = 7
 SAMPLES = 10_000, 100_000, 1_000_000
 """Lengths of the recordings that are timed."""
 
@@ -113,7 +114,7 @@ def speed() -> list[dict[str, float]]:
     for samples in (SAMPLES[0], *SAMPLES):  # the first compiles
         recording = _recording(samples)
         before, times = _memory(), []
-        for _ in range(3):
+        for _ in range(REPEATS):
             begun = time.perf_counter()
             posegsa.run_filter(schedule, recording)
             times.append(time.perf_counter() - begun)

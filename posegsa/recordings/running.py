@@ -69,6 +69,7 @@ def run_filter(
             without an initial estimate.
         MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
     """
+    check_type("measurements", measurements, Measurements, Recording)
     settings = FilterSettings() if settings is None else settings
     signal = SignalSettings() if signal is None else signal
     if not isinstance(measurements, Recording):

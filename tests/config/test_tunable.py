@@ -19,7 +19,7 @@ LEARNT = {
 }
 """Of the law of the vectors' biases."""
 ALWAYS = {
-    *("filter.gamma.0", "filter.gamma.1", "filter.gain_limit"),
+    *("filter.gamma.0", "filter.gamma.1", "filter.gain_limit", "filter.length"),
     *("gain.position_weight", "gain.smoothing", "gain.error_scale", "gain.rate_scale"),
     *("scenario.vectors.0.weight", "scenario.vectors.1.weight", "scenario.landmarks.0.weight"),
 }

@@ -39,7 +39,7 @@ def test_the_integrated_gyroscope_is_the_rotation() -> None:
 @pytest.mark.parametrize("time_constant", [0.05, 0.5, 3.0])
 def test_the_low_pass_is_the_butterworth_filter_of_scipy(time_constant: float) -> None:
     step = 0.01
-    values = [*np.random.default_rng(2).normal(size=(300, 3)), 1.0, 2.0, 3.0]
+    values = np.random.default_rng(2).normal(size=(300, 3), loc=[1.0, 2.0, 3.0])
     start = np.array([0.5, -1.0, 4.0])
     b, a = butter(2, math.sqrt(2) / (2 * math.pi * time_constant), fs=1 / step)
     expected, _ = lfilter(b, a, values, axis=0, zi=lfilter_zi(b, a)[:, None] * start)
