@@ -14,17 +14,14 @@ from posegsa.arguments import check_type, several
 from posegsa.config import shipped
 from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
+from posegsa.config.imu import ImuConfig
+from posegsa.config.reading import read_toml
 from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
 from posegsa.settings.violations import Violation, config_error, violations_error
 
-MAX_BYTES = 2**20
-"""Size up to which a configuration file is read: 1 MiB."""
-
-_SHOWN = 100  # characters of a line that a message shows
 _NAME = re.compile(r"[a-z_]+")
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
-_POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
 def load(path: str | Path) -> Experiment:
@@ -41,18 +38,13 @@ def load(path: str | Path) -> Experiment:
     check_type("path", path, str, os.PathLike, allowed=allowed)
     if _NAME.fullmatch(str(path)) and not Path(path).exists():
         path = shipped.find(str(path))
-    return _validated(read_toml(path), f"{path} is not a valid experiment")
-
-
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """The data of a TOML file.
-
-    Raises:
-        ArgumentError: It is no path.
-        ConfigError: The file cannot be read or is not TOML.
-    """
-    check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
-    return _parse(_read(path), path)
+    data = read_toml(path)
+    if data and data.keys() <= ImuConfig.model_fields.keys():
+        raise ConfigError(
+            f"{path}: is an attitude filter for inertial sensors, which is not tuned; allowed: an "
+            "experiment (`posegsa replay imu` and config.load_imu take the filter)"
+        )
+    return _validated(data, f"{path} is not a valid experiment")
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:
@@ -135,46 +127,6 @@ def _validated(data: object, title: str) -> Experiment:
         return Experiment.model_validate(data)
     except ValidationError as error:
         raise config_error(title, error, Experiment) from None
-
-
-def _read(path: str | Path) -> str:
-    """The text of a file."""
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # a ValueError is a path that no file can have
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{path}: cannot be read as a TOML file: {reason}") from None
-    if len(content) > MAX_BYTES:
-        raise ConfigError(f"{path}: too large; allowed: at most 1 MiB")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"{path}, line {line}: not UTF-8 text, as TOML has to be") from None
-
-
-def _parse(text: str, path: str | Path) -> dict[str, Any]:
-    """The data in a TOML document; a mistake is shown in its line."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        message = str(error)
-    except (ValueError, RecursionError):  # a number of thousands of digits, a thousand brackets
-        raise ConfigError(f"{path}: not valid TOML: a number too long or arrays too deep") from None
-    lines = text.replace("\r\n", "\n").split("\n")
-    line, column = len(lines), len(lines[-1]) + 1
-    if found := _POSITION.search(message):
-        message = message[: found.start()]
-        if found[1]:
-            line, column = int(found[1]), int(found[2])
-    start = max(0, column - _SHOWN // 2)
-    shown = lines[line - 1][start : start + _SHOWN]
-    shown = "".join(c if c.isprintable() else " " for c in shown)
-    raise ConfigError(
-        f"{path}, line {line}, column {column}: not valid TOML: {message}\n\n"
-        f"  {shown}\n  {' ' * (column - 1 - start)}^"
-    )
 
 
 def _parsed(text: str) -> tuple[str, Any] | Violation:

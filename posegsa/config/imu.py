@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import ValidationError
 
-from posegsa.config.files import read_toml
+from posegsa.config.reading import read_toml
 from posegsa.settings.fields import NonNegative, Positive, Section
 from posegsa.settings.violations import config_error
 

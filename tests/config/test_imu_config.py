@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from posegsa import config
 from posegsa.config import ImuConfig, load_imu
 from posegsa.errors import ConfigError
 
@@ -43,3 +44,8 @@ def test_what_is_wrong_is_named(text: str, message: str, tmp_path: Path) -> None
     with pytest.raises(ConfigError, match=message) as error:
         load_imu(path)
     assert "mine.toml" in str(error.value)
+
+
+def test_as_an_experiment_it_is_refused_by_what_it_is() -> None:
+    with pytest.raises(ConfigError, match="attitude filter for inertial sensors.*replay imu"):
+        config.load("imu")
