@@ -47,5 +47,5 @@ def test_what_is_wrong_is_named(text: str, message: str, tmp_path: Path) -> None
 
 
 def test_as_an_experiment_it_is_refused_by_what_it_is() -> None:
-    with pytest.raises(ConfigError, match="attitude filter for inertial sensors.*replay imu"):
+    with pytest.raises(ConfigError, match=r"attitude filter for inertial sensors.*replay imu"):
         config.load("imu")
