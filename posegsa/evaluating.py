@@ -40,12 +40,15 @@ from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.settings.fields import MAX_COUNT
 
+SCENARIOS = 1000
+"""Held-out scenarios, if nothing else is asked for."""
+
 
 @overload
 def evaluate(
     result: TuneResult,
     *,
-    scenarios: int = 1000,
+    scenarios: int = SCENARIOS,
     seed: int | None = None,
     cost: TrackCost | None = None,
     progress: Callable[[str], object] | None = None,
@@ -69,7 +72,7 @@ def evaluate(
     recordings: Recording | Iterable[Recording] | None = None,
     training: Recording | Iterable[Recording] = (),
     others: bool | None = None,
-    scenarios: int = 1000,
+    scenarios: int = SCENARIOS,
     seed: int | None = None,
     cost: TrackCost | None = None,
     progress: Callable[[str], object] | None = None,
@@ -107,7 +110,12 @@ def evaluate(
     check_type("result", result, TuneResult, RecordingResult)
     check_callable("progress", progress)
     if isinstance(result, RecordingResult):
+        given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None, "cost": bool(cost)}
+        for name in (name for name, stated in given.items() if stated):
+            refuse(f"{name} with a result on recordings", "recordings, training and others")
         return _on_recordings(result, recordings, training, others, progress)
+    if training != () or others is not None:
+        refuse("training, others with a result that was tuned on scenarios", "without them")
     if recordings is not None:
         refuse(
             "recordings with a result that was tuned on scenarios",
@@ -153,6 +161,9 @@ def _on_recordings(
     )
     if not unseen:
         refuse("recordings: none", "at least one")
+    if both := {id(one) for one in unseen} & {id(one) for one in seen}:
+        name = next(one.name for one in unseen if id(one) in both)
+        refuse(f"recordings: {name} is in training too", "recordings that are not")
     names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
     if others is None:
         names = [name for name in names if installed(name)]

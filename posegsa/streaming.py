@@ -24,6 +24,7 @@ from posegsa.model.schedules import (
     FuzzyGain,
     GainSchedule,
     KnotGain,
+    SettlingGain,
     SwitchGain,
     check_schedule,
 )
@@ -36,7 +37,7 @@ FORMAT = 1
 MAX_GAIN = 1e9
 """The largest constant gain [1/s], as in a configuration."""
 
-BLIND = (ConstantGain, SwitchGain, KnotGain)
+BLIND = (ConstantGain, SettlingGain, SwitchGain, KnotGain)
 """Schedules that do not look at the error, and so need no settings of its signal."""
 
 _NO_NUMBER: Any = np.zeros(())

@@ -140,8 +140,13 @@ def tune(
         chosen = _chosen(experiment, seed, iterations)
         task = _recorded_task(recordings, held_out, schedule, position_weight)
         return _tune_on_recordings(chosen, task, out, overwrite, progress)
-    if held_out is not None:
-        refuse("held_out without recordings", "both, or neither")
+    given = {
+        "held_out": held_out is not None,
+        "schedule": schedule != "fuzzy",
+        "position_weight": position_weight != DEGREES_PER_METRE,
+    }
+    for name in (name for name, stated in given.items() if stated):
+        refuse(f"{name} without recordings", "both, or neither")
     if resume is not None:
         folder = folder_to_resume(resume, out, overwrite)
         return _resume(folder, experiment, seed, iterations, cost, progress)

@@ -20,7 +20,7 @@ from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
 from posegsa.settings.violations import Violation, config_error, violations_error
 
-_NAME = re.compile(r"[a-z_]+")
+_NAME = re.compile(r"[a-z0-9_]+")
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
 
 

@@ -134,8 +134,8 @@ class FuzzyConfig(Section):
     """How samples are summed: "sum" weighs them alike, as MATLAB does, "trapezoid" the two at the
     ends by half; only for the sampled centroid."""
     no_rule: NoRule = "hold"
-    """The gain where no rule fires: "hold" keeps the last one; "midrange" is 1 + the middle of the
-    output universe, as in MATLAB."""
+    """The gain where no rule fires: "hold" keeps the last one; "midrange" is the offset + the
+    middle of the output universe, as in MATLAB."""
     ordering: Flag = True
     """Whether parameters are put in order: within each triangle, then between the terms."""
     coverage: Flag = True

@@ -22,7 +22,8 @@ def load_controller(
     """Read a `.fis` (MATLAB) or `.fll` (fuzzylite) file of a controller's structure.
 
     That is: two inputs named error and rate, from 0 to 1, that share one set of triangular terms;
-    one output, whose centroid is the gain less 1; one rule for each pair of terms, by min and max.
+    one output, whose centroid is the gain less its offset (1 if it is named `gain_minus_1`); one
+    rule for each pair of terms, by min and max.
 
     Args:
         path: The file; its ending says the format.

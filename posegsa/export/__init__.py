@@ -56,6 +56,9 @@ def export(result: TuneResult | RecordingResult, format: str, name: str | None =
         raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(NAMED)}")
     if isinstance(result, RecordingResult):
         if format != "json":
-            raise PosegsaError(f"format = {format!r} of a result on recordings; allowed: 'json'")
+            raise PosegsaError(
+                f"format = {format!r} of a result on recordings; allowed: 'json', or in Python "
+                "filter_to_c(result.schedule, *result.settings(recording), vectors=, landmarks=)"
+            )
         return recorded_json(result)
     return FORMATS[format](result) if name is None else FORMATS[format](result, name=name)

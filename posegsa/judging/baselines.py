@@ -45,7 +45,9 @@ CONSTANT_GAINS = 201
 """Constant gains that `best_constant` tries, evenly spaced over those that a controller may ask
 for."""
 GAINS = (0.5, 200.0)
-"""Gains that a baseline may ask for [1/s]; wider than a controller's range."""
+"""Gains that a baseline may ask for [1/s], or more where a controller may ask for more."""
+LEAST_GAIN = 1e-3
+"""The least gain of a baseline [1/s] where a controller's range begins at 0."""
 KNOTS = 16
 """Knots of the best open-loop gains."""
 REPLAYED_KNOTS = 300
@@ -133,11 +135,14 @@ Ends = tuple[float, float]
 def schedule_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
     """Where the schedules of a kind are searched for an experiment.
 
-    Gains are searched by their logarithm in GAINS, times of a switch up to half of a scenario, the
-    scaled error half-way from 0.003 to 1.
+    Gains are searched by their logarithm, in GAINS and the controller's range, times of a switch up
+    to half of a scenario, the scaled error half-way from 0.003 to 1.
     """
     end = experiment.scenario.duration
-    gain, half = (math.log(GAINS[0]), math.log(GAINS[1])), (math.log(0.003), 0.0)
+    offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
+    least = min(GAINS[0], max(offset + low, LEAST_GAIN))
+    gain = (math.log(least), math.log(max(GAINS[1], offset + high)))
+    half = (math.log(0.003), 0.0)
     switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
     # Without learnt biases there is nothing to begin later.
     learning = (0.0, 0.5 * end if experiment.filter.vector_bias == "estimated" else 0.0)

@@ -71,15 +71,15 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     there, samples = batch.samples.time.shape
     # All of it, as a program is compiled anew for what lies on other devices.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
-    on_host = batch.samples, batch.initial
     parts = []
     for first in range(0, there, SCENARIOS):
         some = np.arange(first, first + SCENARIOS) % there
-        chosen, initial = jax.tree.map(lambda a, some=some: a[some], on_host)
+        initial = jax.tree.map(lambda a, some=some: a[some], batch.initial)
         loop, pieces = _begin(candidate, initial), []
         for start in range(0, samples, SAMPLES):
             index = np.minimum(np.arange(start, start + SAMPLES), samples - 1)
-            piece = jax.tree.map(lambda a, index=index: a[:, index], chosen)
+            both = np.ix_(some, index)
+            piece = jax.tree.map(lambda a, both=both: a[both], batch.samples)
             count = np.int32(min(SAMPLES, samples - start))
             loop, errors = _onward(candidate, piece, loop, batch.settings, batch.signal, count)
             pieces.append(jax.device_get(errors))

@@ -1,20 +1,22 @@
 """What a search on recordings found, and what it is worth on recordings that it has not seen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
 
 from posegsa.arguments import check_type
 from posegsa.config import Experiment, override, with_tuned
-from posegsa.errors import RecordingError
+from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
 from posegsa.judging.evaluation import Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.judging.result import VERSION
 from posegsa.model.filter import FilterSettings
+from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
@@ -247,7 +249,16 @@ def by_hand(
     with jax.enable_x64(chosen.run.dtype == "float64"):
         space = parameter_space(chosen)
         if isinstance(schedule, FuzzyGain):
-            space.checked(np.asarray(space.vector(schedule.controller)))
+            own = schedule.controller
+            made = space.schedule(space.checked(np.asarray(space.vector(own)))).controller
+            for each in fields(FuzzyController):
+                # How far terms overlap saves time and changes nothing.
+                if each.name != "reach" and not _same(getattr(made, each.name), own, each.name):
+                    raise FuzzyError(
+                        f"schedule.controller.{each.name}: is not what the experiment makes of its "
+                        f"parameters, {getattr(made, each.name)}; allowed: a controller of this "
+                        "experiment, or an experiment with the controller's [fuzzy] settings"
+                    )
         found = describe(Candidate(schedule), space, 0)
     result = RecordingResult(
         experiment=chosen,
@@ -263,6 +274,16 @@ def by_hand(
     )
     result.held_out.extend(score(one, result.estimate(one)) for one in recordings)
     return result
+
+
+def _same(made: object, controller: FuzzyController, name: str) -> bool:
+    """Whether a field of a controller is what another one has, terms to the precision of both."""
+    own = getattr(controller, name)
+    if isinstance(own, Array | np.ndarray):
+        eps = 8 * max(float(np.finfo(np.asarray(a).dtype).eps) for a in (made, own))
+        low, high = controller.output_range
+        return bool(np.allclose(np.asarray(made), np.asarray(own), rtol=0, atol=eps * (high - low)))
+    return made == own
 
 
 def _sensors(recording: Recording) -> tuple[int, int]:

@@ -47,8 +47,9 @@ length: where landmarks are d metres from the origin, the cost's curvature is d^
 attitude as in position, and the K that the attitude allows leaves the position d^2 times as slow.
 In a unit of l metres (`length`) u_2 counts l^2 times,
     W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
-for the law "gradient", and every 1 beside a squared length, in L and above, is l^2. With l about d
-both converge alike. It is the same observer, run in that unit.
+for the law "gradient", in L every 1 beside a squared length is l^2, and the limit of gamma above is
+gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d both converge alike. It is the same observer,
+run in that unit.
 What holds in theory: with f the cost whose gradient U is and constant gamma, f + |b_err|^2 / (2
 gamma) never rises (without noise). With a changing gamma that function serves while gamma rises and
 gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
@@ -274,7 +275,9 @@ def initial_state(
 def _floating(*values: ArrayLike) -> DTypeLike:
     """The widest floating type among arrays, and at least JAX's default."""
     dtypes = [jnp.asarray(a).dtype for a in values]
-    return jnp.result_type(float, *(d for d in dtypes if jnp.issubdtype(d, jnp.floating)))
+    floating = [d for d in dtypes if jnp.issubdtype(d, jnp.floating)]
+    with jax.numpy_dtype_promotion("standard"):
+        return jnp.result_type(float, *floating)
 
 
 def checked_state(

@@ -18,7 +18,7 @@ from posegsa.errors import RunFolderError
 from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
-RECORDED = "recorded.json"
+RECORDED, RECORDED_TABLE = "recorded.json", "recorded.txt"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 MAX_BYTES = 2**27

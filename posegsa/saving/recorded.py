@@ -4,12 +4,22 @@ from pathlib import Path
 
 from posegsa.errors import RunFolderError
 from posegsa.judging.recorded import RecordingResult
-from posegsa.saving.folder import MAX_BYTES, RECORDED, RESULT, as_path, read_text, replace_files
+from posegsa.saving.checkpointing import checkpoint_paths
+from posegsa.saving.folder import (
+    MAX_BYTES,
+    RECORDED,
+    RECORDED_TABLE,
+    RESULT,
+    as_path,
+    read_text,
+    replace_files,
+)
 from posegsa.saving.records import from_json, to_json
+from posegsa.saving.run import RUN_FILES
 
 SCHEMA = 1
 """Number of the layout of recorded.json; it changes with its records."""
-DATA, TABLE = FILES = RECORDED, "recorded.txt"
+DATA, TABLE = FILES = RECORDED, RECORDED_TABLE
 
 
 def write_recorded(result: RecordingResult, folder: Path) -> None:
@@ -19,7 +29,10 @@ def write_recorded(result: RecordingResult, folder: Path) -> None:
         RunFolderError: They can't be written; the folder is as it was.
     """
     files = {DATA: to_json(result, SCHEMA), TABLE: result.summary() + "\n"}
-    replace_files(folder, {name: text.encode() for name, text in files.items()}, remove=[])
+    # Of a simulated run that was there nothing may stay: it would be read instead.
+    checkpoints = [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
+    contents = {name: text.encode() for name, text in files.items()}
+    replace_files(folder, contents, remove=[*RUN_FILES, *checkpoints])
 
 
 def holds_recorded(folder: str | Path) -> bool:

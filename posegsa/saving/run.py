@@ -21,6 +21,8 @@ from posegsa.report import report_html
 from posegsa.saving.folder import (
     FIGURES,
     MAX_BYTES,
+    RECORDED,
+    RECORDED_TABLE,
     RESULT,
     as_path,
     locked_folder,
@@ -35,6 +37,9 @@ SCHEMA = 3
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
+RUN_FIGURES = [_FIGURE.format(each.name) for each in result_figures.FIGURES]
+RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
+"""All that a finished run's folder may hold beside checkpoints."""
 MAX_ROW = 2**10
 """Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
 numbers of at most 25 characters."""
@@ -89,8 +94,7 @@ def write_run(result: TuneResult, folder: Path) -> None:
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     figures = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.
-    stale = [_FIGURE.format(each.name) for each in result_figures.FIGURES]
-    replace_files(folder, files | figures, remove=stale)
+    replace_files(folder, files | figures, remove=[*RUN_FIGURES, RECORDED, RECORDED_TABLE])
 
 
 def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:

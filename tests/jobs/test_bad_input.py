@@ -117,7 +117,7 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.begin(r.schedule, None), "initial: a NoneType"),
         (lambda r: posegsa.run_filter(r.schedule, 5, None, None, None), "measurements: a int"),
         (lambda r: posegsa.run_filter(r.schedule, 5), "a Measurements or a Recording"),
-        (lambda r: posegsa.replay(5, []), "result: a int; allowed: a TuneResult or a Recording"),
+        (lambda r: posegsa.replay(5, []), "result: a int; allowed: a TuneResult, a Rec"),
         (lambda r: posegsa.replay(r, 5), "recordings: a int"),
         (lambda r: posegsa.evaluate(r, recordings=[]), "recordings with a result"),
         (lambda r: posegsa.by_hand(5), "schedule: a int"),
