@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,11 @@ from recorded_motion import motion
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main
-from posegsa.errors import ArgumentError, RecordingError, RunFolderError
+from posegsa.errors import ArgumentError, FuzzyError, RecordingError, RunFolderError
 from posegsa.export import export
 from posegsa.judging.recorded import RecordingResult
 from posegsa.recordings.recording import Recording
+from posegsa.saving.folder import CHECKPOINT_SUFFIX
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -151,8 +153,23 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     again = json.loads(export(posegsa.by_hand(posegsa.FuzzyGain(controller), chosen), "json"))
     assert again["controller"]["offset_1_s"] == 1.0
     assert len(again["numbers"]) == 22
+    other = replace(controller, offset=0.0)
+    with pytest.raises(FuzzyError, match=r"controller.offset: .* 1\.0; allowed: a controller of"):
+        posegsa.by_hand(posegsa.FuzzyGain(other), chosen)
     with pytest.raises(ArgumentError, match="schedule: a str"):
         posegsa.by_hand("fast")  # type: ignore[arg-type]
+
+
+def test_nothing_of_a_simulated_run_stays_under_it(result: RecordingResult, tmp_path: Path) -> None:
+    stale = tmp_path / "checkpoints" / f"0{CHECKPOINT_SUFFIX}"
+    stale.parent.mkdir()
+    for path in (tmp_path / "result.json", tmp_path / "report.html", stale):
+        path.write_text("old", "utf-8")
+    posegsa.save(result, tmp_path, overwrite=True)
+    assert vars(posegsa.load_recorded(tmp_path)).keys() == vars(result).keys()
+    assert not (tmp_path / "result.json").exists()
+    assert not (tmp_path / "report.html").exists()
+    assert not stale.exists()
 
 
 def main_quietly(arguments: list[str]) -> int:
@@ -169,10 +186,20 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
         ({"recordings": recordings, "position_weight": -1.0}, "position_weight = -1.0"),
         ({"recordings": recordings, "resume": "run"}, "recordings with resume or cost"),
         ({"held_out": recordings}, "held_out without recordings"),
+        ({"schedule": "constant"}, "schedule without recordings"),
+        ({"position_weight": 3.0}, "position_weight without recordings"),
         ({"recordings": "bench.csv"}, "recordings = 'bench.csv'"),
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]
+    made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]
+    for arguments, words in (
+        ({"recordings": recordings, "seed": 3}, "seed with a result on recordings"),
+        ({"recordings": recordings, "scenarios": 7}, "scenarios with a result on recordings"),
+        ({"recordings": recordings, "training": recordings}, "bench is in training too"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            posegsa.evaluate(made, **arguments)  # type: ignore[call-overload]
     blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
     with pytest.raises(RecordingError, match="has no truth"):
         posegsa.tune(config.from_dict(TINY), recordings=blind)
