@@ -10,9 +10,7 @@ import posegsa
 from posegsa.judging.evaluation import CONSTANT, TUNED
 
 
-def main(
-    base="configs/paper.toml", gammas=(0.5, 1, 2, 5, 10, 20), seeds=range(5), out="gamma_study.png"
-):
+def main(base="paper", gammas=(0.5, 1, 2, 5, 10, 20), seeds=range(5), out="gamma_study.png"):
     base = base if isinstance(base, posegsa.Experiment) else posegsa.load_config(base)
     experiments = [posegsa.config.override(base, [f"filter.gamma={float(g)}"]) for g in gammas]
 

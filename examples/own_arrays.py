@@ -55,4 +55,4 @@ def main(run, samples=2000):
 
 if __name__ == "__main__":
     posegsa.enable_fast_path()
-    main(sys.argv[1])
+    main(sys.argv[1] if len(sys.argv) == 2 else sys.exit(__doc__))

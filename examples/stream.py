@@ -3,9 +3,9 @@
     python examples/stream.py --make 30 > sensors.csv     # 30 s of made-up sensors
     python examples/stream.py < sensors.csv               # or from a serial port, a socket, ...
 
-A line is time, gyroscope (3), velocity (3), accelerometer (3), compass (3), beacon (3); a field
-that is empty was not measured. All of it is in the body frame and SI units, and the body hardly
-accelerates.
+A line is time, gyroscope (3), velocity (3), accelerometer (3), compass (3), beacon (3), in the body
+frame and SI units; a field that is empty was not measured, and there is no head. The body hardly
+accelerates. Printed are time, position (3) [m] and roll, pitch, yaw [deg].
 """
 
 import csv
@@ -72,7 +72,7 @@ def made_lines(seconds):
 
 
 def main():
-    if sys.argv[1:2] == ["--make"]:
+    if sys.argv[1:2] == ["--make"] and len(sys.argv) == 3:
         print(*(line for line, _ in made_lines(float(sys.argv[2]))), sep="\n")
         return
     pose_filter = made_filter()

@@ -8,7 +8,7 @@ from pathlib import Path
 import posegsa
 
 
-def main(experiment="configs/quick.toml", folder="tuned", scenarios=200):
+def main(experiment="quick", folder="tuned", scenarios=200):
     # Searches the 22 numbers of the fuzzy controller, and those of filter and signal beside them,
     # on simulated scenarios; judges the best on scenarios that the search has not seen.
     result = posegsa.tune(experiment, seed=1)
