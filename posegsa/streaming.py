@@ -31,7 +31,7 @@ from posegsa.model.schedules import (
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import signal_settings
 
-FORMAT = 1
+FORMAT = 2
 """Number of the layout of a checkpoint; it changes with what is in it."""
 
 MAX_GAIN = 1e9
@@ -302,6 +302,7 @@ class PoseFilter:
         """All that the filter remembers, for `restore`; arrays as `numpy.savez` takes them."""
         return {
             "format": np.array(FORMAT),
+            "structure": np.array(self._loop.structure),
             "parameters": self._loop.parameters.copy(),
             "record": self._record.copy(),
             "ages": self._ages.copy(),
@@ -316,15 +317,17 @@ class PoseFilter:
             checkpoint: From `checkpoint`, or as `numpy.load` reads it back.
 
         Raises:
-            ArgumentError: It is none, is of another format, or of a filter with other numbers.
+            ArgumentError: It is none, is of another format, or of a filter with other laws, rules
+                or numbers.
         """
         check_type("checkpoint", checkpoint, Mapping, allowed="a mapping of arrays")
         own = self.checkpoint()
         given = {name: _stored(checkpoint, name, like) for name, like in own.items()}
         if given["format"] != FORMAT:
             refuse(f"checkpoint: format {given['format']}", f"format {FORMAT}")
-        if not np.array_equal(given["parameters"], own["parameters"]):
-            refuse("checkpoint: of a filter with other numbers", "one of this filter's own")
+        for name, what in (("structure", "laws or rules"), ("parameters", "numbers")):
+            if not np.array_equal(given[name], own[name]):
+                refuse(f"checkpoint: of a filter with other {what}", "one of this filter's own")
         self._record, self._ages = given["record"], given["ages"]
         self._velocities = tuple(given["velocities"])
         self._time, self._time_step = given["clock"].tolist()
@@ -445,6 +448,11 @@ def _by_hand(
     source: Any, settings: FilterSettings | None, signal: SignalSettings | None
 ) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
     """Schedule, settings and signal that were given one by one."""
+    if not (isinstance(source, Real | FuzzyController) or hasattr(source, "prepare")):
+        allowed = (
+            "a TuneResult (posegsa.load reads one), a gain schedule, a FuzzyController, a number"
+        )
+        refuse(f"source: a {type(source).__name__}", allowed)
     if settings is None:
         refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
     check_type("settings", settings, FilterSettings)

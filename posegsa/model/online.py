@@ -6,6 +6,7 @@ second, and the result as a third. The program is compiled once for all filters 
 their numbers are its arguments.
 """
 
+import zlib
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -123,6 +124,8 @@ class OnlineLoop:
         )
         self.parameters = layout.pack(parameters, self.dtype)
         """All numbers of the parameters, packed."""
+        self.structure = zlib.crc32(str(jax.tree.structure(parameters)).encode())
+        """A number of what is no number in them: laws, switches, rules, sub-steps."""
         self._on_device = jnp.asarray(self.parameters)
         self._before = before.size
         self.sample_size = sample.size

@@ -303,9 +303,10 @@ def test_what_is_returned_is_the_callers_own(pose_filter):
     ("change", "message"),
     [
         (lambda c: c.pop("ages"), "checkpoint: without 'ages'"),
-        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 1"),
+        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 2"),
         (lambda c: c.update(record=c["record"][1:]), "record of float64"),
         (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
+        (lambda c: c.update(structure=c["structure"] + 1), "of a filter with other laws or rules"),
     ],
 )
 def test_a_checkpoint_of_something_else_is_refused(pose_filter, change, message):
@@ -353,7 +354,7 @@ def test_bad_sources_are_refused(result):
     for source, given, message in (
         (7.0, {}, "settings: None; allowed: the filter's"),
         (-7.0, {"settings": settings}, "source, a constant gain = -7.0"),
-        ("K", {"settings": settings}, "source, settings or signal: holds <U1"),
+        ("run", {}, "source: a str; allowed: a TuneResult"),
         (result.controller, {"settings": settings}, "signal: None; allowed"),
         (7.0, {"settings": settings}, "settings.vectors.weights: 2 of them; allowed: 0"),
     ):
