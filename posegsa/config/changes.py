@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from posegsa.config.schedule import fitted_bounds
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation
 
@@ -20,6 +21,7 @@ def with_values(
         values: Paths of keys and array indices, such as `scenario.vectors.0.noise`, or of a whole
             section, each with its value.
     """
+    range_before = data["parameters"]["gain_range"]
     data["search"], named, violations = {}, [], []
     for path, value in values:
         named.append(path)
@@ -29,6 +31,12 @@ def with_values(
     if isinstance(data["search"], dict):
         data["search"] = _search(before, data["search"])
     parameters = data["parameters"]
+    if "parameters.gain_range" in named and isinstance(parameters, dict):
+        for key, fitted in fitted_bounds(*range_before).items():
+            # Bounds that were fitted to the range before, and are not stated, fit the new one.
+            stated = any(_overlap(path, f"parameters.{key}") for path in named)
+            if not stated and tuple(parameters[key]) == fitted:
+                del parameters[key]
     if not any(_overlap(path, "parameters.also") for path in named):
         # A number that is stated is not tuned any more.
         parameters["also"] = [

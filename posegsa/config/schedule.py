@@ -160,6 +160,16 @@ class FuzzyConfig(Section):
             yield Violation("coverage", reason, self.coverage)
 
 
+def fitted_bounds(low: float, high: float) -> dict[str, tuple[float, ...]]:
+    """The paper's bounds, lower and upper, with those of k12..k22 moved and scaled to a range."""
+    fitted = {}
+    for key, side in (("lower", 0), ("upper", 1)):
+        paper = [box[side] for box in _PAPER_BOXES]
+        scaled = [low + (high - low) * k / 100 for k in paper[11:]]
+        fitted[key] = (*paper[:11], *scaled)
+    return fitted
+
+
 class ParametersConfig(Section):
     """[parameters]: the boxes in which k1..k22 are searched, and the universe of the output."""
 
@@ -184,12 +194,7 @@ class ParametersConfig(Section):
             low, high = (float(end) for end in values["gain_range"])
         except (TypeError, ValueError):
             return values  # refused by the field's own check
-        fitted = {}
-        for key, side in (("lower", 0), ("upper", 1)):
-            paper = [box[side] for box in _PAPER_BOXES]
-            scaled = [low + (high - low) * k / 100 for k in paper[11:]]
-            fitted[key] = (*paper[:11], *scaled)
-        return fitted | dict(values)
+        return fitted_bounds(low, high) | dict(values)
 
     def _conflicts(self) -> Iterator[Violation]:
         if self.gain_range[0] >= self.gain_range[1]:

@@ -19,6 +19,25 @@ def test_values_are_replaced_as_settings_do() -> None:
     assert "filter.gamma" not in [also.key for also in changed.also]
 
 
+@pytest.mark.parametrize("ends", [(0.0, 50.0), (2.0, 200.0)])
+def test_bounds_fit_another_gain_range_as_they_do_in_a_file(ends: tuple[float, float]) -> None:
+    in_a_file = config.from_dict({"parameters": {"gain_range": list(ends)}}).parameters
+    assert in_a_file.upper != Experiment().parameters.upper
+    assert Experiment().replace(**{"parameters.gain_range": ends}).parameters == in_a_file
+    set_so = config.override(Experiment(), [f"parameters.gain_range={list(ends)}"])
+    assert set_so.parameters == in_a_file
+    # What is stated stays.
+    own = [*in_a_file.upper[:-1], ends[1]]
+    changed = Experiment().replace(
+        **{
+            "parameters.gain_range": ends,
+            "parameters.upper": own,
+            "parameters.lower": [*in_a_file.lower],
+        }
+    )
+    assert changed.parameters.upper == tuple(own)
+
+
 def test_another_optimiser_keeps_the_size_of_the_search() -> None:
     changed = Experiment().replace(**{"search.optimiser": "gsa"}).search
     assert isinstance(changed, GSA)
