@@ -26,7 +26,7 @@ from posegsa.errors import RecordingError
 from posegsa.recordings.inertial_frame import held, low_passed, strapdown
 from posegsa.recordings.magnetic_field import field_parts, field_weights, mean_so_far
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rest import rest_at_start
+from posegsa.recordings.rest import LARGEST_BIAS, rest_at_start
 from posegsa.recordings.start import Start
 from posegsa.recordings.units import check_units
 from posegsa.words import counted
@@ -331,7 +331,15 @@ def _samples_at_rest(rest: float | Literal["auto"], signals: Signals) -> int:
         raise RecordingError(
             f"rest = {rest:g} s; allowed: up to {duration:g} s, as long as the recording"
         )
-    return min(len(signals.gyr), round(rest / signals.time_step))
+    samples = min(len(signals.gyr), round(rest / signals.time_step))
+    turning = float(np.linalg.norm(signals.gyr[:samples].mean(axis=0))) if samples else 0.0
+    if turning > LARGEST_BIAS:
+        raise RecordingError(
+            f"rest = {rest:g} s: the gyroscope turns by {np.degrees(turning):.3g} deg/s on average "
+            f"in it; allowed: a time at rest (up to {np.degrees(LARGEST_BIAS):g} deg/s, its bias), "
+            'or 0 or "auto"'
+        )
+    return samples
 
 
 def _median(name: str, values: np.ndarray) -> np.ndarray:

@@ -185,6 +185,7 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
         ({"rest": "long"}, "rest = 'long'; allowed:"),
         ({"rest": 100.0}, "rest = 100 s; allowed: up to 9 s"),
         ({"rest": -1.0}, "rest = -1.0; allowed:"),
+        ({"rest": 2.0, "gyr": np.full((900, 3), 0.1)}, "rest = 2 s: the gyroscope turns by 9.92"),
         ({"rate": 0.0}, "rate = 0.0; allowed:"),
         ({"time": np.arange(900)}, "rate, time: give one of both"),
         ({"rate": None}, "rate, time: give one of both"),
