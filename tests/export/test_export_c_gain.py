@@ -64,7 +64,10 @@ CASES = {
         (*SAMPLED, "fuzzy.sampled_rule=trapezoid", "fuzzy.sampled_points=201"),
     ),
     "disordered": (DRAWN[3], (*SAMPLED, *GAPS, "fuzzy.ordering=false")),
-    "another range, gaps": (DRAWN[0], ("parameters.gain_range=[0.0,300.0]", *MIDRANGE)),
+    "another range, gaps": (
+        np.concatenate([DRAWN[0][:11], 3 * DRAWN[0][11:]]),  # the boxes grow with the range
+        ("parameters.gain_range=[0.0,300.0]", *MIDRANGE),
+    ),
     "no width, gaps": (np.array(NO_WIDTH), WIDE),
     "no width, sampled, gaps": (np.array(NO_WIDTH), (*SAMPLED, *WIDE)),
     "spikes": (np.array(SPIKES), WIDE),
