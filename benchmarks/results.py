@@ -1,11 +1,13 @@
-"""What tuning gives on unseen scenarios: the result tables of the README.
+"""What tuning gives on unseen scenarios: the result table of the README, those of docs/results.md.
+
+The README's says each filter's cost on each kind of scenario. The others are:
 
 1. The tuned filter beside every baseline on held-out scenarios, of each kind of scenario.
 2. Scenarios as in the field: the tuned filter against each baseline, over seeds of the search.
 3. Tuned filters long after the time that they were tuned for.
 4. Each configuration over several seeds: training beside held-out cost.
 
-    python benchmarks/results.py [--scenarios 1000] [--seeds 3] [--only NAME] [--readme]
+    python benchmarks/results.py [--scenarios 1000] [--seeds 3] [--only NAME] [--write]
 
 What has been judged is kept in benchmarks/results.json and used again; --again judges anew.
 """
@@ -46,9 +48,9 @@ ENDURANCE_ONLY = {
     "paper_literal": Case("`paper_literal.toml`, 15 s", "paper_literal"),
 }
 KEPT = ROOT / "benchmarks" / "results.json"
-HELD_OUT_SEED = 4
+HELD_OUT_SEED = 5
 """A held-out set of its own: `tune` prints costs on the first scenarios of the experiment's set, so
-those have been looked at during development."""
+those have been looked at during development, and set 4 was judged before the defaults changed."""
 SEEDED = ("recommended", "paper", "paper_literal")
 
 
@@ -96,6 +98,9 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
         "scenarios": scenarios,
         "rows": rows,
         "means": {name: evaluation.cost(name).mean for name in evaluation.contenders},
+        "worst": {
+            name: float(np.max(each.metrics.cost)) for name, each in evaluation.contenders.items()
+        },
         "differences": differences,
         "endurance": endurance_rows(case, result),
         "note": (
@@ -103,6 +108,19 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
             "carry 1 % of the weight"
         ),
     }
+
+
+def overview(kept: dict[str, dict[str, Any]]) -> str:
+    """The README's table: each filter on each kind of scenario."""
+    found = {case.title: kept[f"{name} 0"] for name, case in JUDGED.items() if f"{name} 0" in kept}
+    first = next(iter(found.values()))
+    lines = [f"| filter | {' | '.join(found)} |", f"| --- |{' --: |' * len(found)}"]
+    for name in first["means"]:
+        cells = (
+            f"{each['means'][name]:.1f} ({each['worst'][name]:.0f})" for each in found.values()
+        )
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
@@ -187,13 +205,13 @@ def seeded(seeds: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Result tables of the README.")
+    parser = argparse.ArgumentParser(description="Tables of what tuning gives.")
     parser.add_argument("--scenarios", type=int, default=1000, help="held-out scenarios")
     parser.add_argument("--seeds", type=int, default=3, help="searches of each configuration")
     parser.add_argument("--only", choices=JUDGED, help="judge one kind of scenario")
     parser.add_argument("--seed", type=int, help="with --only: for one seed of the search")
     parser.add_argument("--again", action="store_true", help="judge anew what is kept")
-    parser.add_argument("--readme", action="store_true", help="write the tables into README.md")
+    parser.add_argument("--write", action="store_true", help="write the tables into their pages")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
@@ -216,15 +234,16 @@ def main() -> None:
             if options.again or name not in kept:
                 keep(name, {"endurance": endurance_rows(case, posegsa.tune(experiment_of(case)))})
     command = f"`python benchmarks/results.py --scenarios {options.scenarios} --seeds"
-    command += f" {options.seeds} --readme`"
+    command += f" {options.seeds} --write`"
     text = tables(kept, options.seeds)
     if not options.only:
         if options.again or kept.get("seeded", {}).get("seeds") != options.seeds:
             keep("seeded", {"seeds": options.seeds, "table": seeded(options.seeds)})
         text += f"\n\n{kept['seeded']['table']} All tables: {command}."
     print(text)
-    if options.readme:
-        write_block("results", text)
+    if options.write:
+        write_block("results", overview(kept))
+        write_block("results", text, "docs/results.md")
 
 
 if __name__ == "__main__":

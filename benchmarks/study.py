@@ -28,6 +28,10 @@ from posegsa.search.run import run_search
 VALIDATION_SCENARIOS = 256
 ALSO = [one.key for one in config.Experiment().parameters.also]
 _RATE = {"key": "gain.rate_scale", "lower": 0.01, "upper": 1000.0, "scale": "logarithmic"}
+_OF_VECTORS = (
+    {"key": "scenario.vectors.0.weight", "lower": 0.2, "upper": 2.0, "scale": "logarithmic"},
+    {"key": "filter.cross_vector_weight", "lower": 0.003, "upper": 2.0, "scale": "logarithmic"},
+)
 
 
 def without(*keys: str) -> str:
@@ -53,13 +57,9 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "gamma linear in K": ("filter.gamma_law=linear",),
     "gain of the vectors' biases fixed": ("filter.vector_bias_law=fixed",),
     "nothing tuned beside k1 to k22": ("parameters.also=[]",),
-    "weights not tuned": (
-        without(
-            "scenario.vectors.0.weight",
-            "scenario.landmarks.0.weight",
-            "filter.cross_vector_weight",
-        ),
-    ),
+    "unit of length not tuned": (without("filter.length"),),
+    "weight of the landmarks not tuned": (without("scenario.landmarks.0.weight"),),
+    "weights of the vectors tuned too": (tuned_too(ALSO, *_OF_VECTORS),),
     "no rate input": ("gain.rate_scale=0.0",),
     "rate per second, scale tuned": ("gain.rate=per_second", tuned_too(ALSO, _RATE)),
     "gravitational search, G0 1": ("search.optimiser=gsa", "search.g0=1.0"),

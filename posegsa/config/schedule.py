@@ -54,10 +54,9 @@ _PAPER_BOXES = (  # (low, high) of k1..k22, the paper's Eqs. 18 and 19
 DEFAULT_ALSO = tuple(
     AlsoTuned(key=key, lower=lower, upper=upper, scale="logarithmic")
     for key, lower, upper in (
-        ("scenario.vectors.0.weight", 0.2, 2.0),
         ("scenario.landmarks.0.weight", 0.1, 3.0),
+        ("filter.length", 0.3, 10.0),
         ("filter.gamma", 0.2, 20.0),
-        ("filter.cross_vector_weight", 0.003, 2.0),
         ("filter.vector_bias_gain", 0.01, 5.0),
         ("gain.position_weight", 0.01, 1.0),
         ("gain.smoothing", 0.1, 5.0),

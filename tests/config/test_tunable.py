@@ -113,13 +113,13 @@ def keys_of(experiment: config.Experiment) -> set[str]:
     [
         ([], set()),
         (["filter.vector_bias=off"], OF_BIAS),
-        (["filter.cross_vector=false"], {"filter.cross_vector_weight"}),
+        (["filter.law=printed"], {"filter.length"}),
         (["filter.gamma=3.0"], {"filter.gamma"}),
         (["filter.gamma=[3.0, 4.0]"], {"filter.gamma"}),
         (["gain.smoothing=1.0", "filter.vector_bias=off"], {"gain.smoothing"} | OF_BIAS),
-        (["scenario.vectors.0.weight=1.0"], {"scenario.vectors.0.weight"}),
+        (["scenario.landmarks.0.weight=1.0"], {"scenario.landmarks.0.weight"}),
         (["scenario.vectors.1.weight=1.0"], set()),
-        (["scenario.vectors.0.noise=0.2"], set()),
+        (["scenario.landmarks.0.noise=0.2"], set()),
     ],
 )
 def test_of_the_default_list_what_is_stated_or_without_effect_is_not_tuned(settings, gone) -> None:

@@ -87,14 +87,13 @@ def also(*keys: str) -> config.Experiment:
 def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
     kept = with_effect_on(config.Experiment(), vectors=2, landmarks=0, schedule="constant")
     assert [one.key for one in kept.also] == [
-        "scenario.vectors.0.weight",
         "filter.gamma",
-        "filter.cross_vector_weight",
         "filter.vector_bias_gain",
     ]
     kept = with_effect_on(config.Experiment(), vectors=0, landmarks=4, schedule="smooth")
     assert [one.key for one in kept.also] == [
         "scenario.landmarks.0.weight",
+        "filter.length",
         "filter.gamma",
         "gain.smoothing",
         "gain.error_scale",
