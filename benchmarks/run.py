@@ -37,7 +37,7 @@ from run_tables import (
     C,
     Row,
     machine_line,
-    readme_rows,
+    overview,
     scaling,
     sentences,
     table,
@@ -368,14 +368,13 @@ def write_pages(rows: list[Row], facts: dict[str, Any], about: dict[str, str], t
     """README, docs/benchmarks.md and the figure."""
     scaling(rows).savefig(FIGURE, dpi=200)
     write_block("benchmarks", text, "docs/benchmarks.md")
-    short = [
-        table(readme_rows(rows)),
-        "",
-        f"{' '.join(sentences(facts))} {machine_line(about)}",
-        "",
-        "![Time of a population against the number of agents](benchmarks/scaling.png)",
-    ]
-    write_block("benchmarks", "\n".join(short))
+    search = facts["search"][max(facts["search"], key=int)]
+    short = (
+        f"{overview(rows)}\n\nThe paper's whole run, {search['agents']} agents x "
+        f"{search['iterations']} iterations: {search['best']:.2f} s once compiled. "
+        f"{machine_line(about)}"
+    )
+    write_block("benchmarks", short)
 
 
 if __name__ == "__main__":

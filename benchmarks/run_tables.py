@@ -43,6 +43,11 @@ class Row:
         return None if self.best is None else 1e9 * self.best / self.steps
 
     @property
+    def limitless(self) -> bool:
+        """Whether it is another computation, without the gain limit."""
+        return "without gain limit" in self.contender
+
+    @property
     def ratio(self) -> float | None:
         """How many times C's time."""
         return None if self.best is None or not self.c_best else self.best / self.c_best
@@ -118,22 +123,21 @@ def machine_line(machine: dict[str, str]) -> str:
     )
 
 
-def readme_rows(rows: Sequence[Row]) -> list[Row]:
-    """The rows that the README shows.
-
-    C and posegsa in float32 on 100 agents with every number of threads; all else with the most
-    threads that it can use, posegsa in three sizes.
-    """
-    most = max(row.threads for row in rows)
-
-    def shown(row: Row) -> bool:
-        base = row.agents == 100 and row.scenarios == 1
-        if row.contender in (C, POSEGSA):
-            plain = row.dtype == "float32"
-            return (base and plain) or (row.threads == most and row.agents in (100, 1000, 10_000))
-        return base and row.threads == (most if row.contender == NUMBA else 1)
-
-    return [row for row in rows if shown(row)]
+def overview(rows: Sequence[Row]) -> str:
+    """The README's table: one population of 100 agents, each contender with all its threads."""
+    base = [row for row in rows if row.agents == 100 and row.scenarios == 1 and not row.limitless]
+    lines = [
+        "| a population of 100 agents, 15 s each | threads | time | times C |",
+        "| --- | --: | --: | --: |",
+    ]
+    for name in dict.fromkeys(row.contender for row in base):
+        # In the contender's fastest precision, which for posegsa and C is float32.
+        own = [row for row in base if row.contender == name and row.best is not None]
+        if own:
+            best = min(own, key=lambda row: row.best or 0.0)
+            ratio = "-" if best.ratio is None else number(best.ratio)
+            lines.append(f"| {name} | {best.threads} | {duration(best.best or 0.0)} | {ratio} |")
+    return "\n".join(lines)
 
 
 @styled

@@ -10,7 +10,7 @@ from contenders import c, numpy_vectorised, plain_loop
 from contenders.posegsa_worker import parameter_vectors, scene_of
 from contenders.scene import Scene, load
 from readme import ROOT
-from run_tables import POSEGSA, C, Row, duration, readme_rows, table
+from run_tables import POSEGSA, C, Row, duration, overview, table
 from setups import lasting, paper
 
 from posegsa.search.build import tuning_problem
@@ -106,7 +106,8 @@ def test_rows_say_time_ratio_and_what_is_wrong() -> None:
     assert "| 1.5 ms (2 ms) | 10 | 1 | 3e-06 |" in lines[0]
     assert "| 36 ms (40 ms) | 30 | 3 | - |" in lines[1]
     assert "| - | - | - | 5e-01 | WRONG |" in lines[2]
-    assert readme_rows(rows) == rows
+    short = overview([*rows, Row(f"{C}, without gain limit", 2, best=0.001)]).splitlines()[2:]
+    assert short == [f"| {C} | 2 | 1.5 ms | 1 |"], "one size, and only what was timed"
     assert [duration(t) for t in (0.0123, 61, 9000)] == ["12.3 ms", "1.02 min", "2.5 h"]
 
 
