@@ -10,7 +10,6 @@ import importlib
 import os
 import platform
 import warnings
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -18,6 +17,7 @@ import numpy as np
 
 from posegsa.arguments import check_whole
 from posegsa.errors import PosegsaWarning
+from posegsa.version import VERSION
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
 _WIDTH = "--xla_cpu_prefer_vector_width"
@@ -114,7 +114,7 @@ def environment() -> dict[str, str]:
     """What a result says of the machine that made it."""
     device = jax.devices()[0]
     return {
-        "posegsa": version("posegsa"),
+        "posegsa": VERSION,
         "jax": jax.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),

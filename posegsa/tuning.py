@@ -26,7 +26,8 @@ from posegsa.saving.run import write_run
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
-from posegsa.search.recorded import DEGREES_PER_METRE, RecordedSchedule, recorded_problem
+from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
+from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.search.run import Progress, run_search, search_batch
 from posegsa.words import toml
 

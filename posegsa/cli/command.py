@@ -5,12 +5,13 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib import import_module
 
-from posegsa.cli import compare, configs, evaluate, export, replay, tune
+from posegsa.cli.parsers import compare, configs, evaluate, export, replay, tune
+from posegsa.cli.parsers.lazy_help import Parser
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
-from posegsa.runtime import enable_compilation_cache, enable_fast_path
 from posegsa.saving import interrupt
+from posegsa.version import VERSION
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,11 +23,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
-        enable_fast_path()
-        enable_compilation_cache()
         try:
             with interrupt.immediate_signals(_say_stopping):
-                return options.command(options)
+                return _run(options)
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
             print(error.result.summary())
@@ -44,12 +43,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 128 + signal.SIGINT
 
 
+def _run(options: argparse.Namespace) -> int:
+    """Import the command that was named, and what it needs, and run it."""
+    if options.command != "configs":
+        from posegsa import runtime  # imports JAX, which takes longer than to list configurations
+
+        runtime.enable_fast_path()
+        runtime.enable_compilation_cache()
+    return import_module(f"posegsa.cli.{options.command}").run(options)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
     )
-    parser.add_argument("--version", action="version", version=f"posegsa {version('posegsa')}")
+    parser.add_argument("--version", action="version", version=f"posegsa {VERSION}")
     commands = parser.add_subparsers(title="commands", required=True)
     for command in (tune, evaluate, replay, export, compare, configs):
         command.add(commands)

@@ -8,12 +8,13 @@ from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, describe, s
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.result import TuneResult
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import cost_name
 from posegsa.search.run import Found
+from posegsa.version import VERSION
 
 
 def judge(problem: TuningProblem, found: Found) -> TuneResult:

@@ -14,7 +14,6 @@ from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
 from posegsa.judging.evaluation import Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
-from posegsa.judging.result import VERSION
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
@@ -30,6 +29,7 @@ from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
+from posegsa.version import VERSION
 from posegsa.words import counted, text_table
 
 
