@@ -1,6 +1,7 @@
 """The command line: `posegsa tune`, `evaluate`, `replay`, `export`, `compare` and `configs`."""
 
 import argparse
+import logging
 import signal
 import sys
 import warnings
@@ -49,7 +50,8 @@ def _run(options: argparse.Namespace) -> int:
         from posegsa import runtime  # imports JAX, which takes longer than to list configurations
 
         runtime.enable_fast_path()
-        runtime.enable_compilation_cache()
+        # It has two warnings about a home that can't be written; ours has one line.
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
     return import_module(f"posegsa.cli.{options.command}").run(options)
 
 

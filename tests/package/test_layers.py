@@ -10,8 +10,8 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words lazy version runtime settings | optimisers model | exchange config"
-    " | recordings | search | judging | figures | report export | saving"
+    "errors arguments words lazy version compiled_programs runtime settings | optimisers model"
+    " | exchange config | recordings | search | judging | figures | report export | saving"
     " | tuning evaluating replaying comparing streaming"
     " | __init__ | cli | __main__"
 )
