@@ -7,7 +7,7 @@ from typing import NamedTuple, get_args, overload
 
 import jax
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, refuse, several
 from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError, SaveError
 from posegsa.judging.judge import judge
@@ -24,7 +24,7 @@ from posegsa.saving.recorded import write_recorded
 from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
 from posegsa.saving.run import write_run
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
+from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
 from posegsa.search.recorded_schedules import RecordedSchedule
@@ -156,7 +156,7 @@ def tune(
         with locked_folder(out, overwrite=overwrite) as folder:
             return _tune_in_folder(chosen, folder, None, cost, progress)
     with jax.enable_x64(chosen.run.dtype == "float64"):
-        problem = tuning_problem(chosen, cost)
+        problem = _prepared(chosen, cost)
         return judge(problem, run_search(problem, progress))
 
 
@@ -210,7 +210,9 @@ def _tune_on_recordings(
                 raise SaveError(str(error), result) from error
             return result
     with jax.enable_x64(experiment.run.dtype == "float64"):
+        steps.begin("preparing")
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
+        steps.begin("compiling")
         found = run_search(problem, progress)
         return judge_on_recordings(
             problem, found, task.position_weight, task.training, task.held_out
@@ -244,7 +246,8 @@ def tune_batch(
     many = _all_chosen(experiments, seeds)
     memory.check(many)
     with jax.enable_x64(many[0].run.dtype == "float64"):
-        problems = [tuning_problem(one) for one in many]
+        problems = [tuning_problem(one) for one in steps.each("preparing", many)]
+        steps.begin("compiling")
         found = search_batch(problems, progress)
         return TuneBatch(tuple(map(judge, problems, found)))
 
@@ -258,13 +261,21 @@ def _tune_in_folder(
 ) -> TuneResult:
     """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        problem = tuning_problem(experiment, cost)
+        problem = _prepared(experiment, cost)
         result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
     try:
         write_run(result, folder)
     except RunFolderError as error:
         raise SaveError(str(error), result) from error
     return result
+
+
+def _prepared(experiment: config.Experiment, cost: TrackCost | None) -> TuningProblem:
+    """The problem of an experiment, whose search comes next."""
+    steps.begin("preparing")
+    problem = tuning_problem(experiment, cost)
+    steps.begin("compiling")
+    return problem
 
 
 def _resume(

@@ -10,6 +10,7 @@ from importlib import import_module
 
 from posegsa.cli.parsers import compare, configs, evaluate, export, replay, tune
 from posegsa.cli.parsers.lazy_help import Parser
+from posegsa.cli.progress import say
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
 from posegsa.saving import interrupt
 from posegsa.version import VERSION
@@ -68,15 +69,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say_stopping() -> None:
-    print(
-        "\nposegsa: stopping; again to stop at once (then only the last checkpoint is kept)",
-        file=sys.stderr,
-        flush=True,
-    )
+    say("posegsa: stopping; again to stop at once (then only the last checkpoint is kept)")
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
     if issubclass(category, PosegsaWarning):
-        print(f"note: {message}", file=sys.stderr)
+        say(f"note: {message}")
     else:
         sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))

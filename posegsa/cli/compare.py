@@ -3,7 +3,7 @@
 import argparse
 
 from posegsa import comparing, config
-from posegsa.cli.progress import CompareBar
+from posegsa.cli.progress import CompareDisplay
 from posegsa.optimisers.functions import ClassicalFunction
 
 
@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     if options.optimisers is not None:
         given = (name.strip() for name in options.optimisers.split(","))
         names = list(dict.fromkeys(filter(None, given)))
-    with CompareBar(names, options.repeats, quiet=options.quiet) as show:
+    with CompareDisplay(names, quiet=options.quiet) as show:
         comparison = comparing.compare(
             experiment,
             optimisers=names,

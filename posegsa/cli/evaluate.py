@@ -1,9 +1,9 @@
 """`posegsa evaluate`."""
 
 import argparse
-import sys
 
 from posegsa import evaluating
+from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import CONSTANT
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.run import load, write_run
@@ -14,17 +14,12 @@ def run(options: argparse.Namespace) -> int:
     load(options.run)  # where there is no run, nothing is made
     with locked_folder(options.run, overwrite=True) as folder:  # before the minutes, not after
         result = load(folder)  # again: another process may have replaced it in between
-        result = evaluating.evaluate(
-            result, scenarios=options.scenarios, seed=options.seed, progress=_say
-        )
-        write_run(result, folder)
+        with Display(quiet=options.quiet):
+            result = evaluating.evaluate(result, scenarios=options.scenarios, seed=options.seed)
+            write_run(result, folder)
     print(result.evaluation.table())
     print(f"\n{result.endurance.table(CONSTANT)}")
     for warning in result.warnings():
         print(f"  warning: {warning}")
     print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
     return 0
-
-
-def _say(text: str) -> None:
-    print(f"{text} ...", file=sys.stderr, flush=True)

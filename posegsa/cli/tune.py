@@ -8,7 +8,7 @@ import jax
 
 from posegsa import config, tuning
 from posegsa.cli.parsers.tune import FILES, OUT
-from posegsa.cli.progress import TuneBar
+from posegsa.cli.progress import TuneDisplay
 from posegsa.cli.replay import read
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving import recorded
@@ -26,9 +26,11 @@ def run(options: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
+    with TuneDisplay(_judging(experiment), quiet=options.quiet or not first) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
         result = tuning.tune(experiment, **where, progress=show)
+    if options.resume is not None and not show.began:
+        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
     if first:
         print(result.summary())
         print(f"\nWritten to {out or options.resume}: {FILES}")
@@ -43,7 +45,7 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     held_out = read(options.held_out or [], options.held_out_window)
     for one in (*recordings, *held_out):
         print(one.describe())
-    with TuneBar(experiment.search.total_iterations, quiet=options.quiet) as show:
+    with TuneDisplay(_judging(experiment), quiet=options.quiet) as show:
         result = tuning.tune(
             experiment,
             recordings=recordings,
@@ -56,6 +58,11 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     print(f"\n{result.summary()}")
     print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
     return 0
+
+
+def _judging(experiment: config.Experiment) -> str:
+    """What judging will take: the best constant gains are searched too where more is tuned."""
+    return f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
 
 
 def _join(options: argparse.Namespace) -> bool:

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from posegsa import steps
 from posegsa.arguments import check_type
 from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import FuzzyError, RecordingError
@@ -219,8 +220,10 @@ def judge_on_recordings(
         environment=environment(),
         version=VERSION,
     )
-    result.training.extend(score(one, result.estimate(one)) for one in training)
-    result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
+    both = ((result.training, training), (result.held_out, held_out))
+    pairs = [(scores, one) for scores, recordings in both for one in recordings]
+    for scores, one in steps.each("judging", pairs, lambda pair: pair[1].name):
+        scores.append(score(one, result.estimate(one)))
     return result
 
 

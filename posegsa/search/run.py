@@ -12,7 +12,7 @@ from jax import Array
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.errors import ConfigError
 from posegsa.optimisers import (
     Differentiable,
@@ -45,6 +45,11 @@ class Progress(NamedTuple):
     """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
+
+
+def tell_share(progress: Progress) -> None:
+    """Tell how far a search is that is a part of something longer (`posegsa.steps`)."""
+    steps.share(progress.iteration / progress.iterations)
 
 
 Keep = Callable[[Search, float, float], object]

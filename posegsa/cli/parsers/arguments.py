@@ -32,6 +32,11 @@ def add_search_arguments(
     )
     parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
+    add_quiet(parser)
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """--quiet, for a command that takes long."""
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
