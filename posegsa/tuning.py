@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple, get_args, overload
 
@@ -16,10 +17,12 @@ from posegsa.judging.result import TuneBatch, TuneResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
+    checkpoint_paths,
     newest_checkpoint,
     search_with_checkpoints,
 )
 from posegsa.saving.folder import locked_folder
+from posegsa.saving.interrupt import resumable
 from posegsa.saving.recorded import write_recorded
 from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
 from posegsa.saving.run import write_run
@@ -94,8 +97,9 @@ def tune(
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it does the latter by itself, and
-    Ctrl-C or SIGTERM stop it where it can go on. It runs on all devices of the process, or of all
-    processes that have joined (`posegsa.search.devices.join_processes`), to the same bits.
+    Ctrl-C, SIGTERM and SIGUSR1 stop it where it can go on. It runs on all devices of the process,
+    or of all processes that have joined (`posegsa.search.devices.join_processes`), to the same
+    bits.
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
@@ -131,7 +135,7 @@ def tune(
         RunFolderError: `out` holds a run already, or can't be written, found before the search; or
             another process is writing there, or `resume` holds no run.
         SaveError: The result can't be written, only now; the error has it as `result`.
-        SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
+        SearchInterrupted: Ctrl-C, SIGTERM or SIGUSR1, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
     check_callable("cost", cost)
@@ -262,12 +266,23 @@ def _tune_in_folder(
     """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = _prepared(experiment, cost)
-        result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
+        found = search_with_checkpoints(problem, folder, run, progress)
+        with _resumable(folder):
+            result = judge(problem, found)
     try:
-        write_run(result, folder)
+        with _resumable(folder):
+            write_run(result, folder)
     except RunFolderError as error:
         raise SaveError(str(error), result) from error
     return result
+
+
+def _resumable(folder: Path) -> AbstractContextManager[None]:
+    """After the search, a context for what is done with what it found."""
+    if not checkpoint_paths(folder):
+        return nullcontext()
+    how = f"go on with: posegsa tune --resume {folder}"
+    return resumable(lambda: f"interrupted; all iterations are done and saved, {how}")
 
 
 def _prepared(experiment: config.Experiment, cost: TrackCost | None) -> TuningProblem:

@@ -19,14 +19,15 @@ from posegsa.version import VERSION
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status.
 
-    0 done, 1 done but not written, 2 refused, 130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
+    0 done, 1 done but not written, 2 refused, 128 + n stopped by signal n: 130 Ctrl-C, 143 SIGTERM,
+    138 SIGUSR1.
     """
     options = _parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
         try:
-            with interrupt.immediate_signals(_say_stopping):
+            with interrupt.immediate_signals(_say_stopping, _say_stopped):
                 return _run(options)
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
@@ -38,10 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
         except SearchInterrupted as stopped:
-            print(f"\nposegsa: {stopped}", file=sys.stderr)
+            print(f"posegsa: {stopped}", file=sys.stderr)
             return 128 + stopped.signal_number
         except KeyboardInterrupt:
-            print("\nposegsa: interrupted", file=sys.stderr)
+            print("posegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
 
 
@@ -70,6 +71,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _say_stopping() -> None:
     say("posegsa: stopping; again to stop at once (then only the last checkpoint is kept)")
+
+
+def _say_stopped(how: str) -> None:
+    say(f"posegsa: {how}")
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:

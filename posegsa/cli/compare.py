@@ -5,6 +5,7 @@ import argparse
 from posegsa import comparing, config
 from posegsa.cli.progress import CompareDisplay
 from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.saving.interrupt import resumable
 
 
 def run(options: argparse.Namespace) -> int:
@@ -19,7 +20,12 @@ def run(options: argparse.Namespace) -> int:
     if options.optimisers is not None:
         given = (name.strip() for name in options.optimisers.split(","))
         names = list(dict.fromkeys(filter(None, given)))
-    with CompareDisplay(names, quiet=options.quiet) as show:
+    kept = "searches that are done are kept, the same command goes on"
+    how = "nothing is kept without --out" if options.out is None else kept
+    with (
+        resumable(lambda: f"interrupted; {how}"),
+        CompareDisplay(names, quiet=options.quiet) as show,
+    ):
         comparison = comparing.compare(
             experiment,
             optimisers=names,

@@ -6,6 +6,7 @@ from posegsa import evaluating
 from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import CONSTANT
 from posegsa.saving.folder import locked_folder
+from posegsa.saving.interrupt import resumable
 from posegsa.saving.run import load, write_run
 
 
@@ -14,7 +15,7 @@ def run(options: argparse.Namespace) -> int:
     load(options.run)  # where there is no run, nothing is made
     with locked_folder(options.run, overwrite=True) as folder:  # before the minutes, not after
         result = load(folder)  # again: another process may have replaced it in between
-        with Display(quiet=options.quiet):
+        with resumable(lambda: "interrupted; the run is as it was"), Display(quiet=options.quiet):
             result = evaluating.evaluate(result, scenarios=options.scenarios, seed=options.seed)
             write_run(result, folder)
     print(result.evaluation.table())

@@ -1,6 +1,7 @@
 """The search: an experiment made ready, and its parameter space searched in one compiled loop."""
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -13,7 +14,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from posegsa import config, steps
-from posegsa.errors import ConfigError
+from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.optimisers import (
     Differentiable,
     Search,
@@ -132,6 +133,9 @@ def run_search(
         keep: As `run_timed`'s.
     """
     optimiser, search = problem.experiment.search, search or first_search(problem)
+    for phase in optimiser.phases:
+        if price := phase.price(len(problem.space.box.lower)):
+            warnings.warn(price, PosegsaWarning, stacklevel=2)
     if not optimiser.on_host:
         return _run_on_devices(problem, search, progress, keep)
     run = runner(optimiser, on_all_devices(problem), problem.space.box, python_objective=True)
