@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, check_type, check_whole, several
 from posegsa.errors import ConfigError
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
@@ -148,6 +148,7 @@ def compare(
     # A run in that folder has files of other names: nothing of it is overwritten.
     place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     with place as folder, jax.enable_x64(one.run.dtype == "float64"):
+        steps.begin("preparing")
         subject = _filter(one) if function is None else _function(function)
         comparison = OptimiserComparison(
             subject=subject.title,
@@ -167,6 +168,7 @@ def compare(
                 if folder is not None:
                     write_searches(comparison, folder)
         if folder is not None:
+            steps.begin("drawing")
             write_comparison(comparison, folder, levels)
     return comparison
 

@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 from typing import overload
 
 import jax
 
+from posegsa import steps
 from posegsa.arguments import (
     MAX_INTEGER,
     check_callable,
@@ -130,11 +132,12 @@ def evaluate(
     memory.check([experiment], held_out=scenarios)
     say = progress if progress is not None else lambda _: None
     with jax.enable_x64(experiment.run.dtype == "float64"):
+        steps.begin("preparing")
         problem = tuning_problem(experiment, cost)
         found = _all_found(result, problem, say)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
         contenders = {}
-        for name, description in found.items():
+        for name, description in steps.each("judging", list(found.items()), itemgetter(0)):
             say(f"judging: {name}")
             if description.kind == "Kalman":
                 held_out = kalman_scenarios(
@@ -189,10 +192,10 @@ def _all_found(
             vector_biases=name == EKF_VECTORS,
             cost=problem.cost,
         )
-    for name, search in find.items():
-        if name not in known:
-            say(f"searching: {name}")
-            known[name] = search()
+    missing = [name for name in find if name not in known]
+    for name in steps.each("searching", missing, str):
+        say(f"searching: {name}")
+        known[name] = find[name]()
     return {name: known[name] for name in CONTENDERS}
 
 

@@ -10,14 +10,14 @@ import importlib
 import os
 import platform
 import warnings
-from importlib.metadata import version
-from pathlib import Path
 
 import jax
 import numpy as np
 
 from posegsa.arguments import check_whole
+from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.errors import PosegsaWarning
+from posegsa.version import VERSION
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
 _WIDTH = "--xla_cpu_prefer_vector_width"
@@ -72,17 +72,21 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
 def enable_fast_path(devices: int | None = None) -> bool:
     """Set what the fast path on CPUs needs; call it before anything else uses JAX.
 
+    Compiled programs are kept on disk too, for the next process
+    (`compiled_programs.enable_compilation_cache`).
+
     Args:
         devices: As of `fast_path_flags`; searches are divided over them.
 
     Returns:
-        Whether it came in time. Too late, it changes nothing and warns: results are the same,
-        slower.
+        Whether it came in time. Too late, XLA's options stay as they are, and it warns: results are
+        the same, slower.
 
     Raises:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     flags = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
+    enable_compilation_cache()
     # Private, but there is no public way to ask; should it go, only the warning goes with it.
     bridge = importlib.import_module("jax._src.xla_bridge")
     if getattr(bridge, "backends_are_initialized", lambda: False)():
@@ -97,24 +101,11 @@ def enable_fast_path(devices: int | None = None) -> bool:
     return True
 
 
-def enable_compilation_cache() -> None:
-    """Keep compiled programs on disk, so that a second process need not compile them again.
-
-    They go to `posegsa` in the user's cache folder (XDG_CACHE_HOME, else ~/.cache), unless JAX has
-    been given a folder already (JAX_COMPILATION_CACHE_DIR). The command line calls this for itself.
-    """
-    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
-        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "posegsa"))
-    # Most programs here compile in under a second; together they are most of a short run.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-
-
 def environment() -> dict[str, str]:
     """What a result says of the machine that made it."""
     device = jax.devices()[0]
     return {
-        "posegsa": version("posegsa"),
+        "posegsa": VERSION,
         "jax": jax.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),

@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple, get_args, overload
 
 import jax
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, refuse, several
 from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError, SaveError
 from posegsa.judging.judge import judge
@@ -16,17 +17,20 @@ from posegsa.judging.result import TuneBatch, TuneResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
+    checkpoint_paths,
     newest_checkpoint,
     search_with_checkpoints,
 )
 from posegsa.saving.folder import locked_folder
+from posegsa.saving.interrupt import resumable
 from posegsa.saving.recorded import write_recorded
 from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
 from posegsa.saving.run import write_run
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
+from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
-from posegsa.search.recorded import DEGREES_PER_METRE, RecordedSchedule, recorded_problem
+from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
+from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.search.run import Progress, run_search, search_batch
 from posegsa.words import toml
 
@@ -93,8 +97,9 @@ def tune(
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it does the latter by itself, and
-    Ctrl-C or SIGTERM stop it where it can go on. It runs on all devices of the process, or of all
-    processes that have joined (`posegsa.search.devices.join_processes`), to the same bits.
+    Ctrl-C, SIGTERM and SIGUSR1 stop it where it can go on. It runs on all devices of the process,
+    or of all processes that have joined (`posegsa.search.devices.join_processes`), to the same
+    bits.
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
@@ -130,7 +135,7 @@ def tune(
         RunFolderError: `out` holds a run already, or can't be written, found before the search; or
             another process is writing there, or `resume` holds no run.
         SaveError: The result can't be written, only now; the error has it as `result`.
-        SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
+        SearchInterrupted: Ctrl-C, SIGTERM or SIGUSR1, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
     check_callable("cost", cost)
@@ -155,7 +160,7 @@ def tune(
         with locked_folder(out, overwrite=overwrite) as folder:
             return _tune_in_folder(chosen, folder, None, cost, progress)
     with jax.enable_x64(chosen.run.dtype == "float64"):
-        problem = tuning_problem(chosen, cost)
+        problem = _prepared(chosen, cost)
         return judge(problem, run_search(problem, progress))
 
 
@@ -209,7 +214,9 @@ def _tune_on_recordings(
                 raise SaveError(str(error), result) from error
             return result
     with jax.enable_x64(experiment.run.dtype == "float64"):
+        steps.begin("preparing")
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
+        steps.begin("compiling")
         found = run_search(problem, progress)
         return judge_on_recordings(
             problem, found, task.position_weight, task.training, task.held_out
@@ -243,7 +250,8 @@ def tune_batch(
     many = _all_chosen(experiments, seeds)
     memory.check(many)
     with jax.enable_x64(many[0].run.dtype == "float64"):
-        problems = [tuning_problem(one) for one in many]
+        problems = [tuning_problem(one) for one in steps.each("preparing", many)]
+        steps.begin("compiling")
         found = search_batch(problems, progress)
         return TuneBatch(tuple(map(judge, problems, found)))
 
@@ -257,13 +265,32 @@ def _tune_in_folder(
 ) -> TuneResult:
     """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        problem = tuning_problem(experiment, cost)
-        result = judge(problem, search_with_checkpoints(problem, folder, run, progress))
+        problem = _prepared(experiment, cost)
+        found = search_with_checkpoints(problem, folder, run, progress)
+        with _resumable(folder):
+            result = judge(problem, found)
     try:
-        write_run(result, folder)
+        with _resumable(folder):
+            write_run(result, folder)
     except RunFolderError as error:
         raise SaveError(str(error), result) from error
     return result
+
+
+def _resumable(folder: Path) -> AbstractContextManager[None]:
+    """After the search, a context for what is done with what it found."""
+    if not checkpoint_paths(folder):
+        return nullcontext()
+    how = f"go on with: posegsa tune --resume {folder}"
+    return resumable(lambda: f"interrupted; all iterations are done and saved, {how}")
+
+
+def _prepared(experiment: config.Experiment, cost: TrackCost | None) -> TuningProblem:
+    """The problem of an experiment, whose search comes next."""
+    steps.begin("preparing")
+    problem = tuning_problem(experiment, cost)
+    steps.begin("compiling")
+    return problem
 
 
 def _resume(

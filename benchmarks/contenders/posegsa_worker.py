@@ -30,9 +30,10 @@ import posegsa
 from contenders import c
 from contenders.scene import RULES, Scene
 from posegsa import config
+from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.model.vectors import Wahba
 from posegsa.optimisers import minimise
-from posegsa.runtime import enable_compilation_cache, fast_path_flags
+from posegsa.runtime import fast_path_flags
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import evaluate_population

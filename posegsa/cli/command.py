@@ -1,32 +1,34 @@
 """The command line: `posegsa tune`, `evaluate`, `replay`, `export`, `compare` and `configs`."""
 
 import argparse
+import logging
 import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib import import_module
 
-from posegsa.cli import compare, configs, evaluate, export, replay, tune
+from posegsa.cli.parsers import compare, configs, evaluate, export, replay, tune
+from posegsa.cli.parsers.lazy_help import Parser
+from posegsa.cli.progress import say
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
-from posegsa.runtime import enable_compilation_cache, enable_fast_path
 from posegsa.saving import interrupt
+from posegsa.version import VERSION
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status.
 
-    0 done, 1 done but not written, 2 refused, 130 interrupted (Ctrl-C), 143 terminated (SIGTERM).
+    0 done, 1 done but not written, 2 refused, 128 + n stopped by signal n: 130 Ctrl-C, 143 SIGTERM,
+    138 SIGUSR1.
     """
     options = _parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
-        enable_fast_path()
-        enable_compilation_cache()
         try:
-            with interrupt.immediate_signals(_say_stopping):
-                return options.command(options)
+            with interrupt.immediate_signals(_say_stopping, _say_stopped):
+                return _run(options)
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
             print(error.result.summary())
@@ -37,19 +39,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
         except SearchInterrupted as stopped:
-            print(f"\nposegsa: {stopped}", file=sys.stderr)
+            print(f"posegsa: {stopped}", file=sys.stderr)
             return 128 + stopped.signal_number
         except KeyboardInterrupt:
-            print("\nposegsa: interrupted", file=sys.stderr)
+            print("posegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
 
 
+def _run(options: argparse.Namespace) -> int:
+    """Import the command that was named, and what it needs, and run it."""
+    if options.command != "configs":
+        from posegsa import runtime  # imports JAX, which takes longer than to list configurations
+
+        runtime.enable_fast_path()
+        # It has two warnings about a home that can't be written; ours has one line.
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    return import_module(f"posegsa.cli.{options.command}").run(options)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
     )
-    parser.add_argument("--version", action="version", version=f"posegsa {version('posegsa')}")
+    parser.add_argument("--version", action="version", version=f"posegsa {VERSION}")
     commands = parser.add_subparsers(title="commands", required=True)
     for command in (tune, evaluate, replay, export, compare, configs):
         command.add(commands)
@@ -57,15 +70,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _say_stopping() -> None:
-    print(
-        "\nposegsa: stopping; again to stop at once (then only the last checkpoint is kept)",
-        file=sys.stderr,
-        flush=True,
-    )
+    say("posegsa: stopping; again to stop at once (then only the last checkpoint is kept)")
+
+
+def _say_stopped(how: str) -> None:
+    say(f"posegsa: {how}")
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
     if issubclass(category, PosegsaWarning):
-        print(f"note: {message}", file=sys.stderr)
+        say(f"note: {message}")
     else:
         sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))

@@ -2,36 +2,15 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from posegsa.errors import PosegsaError
-from posegsa.export import FORMATS, export
+from posegsa.export import export
 from posegsa.saving.loading import load
 
 
-def add(commands) -> None:
-    """Add the command to the others."""
-    parser = commands.add_parser(
-        "export",
-        help=f"write a tuned filter or its schedule as {', '.join(FORMATS)}",
-        description="Writes the filter of a finished run, or its schedule. "
-        + " ".join(f"{name}: {first_line(write)}" for name, write in FORMATS.items()),
-    )
-    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
-    parser.add_argument("--format", choices=tuple(FORMATS), required=True)
-    parser.add_argument("--out", metavar="FILE", help="file to write; default standard output")
-    parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
-    parser.add_argument("--name", help="what names in C begin with; default posegsa")
-    parser.set_defaults(command=_export)
-
-
-def first_line(function: Callable[..., str]) -> str:
-    """What the docstring of a function begins with."""
-    return (function.__doc__ or "").partition("\n")[0]
-
-
-def _export(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Write a finished run in a format."""
     text = export(load(options.run), options.format, options.name)
     if options.out is None:
         sys.stdout.write(text)

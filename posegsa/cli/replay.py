@@ -1,7 +1,6 @@
 """`posegsa replay`."""
 
 import argparse
-from typing import Literal
 
 from posegsa import replaying
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
@@ -9,58 +8,9 @@ from posegsa.errors import ArgumentError
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import replay_table
 from posegsa.judging.result import TuneResult
-from posegsa.recordings.imu import UP, as_imu
+from posegsa.recordings.imu import as_imu
 from posegsa.recordings.recording import Recording
 from posegsa.saving.loading import load
-
-RECORDING = (
-    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
-    "the folder of a EuRoC sequence"
-)
-
-
-def add(commands) -> None:
-    """Add the command to the others."""
-    parser = commands.add_parser(
-        "replay",
-        help="run a tuned filter over recordings",
-        description="Runs the filter of a finished run over recordings and, where they have a "
-        "reference, shows its errors: total, heading, inclination and position, root mean squares "
-        "by phase. Writes the table, trajectories (TUM) and figures to a folder.",
-    )
-    parser.add_argument(
-        "run",
-        metavar="RUN",
-        help='folder of a finished run; "imu" for the attitude filter for inertial sensors, or its '
-        "numbers in a .toml file",
-    )
-    parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
-    add_window(parser)
-    words = "of imu: the inertial frame, x y z (default: %(default)s)"
-    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
-    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
-    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
-    parser.add_argument("--out", metavar="DIR", help="folder to write to")
-    parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
-    parser.set_defaults(command=_replay)
-
-
-def add_window(parser: argparse._ActionsContainer) -> None:
-    """--window, which part of each recording is used."""
-    words = "only these seconds of each recording, such as 0:40, 40: or :40"
-    parser.add_argument("--window", metavar="A:B", type=window, help=words)
-
-
-def window(text: str) -> tuple[float, float]:
-    """What reads a window in seconds."""
-    begin, colon, end = text.partition(":")
-    try:
-        found = float(begin or 0.0), float(end or "inf")
-    except ValueError:
-        found = (1.0, 0.0)
-    if not colon or not 0 <= found[0] < found[1]:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: A:B in seconds, such as 0:40 or 40:")
-    return found
 
 
 def read(paths: list[str], part: tuple[float, float] | None) -> list[Recording]:
@@ -69,7 +19,8 @@ def read(paths: list[str], part: tuple[float, float] | None) -> list[Recording]:
     return found if part is None else [each.window(*part) for each in found]
 
 
-def _replay(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run a filter over recordings and say how it errs."""
     if options.overwrite and options.out is None:
         raise ArgumentError("--overwrite; allowed: with --out")
     recordings = read(options.recordings, options.window)
@@ -93,14 +44,3 @@ def _replay(options: argparse.Namespace) -> int:
 def _filter(name: str) -> TuneResult | RecordingResult | ImuConfig:
     """The filter that RUN names: of a folder, of a file, or the shipped one."""
     return load_imu(name) if name == SHIPPED or name.endswith(".toml") else load(name)
-
-
-def _rest(text: str) -> float | Literal["auto"]:
-    """What reads --rest."""
-    if text == "auto":
-        return "auto"
-    try:
-        return float(text)
-    except ValueError:
-        words = f"{text!r}; allowed: auto, or a time in seconds"
-        raise argparse.ArgumentTypeError(words) from None

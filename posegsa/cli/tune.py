@@ -3,75 +3,21 @@
 import argparse
 import warnings
 from pathlib import Path
-from typing import get_args
 
 import jax
 
 from posegsa import config, tuning
-from posegsa.cli.arguments import add_search_arguments
-from posegsa.cli.progress import TuneBar
-from posegsa.cli.replay import RECORDING, add_window, read, window
+from posegsa.cli.parsers.tune import FILES, OUT
+from posegsa.cli.progress import TuneDisplay
+from posegsa.cli.replay import read
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving import recorded
 from posegsa.saving.checkpointing import newest_checkpoint
 from posegsa.search.devices import join_processes
-from posegsa.search.recorded import RecordedSchedule
-
-OUT = "posegsa-run"
-"""Folder that is written to where none is given."""
-FILES = "report.html, result.json, evaluation.json, .txt, history.csv, trajectory.csv, figures/"
 
 
-def add(commands) -> None:
-    """Add the command to the others."""
-    parser = commands.add_parser(
-        "tune",
-        help="tune a gain schedule and judge it on unseen scenarios",
-        description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
-        f"{FILES} to a folder.",
-    )
-    add_search_arguments(
-        parser,
-        config="the recommended experiment, or that of the run to resume",
-        setting="filter.substeps=4",
-        out=f"folder to write to, checkpoints too (default: {OUT})",
-        replaced="the run that the folder holds",
-    )
-    resume = (
-        "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
-        "more iterations"
-    )
-    parser.add_argument("--resume", metavar="DIR", help=resume)
-    parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
-    parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
-    group = parser.add_argument_group(
-        "recordings", "Tunes on recorded motion instead of simulated scenarios."
-    )
-    group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
-    group.add_argument("--held-out", metavar="FILE", action="append", help="one that only judges")
-    add_window(group)
-    group.add_argument(
-        "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
-    )
-    group.add_argument(
-        "--schedule",
-        choices=get_args(RecordedSchedule),
-        help="what is searched: k1 to k22 (default), one gain, or K(e) of three numbers",
-    )
-    together = parser.add_argument_group(
-        "several processes",
-        "The same command in each, on one machine or many; the first writes the files. Without "
-        "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
-    )
-    together.add_argument("--distributed", action="store_true", help="search together")
-    waits = "where the first waits for the others"
-    together.add_argument("--coordinator", metavar="HOST:PORT", help=waits)
-    together.add_argument("--processes", type=int, metavar="N", help="how many they are")
-    together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
-    parser.set_defaults(command=_tune)
-
-
-def _tune(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Tune, judge and say what came out."""
     first = _join(options)
     if options.recording is not None:
         return _tune_on_recordings(options)
@@ -80,9 +26,11 @@ def _tune(options: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
+    with TuneDisplay(_judging(experiment), quiet=options.quiet or not first) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
         result = tuning.tune(experiment, **where, progress=show)
+    if options.resume is not None and not show.began:
+        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
     if first:
         print(result.summary())
         print(f"\nWritten to {out or options.resume}: {FILES}")
@@ -97,7 +45,7 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     held_out = read(options.held_out or [], options.held_out_window)
     for one in (*recordings, *held_out):
         print(one.describe())
-    with TuneBar(experiment.search.total_iterations, quiet=options.quiet) as show:
+    with TuneDisplay(_judging(experiment), quiet=options.quiet) as show:
         result = tuning.tune(
             experiment,
             recordings=recordings,
@@ -110,6 +58,11 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     print(f"\n{result.summary()}")
     print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
     return 0
+
+
+def _judging(experiment: config.Experiment) -> str:
+    """What judging will take: the best constant gains are searched too where more is tuned."""
+    return f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
 
 
 def _join(options: argparse.Namespace) -> bool:

@@ -47,6 +47,10 @@ def load(path: str | Path) -> Experiment:
     return _validated(data, f"{path} is not a valid experiment")
 
 
+load_config = load
+"""`load`, as `posegsa` calls it."""
+
+
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:
     """The experiment that a user means: one, that of a TOML file, or the recommended one for None.
 

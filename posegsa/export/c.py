@@ -32,11 +32,12 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings
 from posegsa.model.schedules import FuzzyGain, GainSchedule, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
+from posegsa.version import VERSION
 from posegsa.words import counted
 
 

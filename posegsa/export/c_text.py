@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from posegsa.arguments import refuse
 from posegsa.export.tables import costs
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.result import TuneResult
 from posegsa.settings.fields import Section
+from posegsa.version import VERSION
 from posegsa.words import counted, text_table, toml
 
 if TYPE_CHECKING:

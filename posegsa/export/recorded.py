@@ -8,9 +8,9 @@ import numpy as np
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.export.tables import INFERENCE
 from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import VERSION
 from posegsa.model.schedules import FuzzyGain
 from posegsa.settings.plain import json_text, plain
+from posegsa.version import VERSION
 
 SCHEMA = 1
 """Number of the layout; it changes when a key changes its meaning."""

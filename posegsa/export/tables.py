@@ -12,8 +12,9 @@ import numpy as np
 from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.judging.evaluation import CONSTANT, TUNED
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.result import TuneResult
 from posegsa.settings.plain import json_text, plain
+from posegsa.version import VERSION
 
 SCHEMA = 1
 """Number of the layout of the JSON; it changes when a key changes its meaning."""

@@ -1,16 +1,19 @@
 """A figure of a result, with the words that go with it."""
 
+from __future__ import annotations
+
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from posegsa.figures.style import styled
 from posegsa.judging.result import TuneResult
 
-Plot = TypeVar("Plot", bound=Callable[..., Figure | None])
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Plot = TypeVar("Plot", bound="Callable[..., Figure | None]")
 
 
 @dataclass(frozen=True, kw_only=True)

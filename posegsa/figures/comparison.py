@@ -1,14 +1,19 @@
 """The figure of a comparison of optimisers: how fast each gets how far."""
 
+from __future__ import annotations
+
 import textwrap
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from posegsa.figures import style
 from posegsa.figures.style import Style, finite
 from posegsa.judging.comparison import OptimiserComparison
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 EARLY = 0.05
 """Share of the budget before which curves may leave the figure at the top."""

@@ -1,11 +1,11 @@
 """The figures of an evaluation: what schedules cost on unseen scenarios, and when they err."""
 
+from __future__ import annotations
+
 import textwrap
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
@@ -19,6 +19,10 @@ from posegsa.judging.evaluation import (
     Evaluation,
 )
 from posegsa.judging.metrics import Bands, Metrics
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
 
@@ -159,7 +163,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
             ax.plot(angle[bad], top, marker="^", transform=edge, **points)
     style.scale_costs(ax, "y", np.concatenate(shown))
     ax.set(xlabel="Attitude error at the start [deg]", ylabel="Cost [-]")
-    ax.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+    ax.xaxis.set_major_locator(style.ticks(7, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
     style.legend_above(figure, ax)
     return figure
 

@@ -1,11 +1,17 @@
 """The figures of a filter on a recording over time: errors, position and gain."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
 from posegsa.judging.replay import Replay
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST = 4000
 """Most points of a curve; of more samples the largest of each of so many bins is drawn."""

@@ -1,11 +1,17 @@
 """All figures of a result."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import jax
-from matplotlib.figure import Figure
 
 from posegsa.arguments import check_type
 from posegsa.figures import evaluation, schedule, search, trajectory
 from posegsa.judging.result import TuneResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIGURES = (*evaluation.FIGURES, *schedule.FIGURES, *trajectory.FIGURES, *search.FIGURES)
 

@@ -1,15 +1,14 @@
 """The figures of a tuned schedule: its terms, its control surface and the use of its rules."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from matplotlib.axes import Axes
-from matplotlib.colors import PowerNorm
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from posegsa.arguments import check_type
 from posegsa.config import INPUT_RANGE, TERMS
@@ -18,6 +17,10 @@ from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style
 from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
 
@@ -80,6 +83,8 @@ def plot_rules(trust: Trust) -> Figure:
     Shades go by the square root, because the rules of small errors fire most of the time; a rule
     that never fires is left blank.
     """
+    from matplotlib.colors import PowerNorm
+
     weights = np.asarray(trust.rule_weights, np.float64)
     figure, (ax,) = style.panels(1, 4.0)
     top = max(float(np.max(weights)), 1e-9)
@@ -212,7 +217,7 @@ def _hatch(
 def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
     """Contour lines of a surface (y, x), each labelled with its level."""
     low, high = gain.min(), gain.max()
-    levels = [level for level in MaxNLocator(7).tick_values(low, high) if low < level < high]
+    levels = [level for level in style.ticks(7).tick_values(low, high) if low < level < high]
     if levels:
         colours = ["white" if level < 0.5 * (low + high) else "black" for level in levels]
         lines = ax.contour(axis, axis, gain, levels=levels, colors=colours, linewidths=0.8)

@@ -1,14 +1,19 @@
 """The figure of a search: how its costs fell."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.optimisers import History
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
 
@@ -43,10 +48,10 @@ def plot_convergence(history: History) -> Figure:
     for panel in below:
         panel.bar(iteration, failures, width=1.0, color="0.35")
         panel.set_ylabel("Not\nfinite [-]")
-        panel.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+        panel.yaxis.set_major_locator(style.ticks(3, integer=True))
     last = (ax, *below)[-1]
     last.set_xlabel("Iteration [-]")
-    last.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
+    last.xaxis.set_major_locator(style.ticks(8, steps=[1, 2, 5, 10], integer=True))
     ax.set_xlim(0.5, len(iteration) + 0.5)
     style.legend_above(figure, ax)
     return figure

@@ -6,16 +6,21 @@ weight, to be told apart in grey print and by colour-blind readers. Quantities w
 marked [-].
 """
 
-import io
-from collections.abc import Sequence
-from typing import Any
+from __future__ import annotations
 
-import matplotlib.style
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from jax.typing import ArrayLike
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
 DPI = 200
 """Resolution for print [dots per inch]."""
@@ -59,12 +64,24 @@ _STYLE = {
     "legend.handlelength": 2.6,
     "hatch.linewidth": 0.6,
 }
-styled = matplotlib.style.context(["default", _STYLE])
+
+
+@contextmanager
+def _look() -> Iterator[None]:
+    import matplotlib.style  # here and in other functions, as long as it takes: when one draws
+
+    with matplotlib.style.context(["default", _STYLE]):
+        yield
+
+
+styled = _look()
 """Decorator: matplotlib's own defaults and the style above, while a figure is built."""
 
 
 def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
     """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **keywords)
     for ax in axes.flat:
@@ -83,6 +100,13 @@ def style_ticks(ax: Axes) -> None:
     """Set the look of ticks, which are made when the figure is drawn, after the style has gone."""
     ax.tick_params(labelsize=TICK_SIZE, color="0.3", length=3.5, width=0.8)
     ax.tick_params(which="minor", color="0.3", length=2, width=0.6)
+
+
+def ticks(intervals: int, **keywords: Any) -> MaxNLocator:
+    """Places for ticks at round numbers, at most so many intervals; keywords as of its class."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(intervals, **keywords)
 
 
 def legend_above(figure: Figure, ax: Axes) -> None:

@@ -1,15 +1,19 @@
 """The figures of one simulated run over time: pose, errors and gain."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.judging.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
 _BIASES = (
@@ -127,7 +131,7 @@ def _true_and_estimated(
         for values, look in zip(pair, (_TRUE, _ESTIMATED), strict=True):
             ax.plot(*curve(time, finite(values[:, i])), **look)
         ax.set_ylabel(label)
-        ax.yaxis.set_major_locator(MaxNLocator(5, steps=ticks))
+        ax.yaxis.set_major_locator(style.ticks(5, steps=ticks))
     style.finish_time(axes, time)
     style.legend_above(figure, axes[0])
     return figure

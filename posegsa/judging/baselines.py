@@ -39,7 +39,7 @@ from posegsa.search.candidates import Candidate, SimpleSpace
 from posegsa.search.keys import keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
-from posegsa.search.run import first_search, run_search
+from posegsa.search.run import first_search, run_search, tell_share
 
 CONSTANT_GAINS = 201
 """Constant gains that `best_constant` tries, evenly spaced over those that a controller may ask
@@ -172,7 +172,8 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
         experiment=experiment,
         space=search_space(experiment, schedule_space(kind, experiment)),
     )
-    found = run_search(one, search=first_search(one, keys(experiment.run.seed).baselines))
+    begin = first_search(one, keys(experiment.run.seed).baselines)
+    found = run_search(one, tell_share, search=begin)
     return one.space.candidate(found.search.best_position)
 
 
@@ -208,7 +209,7 @@ def random_search(problem: TuningProblem) -> Candidate:
     # By name, because the library of the run's own optimiser may not be installed here.
     experiment = config.override(problem.experiment, ["search.optimiser=random_search"])
     one = problem._replace(experiment=experiment)
-    return one.space.candidate(run_search(one).search.best_position)
+    return one.space.candidate(run_search(one, tell_share).search.best_position)
 
 
 def schedule_baselines(

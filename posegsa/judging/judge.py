@@ -3,23 +3,28 @@
 import jax
 import numpy as np
 
+from posegsa import steps
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, describe, search_baseline
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
 from posegsa.judging.metrics import error_tracks, metrics_of
-from posegsa.judging.result import VERSION, TuneResult
+from posegsa.judging.result import TuneResult
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import cost_name
 from posegsa.search.run import Found
+from posegsa.version import VERSION
+
+_PARTS = ("best constant gains", "unseen scenarios", "one run", "long after", "trust")
 
 
 def judge(problem: TuningProblem, found: Found) -> TuneResult:
     """Judge the best candidate that a search found, beside the best constant gain."""
     experiment, search, space = problem.experiment, found.search, problem.space
     tuned = space.candidate(search.best_position)
+    _begin("best constant gains")
     # Without further numbers a constant gain is found on a grid; with them by a search like theirs.
     constant = search_baseline(problem, "constant") if tuned.keys else best_constant(problem)
     candidates = {TUNED: tuned, CONSTANT: constant}
@@ -29,6 +34,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         name: describe(each, space.schedules, spent[name]) for name, each in candidates.items()
     }
 
+    _begin("unseen scenarios")
     # Training and held-out scenarios together, so that each kind of schedule compiles once.
     count = experiment.run.training_scenarios
     tracks = {name: error_tracks(each, problem.scenarios) for name, each in candidates.items()}
@@ -42,7 +48,12 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         )
         for name, each in tracks.items()
     }
+    _begin("one run")
     trajectory = trajectory_on(tuned, problem.scenarios, count)  # the first held-out one
+    _begin("long after")
+    long_after = endurance(experiment, tuned, constant)
+    _begin("trust")
+    trusted = trust.check(problem, tuned, tracks[TUNED], trajectory)
     return TuneResult(
         experiment=experiment,
         cost=cost_name(problem.cost),
@@ -53,8 +64,8 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         constant_gain=descriptions[CONSTANT].numbers["gain"][0],
         constant_training_costs=training[CONSTANT],
         evaluation=evaluation(contenders, problem.held_out),
-        endurance=endurance(experiment, tuned, constant),
-        trust=trust.check(problem, tuned, tracks[TUNED], trajectory),
+        endurance=long_after,
+        trust=trusted,
         evaluations=evaluations,
         non_finite=int(search.non_finite),
         compile_seconds=found.compile_seconds,
@@ -64,3 +75,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
         environment=environment(),
         version=VERSION,
     )
+
+
+def _begin(part: str) -> None:
+    steps.begin("judging", _PARTS.index(part), len(_PARTS), part)

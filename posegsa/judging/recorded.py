@@ -8,13 +8,13 @@ import jax
 import numpy as np
 from jax import Array
 
+from posegsa import steps
 from posegsa.arguments import check_type
 from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
 from posegsa.judging.evaluation import Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
-from posegsa.judging.result import VERSION
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
@@ -30,6 +30,7 @@ from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
+from posegsa.version import VERSION
 from posegsa.words import counted, text_table
 
 
@@ -219,8 +220,10 @@ def judge_on_recordings(
         environment=environment(),
         version=VERSION,
     )
-    result.training.extend(score(one, result.estimate(one)) for one in training)
-    result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
+    both = ((result.training, training), (result.held_out, held_out))
+    pairs = [(scores, one) for scores, recordings in both for one in recordings]
+    for scores, one in steps.each("judging", pairs, lambda pair: pair[1].name):
+        scores.append(score(one, result.estimate(one)))
     return result
 
 

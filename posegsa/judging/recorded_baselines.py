@@ -11,7 +11,7 @@ from posegsa.judging.recorded import RecordingResult, RecordingScore, judge_on_r
 from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import run_search
+from posegsa.search.run import run_search, tell_share
 
 Say = Callable[[str], object]
 
@@ -59,7 +59,7 @@ def _constant(
     """The best constant gain, with all that was tuned beside the schedule."""
     weight = result.position_weight
     problem = recorded_problem(result.experiment, training, "constant", weight, strict=False)
-    found = run_search(problem)
+    found = run_search(problem, tell_share)
     judged = judge_on_recordings(problem, found, weight, [], recordings)
     return judged.held_out
 

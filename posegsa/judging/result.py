@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from typing import Annotated
 
 import jax
@@ -31,8 +30,6 @@ from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
-
-VERSION = version("posegsa")
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,10 @@ class Optimiser(Section):
             ConfigError: It can't, because another library is not installed or does not know it.
         """
 
+    def price(self, dimensions: int) -> str:
+        """What its own steps cost, in words, where that is worth saying before; else nothing."""
+        return ""
+
     @property
     def phases(self) -> tuple["Optimiser", ...]:
         """The optimisers that run one after the other, each from the best that was found before."""

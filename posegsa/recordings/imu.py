@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type
 from posegsa.config.imu import ImuVectorsConfig
 from posegsa.errors import RecordingError
+from posegsa.recordings.frames import EAST, UP, Frame
 from posegsa.recordings.inertial_frame import held, low_passed, strapdown
 from posegsa.recordings.magnetic_field import field_parts, field_weights, mean_so_far
 from posegsa.recordings.recording import Recording
@@ -31,10 +32,6 @@ from posegsa.recordings.start import Start
 from posegsa.recordings.units import check_units
 from posegsa.words import counted
 
-Frame = Literal["ENU", "NED", "NWU"]
-"""The axes x, y, z of the inertial frame: east, north, up; north, east, down; north, west, up.
-North is magnetic north."""
-
 GRAVITY = 9.81
 """Length of the acceleration at rest where no rest shows it [m/s^2]."""
 FIRST = 1.0
@@ -42,12 +39,6 @@ FIRST = 1.0
 STARTUP = 20.0
 """Time constant with which the field gets its weights in such a recording, and gamma its value
 [s]."""
-UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
-EAST: dict[str, tuple[float, float, float]] = {
-    "ENU": (1, 0, 0),
-    "NED": (0, 1, 0),
-    "NWU": (0, -1, 0),
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,6 +1,7 @@
 """Checkpoints of a run: written while it searches, read to go on with it."""
 
 import contextlib
+import math
 import time
 import warnings
 from collections.abc import Callable
@@ -24,11 +25,11 @@ from posegsa.runtime import environment
 from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
 from posegsa.saving.files import PART
 from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
-from posegsa.saving.interrupt import StopRequest, deferred_signals
+from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import CONFIGURED, cost_name
-from posegsa.search.run import Found, Progress, first_search, run_search
+from posegsa.search.run import LONGEST_CHUNK, Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
 
@@ -90,11 +91,10 @@ def search_with_checkpoints(
             stacklevel=4,
         )
         return run_search(problem, progress, search=search)
-    with (
-        deferred_signals() as request,
-        CheckpointWriter(folder, experiment, request, before, cost_name(problem.cost)) as writer,
-    ):
-        found = run_search(problem, progress, search=search, keep=writer)
+    with deferred_signals() as request:
+        writer = CheckpointWriter(folder, experiment, request, before, cost_name(problem.cost))
+        with resumable(lambda: f"interrupted {writer.where()}"), writer:
+            found = run_search(problem, progress, search=search, keep=writer)
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -165,7 +165,7 @@ class CheckpointWriter:
 
     def __post_init__(self) -> None:
         self._last: tuple[Search, float, float] | None = None
-        self._iteration = -1
+        self._iteration, self._best = -1, math.inf
         self._saved: int | None = None  # iteration of the newest checkpoint
         self._saved_at = 0.0
         self._warned = False
@@ -185,9 +185,11 @@ class CheckpointWriter:
             SearchInterrupted: A signal has asked to stop; the search is saved.
             CheckpointError: The very first checkpoint can't be written.
         """
+        took = search_seconds - (self._last[1] if self._last else 0.0)
         self._last = search, search_seconds, compile_seconds
-        self._iteration = int(search.iteration)
-        if self._is_due():
+        self._iteration, self._best = int(search.iteration), float(search.best_cost)
+        # What took so long would be lost if the process had to end before the next chunk does.
+        if took > LONGEST_CHUNK or self._is_due():
             self._save()
         self._stop_if_asked()
 
@@ -197,7 +199,7 @@ class CheckpointWriter:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
                 self._save()
         if isinstance(error, jax.errors.JaxRuntimeError):
-            raise SearchError(f"the search failed {self._where()}: {error}") from error
+            raise SearchError(f"the search failed {self.where()}: {error}") from error
         if error is None:
             self._stop_if_asked()
 
@@ -214,7 +216,7 @@ class CheckpointWriter:
 
     def _stop_if_asked(self) -> None:
         if self.request.signal_number is not None:
-            raise SearchInterrupted(f"interrupted {self._where()}", self.request.signal_number)
+            raise SearchInterrupted(f"interrupted {self.where()}", self.request.signal_number)
 
     def _save(self) -> None:
         if self._last is None or self._saved == self._iteration:
@@ -252,16 +254,15 @@ class CheckpointWriter:
             for path in [*later, *numbered[kept:]]:
                 path.unlink()
 
-    def _where(self) -> str:
+    def where(self) -> str:
         """Where the search stands, and how to resume it."""
         if self._last is None:
             return "before its first iteration; nothing is saved"
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
-        best = float(self._last[0].best_cost)
         iterations = self.experiment.search.total_iterations
         return (
             f"after iteration {self._iteration} of {iterations}{saved}, "
-            f"best cost {best:.4g}; go on with: posegsa tune --resume {self.folder}"
+            f"best cost {self._best:.4g}; go on with: posegsa tune --resume {self.folder}"
         )
 
 

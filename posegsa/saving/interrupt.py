@@ -1,7 +1,8 @@
-"""Ctrl-C and SIGTERM: the first asks a search to save its state and stop, the second stops it.
+"""Ctrl-C, SIGTERM, SIGUSR1: the first asks a search to save its state and stop, the second stops.
 
-Python handles signals in the main thread only. A program's own handlers are left alone, and so is
-SIGINT where it is ignored, as under `nohup`.
+SIGUSR1 is what clusters such as Slurm send some time before a job's limit. Python handles signals
+in the main thread only. A program's own handlers are left alone, and so is SIGINT where it is
+ignored, as under `nohup`.
 """
 
 import os
@@ -15,7 +16,14 @@ from typing import NoReturn
 
 from posegsa.errors import SearchInterrupted
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+TERMINATING = tuple(
+    getattr(signal, name) for name in ("SIGTERM", "SIGUSR1") if hasattr(signal, name)
+)
+"""Those that would end the process without a word; Windows has no SIGUSR1."""
+SIGNALS = (signal.SIGINT, *TERMINATING)
+PATIENCE = 3.0
+"""Time after which a process ends that a signal has asked to stop and compiled code keeps busy [s]:
+longer than a chunk of a search takes, unless it is a single iteration."""
 
 
 class StopRequest:
@@ -32,7 +40,7 @@ def deferred_signals() -> Iterator[StopRequest]:
 
     def note(number: int, frame: FrameType | None) -> None:
         if request.signal_number is not None:
-            raise SearchInterrupted("stopped", number)
+            raise SearchInterrupted(_STOPPED, number)
         request.signal_number = number
 
     with _handled(note):
@@ -40,12 +48,41 @@ def deferred_signals() -> Iterator[StopRequest]:
 
 
 @contextmanager
-def immediate_signals(on_first: Callable[[], object]) -> Iterator[None]:
-    """Have SIGTERM raise as Ctrl-C does, and a second signal end the process at once.
+def resumable(how: Callable[[], str]) -> Iterator[None]:
+    """Say of what is stopped within the context how to go on, whichever way it stops.
+
+    Args:
+        how: What to say, in words; it must not wait for compiled code.
+
+    Raises:
+        SearchInterrupted: Instead of a KeyboardInterrupt.
+    """
+    _HOW.append(how)
+    try:
+        yield
+    except SearchInterrupted as stopped:
+        if str(stopped) != _STOPPED:
+            raise
+        raise SearchInterrupted(how(), stopped.signal_number) from None
+    except KeyboardInterrupt:
+        raise SearchInterrupted(how(), signal.SIGINT) from None
+    finally:
+        _HOW.remove(how)
+
+
+@contextmanager
+def immediate_signals(
+    on_first: Callable[[], object], say: Callable[[str], object] = lambda _: None
+) -> Iterator[None]:
+    """Have SIGTERM and SIGUSR1 raise as Ctrl-C does, and the process end soon in any case.
 
     Python handles signals between its own steps only, not while a compiled loop runs; so a thread
-    reads them from the system, and calls `on_first` at the first. For programs that own their
-    process, such as the command line.
+    reads them from the system. It calls `on_first` at the first; PATIENCE later, or at the second,
+    it ends the process. For programs that own their process, such as the command line.
+
+    Args:
+        on_first: Called at the first signal, by the thread.
+        say: Told before the process ends for lack of patience how to go on (`resumable`).
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -54,23 +91,27 @@ def immediate_signals(on_first: Callable[[], object]) -> Iterator[None]:
     writer.setblocking(False)
 
     def watch() -> None:
-        first = True
-        while number := reader.recv(1):
-            if number[0] in SIGNALS:
-                if not first:
-                    os._exit(128 + number[0])
+        first: int | None = None
+        while number := _next_of(reader):
+            if number in SIGNALS:
+                if first is not None:
+                    os._exit(128 + number)
+                first = number
                 on_first()
-                first = False
+                reader.settimeout(PATIENCE)
+            elif number == _TIMEOUT and first is not None:
+                say(_HOW[-1]() if _HOW else _STOPPED)
+                os._exit(128 + first)
 
     def terminated(number: int, frame: FrameType | None) -> NoReturn:
-        raise SearchInterrupted("stopped", number)
+        raise SearchInterrupted(_STOPPED, number)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
     previous = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     _OWN.add(terminated)
     try:
-        with _handled(terminated, (signal.SIGTERM,)):
+        with _handled(terminated, TERMINATING):
             yield
     finally:
         _OWN.discard(terminated)
@@ -78,6 +119,21 @@ def immediate_signals(on_first: Callable[[], object]) -> Iterator[None]:
         writer.close()
         thread.join()
         reader.close()
+
+
+_STOPPED = "stopped"
+_TIMEOUT = -1
+_HOW: list[Callable[[], str]] = []
+"""What to say of the work that is going on, the innermost last."""
+
+
+def _next_of(reader: socket.socket) -> int:
+    """The next signal, _TIMEOUT if none comes in time, 0 when no more will come."""
+    try:
+        read = reader.recv(1)
+    except TimeoutError:
+        return _TIMEOUT
+    return read[0] if read else 0
 
 
 _OWN: set[object] = set()

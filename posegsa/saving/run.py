@@ -7,6 +7,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from posegsa import steps
 from posegsa.arguments import check_type
 from posegsa.errors import RunFolderError
 from posegsa.figures import result as result_figures
@@ -80,7 +81,9 @@ def write_run(result: TuneResult, folder: Path) -> None:
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
-    pictures = {name: png(figure) for name, figure in draw(result).items()}
+    steps.begin("drawing")
+    figures = list(draw(result).items())
+    pictures = {name: png(figure) for name, figure in steps.each("drawing", figures)}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
     evaluation = result.evaluation
     texts = {
@@ -92,9 +95,9 @@ def write_run(result: TuneResult, folder: Path) -> None:
         RESULT: to_json(_StoredResult(**held), SCHEMA, _result_summary(result)),
     }
     files = {name: text.encode("utf-8") for name, text in texts.items()}
-    figures = {_FIGURE.format(name): picture for name, picture in pictures.items()}
+    drawn = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.
-    replace_files(folder, files | figures, remove=[*RUN_FIGURES, RECORDED, RECORDED_TABLE])
+    replace_files(folder, files | drawn, remove=[*RUN_FIGURES, RECORDED, RECORDED_TABLE])
 
 
 def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:

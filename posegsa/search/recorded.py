@@ -6,7 +6,7 @@ sensors that one lacks have the weight 0 there. What counts is each recording's 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,8 @@ from posegsa.search.build import (
 )
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
+from posegsa.search.recorded_schedules import RecordedSchedule
 
-RecordedSchedule = Literal["fuzzy", "constant", "smooth"]
-"""What a search on recordings may look for: k1 to k22, one gain, or K(e) of three numbers."""
 DEGREES_PER_METRE = 100.0
 """Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
 GAINS = (1e-3, 200.0)

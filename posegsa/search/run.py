@@ -1,6 +1,7 @@
 """The search: an experiment made ready, and its parameter space searched in one compiled loop."""
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -12,8 +13,8 @@ from jax import Array
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
-from posegsa import config
-from posegsa.errors import ConfigError
+from posegsa import config, steps
+from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.optimisers import (
     Differentiable,
     Search,
@@ -45,6 +46,11 @@ class Progress(NamedTuple):
     """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
+
+
+def tell_share(progress: Progress) -> None:
+    """Tell how far a search is that is a part of something longer (`posegsa.steps`)."""
+    steps.share(progress.iteration / progress.iterations)
 
 
 Keep = Callable[[Search, float, float], object]
@@ -127,6 +133,9 @@ def run_search(
         keep: As `run_timed`'s.
     """
     optimiser, search = problem.experiment.search, search or first_search(problem)
+    for phase in optimiser.phases:
+        if price := phase.price(len(problem.space.box.lower)):
+            warnings.warn(price, PosegsaWarning, stacklevel=2)
     if not optimiser.on_host:
         return _run_on_devices(problem, search, progress, keep)
     run = runner(optimiser, on_all_devices(problem), problem.space.box, python_objective=True)

@@ -67,8 +67,9 @@ def test_tune_runs_from_any_folder(finished):
 
 def test_it_shows_progress_and_notes_in_plain_words(finished):
     _, done = finished
+    for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
+        assert f"\n{step}: done after" in done.stderr
     assert "best cost" in done.stderr
-    assert "4/4" in done.stderr
     assert done.stderr.count("note: scenario.initial_rotation_estimate") == 1
     assert "Traceback" not in done.stderr
     assert "Warning" not in done.stderr
@@ -82,8 +83,20 @@ def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
     assert main(["tune", *SETTINGS]) == 2
     said = capsys.readouterr().err
     assert "holds a run already" in said
+    assert said.startswith("posegsa: "), "of what is refused nothing is shown"
     assert "--overwrite" in said
     assert (folder / "posegsa-run" / "result.json").read_bytes() == before
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_a_finished_run_says_that_it_is_finished(finished, monkeypatch, capsys):
+    folder, _ = finished
+    monkeypatch.chdir(folder)
+    assert main(["tune", "--resume", "posegsa-run"]) == 0
+    said = capsys.readouterr()
+    assert "posegsa-run is finished already" in said.out
+    assert "held out" in said.out
+    assert "searching" not in said.err
 
 
 @pytest.mark.quick
@@ -153,6 +166,7 @@ def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys):
     for contender in CONTENDERS:
         assert contender in said.out
         assert contender in said.err, "long work says what it does"
+    assert "judging: done after" in said.err
     evaluation = json.loads((folder / "evaluation.json").read_text())
     assert evaluation["summary"]["scenarios"] == 5
     assert evaluation["seed"] == 2

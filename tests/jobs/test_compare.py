@@ -14,7 +14,6 @@ from scipy import stats
 
 import posegsa
 from posegsa.cli.command import main
-from posegsa.cli.progress import CompareBar
 from posegsa.comparing import Status, Subject, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
@@ -308,22 +307,10 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     said = capsys.readouterr()
     assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
     assert "to 9000" in said.out
-    assert "random_search 2/2" in said.err
-    assert "done" in said.err
+    assert "comparing 3/4, random_search 2/2" in said.err
+    assert "comparing: done" in said.err
     assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
-
-
-@pytest.mark.parametrize(("begun", "said"), [(True, "stopped"), (False, "")])
-def test_the_bar_says_that_it_stopped_unless_nothing_had_begun(begun, said, capsys) -> None:
-    show = CompareBar(["gsa", "de"], 2, quiet=False)
-    if begun:
-        show(Status("de", 1, 2, 0.5, 3.0))
-        assert show.bar.n == 3.5
-    with pytest.raises(KeyboardInterrupt), show:
-        raise KeyboardInterrupt
-    last = capsys.readouterr().err.replace("\n", "").split("\r")[-1]
-    assert last.strip()[:7] == said
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -394,3 +394,10 @@ def test_variants_find_a_minimum_off_centre_in_float32(bounds: Any) -> None:
     search = minimise(distance, box([0] * 4, [1] * 4), gsa, jax.random.key(0))
     assert search.best_cost.dtype == jnp.float32
     assert search.best_cost < 1e-6
+
+
+def test_a_step_that_takes_long_is_said_before_it_is_taken():
+    assert GSA(agents=1000, iterations=10).price(30) == ""
+    said = GSA(agents=20_000, iterations=10).price(30)
+    assert "search.agents = 20000" in said
+    assert "some 15 s in the first iterations, 1 min of the search" in said

@@ -10,9 +10,9 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words runtime settings | optimisers model | exchange config | recordings"
-    " | search | judging | figures | report export | saving"
-    " | tuning evaluating replaying comparing streaming"
+    "errors arguments words lazy version compiled_programs runtime steps settings"
+    " | optimisers model | exchange config | recordings | search | judging | figures"
+    " | report export | saving | tuning evaluating replaying comparing streaming"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may
@@ -26,8 +26,12 @@ def room(path: Path) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """What a file imports, inside functions and for types alone too, by dotted name."""
-    found = set()
+    """What a file imports, inside functions and for types alone too, by dotted name.
+
+    What a package imports when it is asked for stands in the stub beside it.
+    """
+    stub = path.with_suffix(".pyi")
+    found = imported(stub) if path.suffix == ".py" and stub.exists() else set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}

@@ -8,7 +8,13 @@ import threading
 import pytest
 
 from posegsa.errors import SearchInterrupted
-from posegsa.saving.interrupt import SIGNALS, deferred_signals, immediate_signals
+from posegsa.saving.interrupt import (
+    SIGNALS,
+    TERMINATING,
+    deferred_signals,
+    immediate_signals,
+    resumable,
+)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -49,13 +55,33 @@ def test_other_threads_are_left_alone():
     assert found == [None]
 
 
-def test_sigterm_raises_where_nothing_is_deferred():
-    before, told = signal.getsignal(signal.SIGTERM), threading.Event()
+@pytest.mark.parametrize("number", TERMINATING)
+def test_it_raises_where_nothing_is_deferred(number):
+    before, told = signal.getsignal(number), threading.Event()
     with immediate_signals(told.set), pytest.raises(SearchInterrupted) as stopped:
-        signal.raise_signal(signal.SIGTERM)
-    assert stopped.value.signal_number == signal.SIGTERM
+        signal.raise_signal(number)
+    assert stopped.value.signal_number == number
     assert told.is_set(), "by the thread, which the context waits for"
-    assert signal.getsignal(signal.SIGTERM) is before
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_what_is_stopped_says_how_to_go_on(number):
+    with (
+        immediate_signals(lambda: None),
+        pytest.raises(SearchInterrupted, match=r"^go on with: it$") as stopped,
+        resumable(lambda: "go on with: something else"),
+        resumable(lambda: "go on with: it"),
+    ):
+        signal.raise_signal(number)
+    assert stopped.value.signal_number == number
+
+
+def test_what_has_said_how_to_go_on_says_no_more():
+    said = SearchInterrupted("interrupted after iteration 3", signal.SIGTERM)
+    with pytest.raises(SearchInterrupted) as stopped, resumable(lambda: "something else"):
+        raise said
+    assert stopped.value is said
 
 
 BUSY = """
@@ -71,6 +97,27 @@ with immediate_signals(say), deferred_signals():
     while True:  # in compiled code for minutes, as a chunk of a search may be
         hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
 """
+
+
+ALONE = BUSY.replace("    os.kill(os.getpid(), signal.SIGINT)", "    return").replace(
+    "with immediate_signals(say), deferred_signals():",
+    """from posegsa.saving import interrupt
+interrupt.PATIENCE = 0.1
+how = interrupt.resumable(lambda: "go on with: it")
+with immediate_signals(say, print), deferred_signals(), how:""",
+)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_the_first_stops_soon_in_compiled_code_and_says_how_to_go_on(number):
+    code = ALONE.replace(
+        "os.kill, (os.getpid(), signal.SIGINT)", f"os.kill, (os.getpid(), {number})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-u", "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 128 + number, done.stderr
+    assert done.stdout == "told\ngo on with: it\n"
 
 
 def test_the_second_stops_at_once_in_compiled_code():

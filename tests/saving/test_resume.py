@@ -79,6 +79,16 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
     assert names(tmp_path)[-1] == 8
 
 
+def test_what_took_long_is_saved_at_once(task, whole, tmp_path):
+    """The process may have to end before the next chunk does."""
+    rarely = config.override(LONG, ["checkpoint.iterations=1000"])
+    with CheckpointWriter(tmp_path, rarely, StopRequest()) as keep:
+        for iteration, seconds in enumerate((0.0, 1.0, 2.0, 60.0)):
+            search = whole._replace(iteration=np.asarray(iteration))
+            keep(search, seconds, 0.0)
+            assert (iteration in names(tmp_path)) == (iteration in (0, 3))
+
+
 @pytest.mark.parametrize("stops", [[0], [1], [4], [6], [7], [1, 2, 3, 5, 6]])
 def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, stops):
     begun = None

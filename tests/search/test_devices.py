@@ -128,7 +128,7 @@ def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeyp
     joined = {}
     monkeypatch.setattr("posegsa.cli.tune.join_processes", lambda **given: joined.update(given))
     monkeypatch.setattr(jax, "process_index", lambda: 1)
-    monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
     command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
     command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
     command += [word for setting in TINY for word in ("--set", setting)]
@@ -139,7 +139,7 @@ def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeyp
 
 
 def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
-    monkeypatch.setattr("posegsa.cli.command.enable_fast_path", lambda: True)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
     assert main(["tune", "--processes", "2"]) == 2
     assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 

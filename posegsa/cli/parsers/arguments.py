@@ -3,6 +3,11 @@
 import argparse
 from collections.abc import Callable
 
+RECORDING = (
+    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
+    "the folder of a EuRoC sequence"
+)
+
 
 def add_search_arguments(
     parser: argparse.ArgumentParser, *, config: str, setting: str, out: str, replaced: str
@@ -27,6 +32,11 @@ def add_search_arguments(
     )
     parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
+    add_quiet(parser)
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """--quiet, for a command that takes long."""
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
@@ -47,3 +57,21 @@ def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], in
         return number
 
     return read
+
+
+def add_window(parser: argparse._ActionsContainer) -> None:
+    """--window, which part of each recording is used."""
+    words = "only these seconds of each recording, such as 0:40, 40: or :40"
+    parser.add_argument("--window", metavar="A:B", type=window, help=words)
+
+
+def window(text: str) -> tuple[float, float]:
+    """What reads a window in seconds."""
+    begin, colon, end = text.partition(":")
+    try:
+        found = float(begin or 0.0), float(end or "inf")
+    except ValueError:
+        found = (1.0, 0.0)
+    if not colon or not 0 <= found[0] < found[1]:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: A:B in seconds, such as 0:40 or 40:")
+    return found

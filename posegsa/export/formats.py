@@ -1,0 +1,76 @@
+"""A tuned filter, or its schedule, out of Python, in one of `FORMATS`.
+
+What writes a format is imported when it is needed: that list is read wherever formats are named.
+"""
+
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, NamedTuple
+
+from posegsa.errors import PosegsaError
+
+if TYPE_CHECKING:
+    from posegsa.judging.recorded import RecordingResult
+    from posegsa.judging.result import TuneResult
+
+
+class Format(NamedTuple):
+    """What a result can be written as."""
+
+    writer: str
+    """The function that maps a result to text, as module:name."""
+    about: str
+    named: bool = False
+    """Whether its names begin with one that can be chosen."""
+
+
+FORMATS = {
+    "json": Format(
+        "posegsa.export.tables:export_json", "the schedule, what it is worth, its control surface"
+    ),
+    "csv": Format("posegsa.export.tables:export_csv", "the control surface, a row a point"),
+    "c": Format("posegsa.export.c:export_c", "the whole filter as a header of C99", named=True),
+    "c-gain": Format(
+        "posegsa.export.c_gain:export_c_gain", "the gain's controller in C99", named=True
+    ),
+    "fis": Format(
+        "posegsa.export.controllers:export_fis", "the same for MATLAB's Fuzzy Logic Toolbox"
+    ),
+    "fll": Format("posegsa.export.controllers:export_fll", "the same for fuzzylite"),
+    "fcl": Format(
+        "posegsa.export.controllers:export_fcl", "the same as IEC 61131-7's Fuzzy Control Language"
+    ),
+    "fml": Format(
+        "posegsa.export.controllers:export_fml", "the same as IEEE 1855's Fuzzy Markup Language"
+    ),
+}
+"""What `export` writes, by name."""
+
+
+def export(result: "TuneResult | RecordingResult", format: str, name: str | None = None) -> str:
+    """The text of a tuned filter or of its schedule in one of `FORMATS`.
+
+    Args:
+        result: what was tuned; on recordings only "json".
+        format: of `FORMATS`.
+        name: what the names in a file of C begin with; default "posegsa".
+
+    Raises:
+        PosegsaError: There is no such format, or it has no names that could begin with one.
+    """
+    from posegsa.export.recorded import recorded_json
+    from posegsa.judging.recorded import RecordingResult
+
+    if not isinstance(format, str) or format not in FORMATS:
+        raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
+    if name is not None and not FORMATS[format].named:
+        named = (other for other, about in FORMATS.items() if about.named)
+        raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(named)}")
+    if isinstance(result, RecordingResult):
+        if format != "json":
+            raise PosegsaError(
+                f"format = {format!r} of a result on recordings; allowed: 'json', or in Python "
+                "filter_to_c(result.schedule, *result.settings(recording), vectors=, landmarks=)"
+            )
+        return recorded_json(result)
+    write = resolve_name(FORMATS[format].writer)
+    return write(result) if name is None else write(result, name=name)

@@ -1,0 +1,16 @@
+"""The inertial frames that a recording may be in."""
+
+from typing import Literal
+
+Frame = Literal["ENU", "NED", "NWU"]
+"""The axes x, y, z of the inertial frame: east, north, up; north, east, down; north, west, up.
+North is magnetic north."""
+
+UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
+"""The direction up in each."""
+EAST: dict[str, tuple[float, float, float]] = {
+    "ENU": (1, 0, 0),
+    "NED": (0, 1, 0),
+    "NWU": (0, -1, 0),
+}
+"""The direction east in each."""
