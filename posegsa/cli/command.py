@@ -1,4 +1,4 @@
-"""The command line: `posegsa tune`, `evaluate`, `replay`, `export`, `compare` and `configs`."""
+"""The command line: a command a file of this folder."""
 
 import argparse
 import signal
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from posegsa.cli import compare, configs, evaluate, export, replay, tune
+from posegsa.cli import compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
 from posegsa.saving import interrupt
@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"posegsa {version('posegsa')}")
     commands = parser.add_subparsers(title="commands", required=True)
-    for command in (tune, evaluate, replay, export, compare, configs):
+    for command in (tune, evaluate, replay, export, compare, sweep, configs):
         command.add(commands)
     return parser
 

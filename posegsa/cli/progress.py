@@ -5,6 +5,7 @@ from typing import Self
 
 from posegsa.comparing import Status
 from posegsa.search.run import Progress
+from posegsa.sweeping import SweepStatus
 
 
 class Bar:
@@ -75,3 +76,21 @@ class CompareBar(Bar):
         before = self.optimisers.index(status.optimiser) * status.repeats + status.repeat
         self.bar.set_description_str(f"{status.optimiser} {status.repeat + 1}/{status.repeats}")
         self.show(before + status.share, status.best_cost)
+
+
+class SweepBar(Bar):
+    """All runs of a sweep."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        counts = "{n:.1f}/{total_fmt} runs [{elapsed}<{remaining}{postfix}]"
+        super().__init__(1, counts, quiet=quiet)
+
+    def __call__(self, status: SweepStatus) -> None:
+        """Show where the sweep stands; time left is told from the runs that this call makes."""
+        if not self.searching:
+            self.searching = True
+            self.bar.reset(total=status.runs)
+            self.bar.initial = self.bar.n = status.done
+        running = status.running > 0
+        self.bar.set_description_str("searching" if running else "compiling")
+        self.show(status.done + status.running, status.best_cost)

@@ -1,0 +1,98 @@
+"""`posegsa sweep`."""
+
+import argparse
+
+from posegsa import config, sweeping
+from posegsa.cli.arguments import add_count, add_search_arguments
+from posegsa.cli.progress import SweepBar
+from posegsa.errors import ArgumentError
+from posegsa.judging.sweep import Sweep
+from posegsa.saving.sweep import DATA, EACH, TABLE, merge_sweeps
+
+OUT = "posegsa-sweep"
+"""Folder that is written to where none is given."""
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "sweep",
+        help="tune with other values and seeds, side by side",
+        description="Searches with every combination of values, each with several seeds. Each run "
+        "is kept in the folder as it is done; the same command goes on where it was left, and more "
+        f"values or seeds come to those that are there. Ends with {TABLE}, {DATA}, {EACH} and a "
+        "figure for each key.",
+    )
+    add_search_arguments(
+        parser,
+        config="the recommended experiment",
+        setting="search.agents=50",
+        out=f"folder to write to, and to go on from (default: {OUT})",
+        replaced="another sweep in the folder",
+    )
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=A,B,...",
+        help="values of a key, e.g. filter.gamma=1,5,10; may be given again, for every combination",
+    )
+    add_count(parser, "--seeds", 1, "searches of each, with the seeds from run.seed on")
+    parser.add_argument(
+        "--shard",
+        type=_shard,
+        default=(1, 1),
+        metavar="I/N",
+        help="make the I-th of N parts, from 1; they may run at once and share the folder",
+    )
+    add_count(parser, "--together", sweeping.TOGETHER, "searches of one batch, at most")
+    parser.add_argument(
+        "--merge",
+        nargs="+",
+        metavar="DIR",
+        help="search nothing: put the runs of these folders together, in --out or the first",
+    )
+    parser.set_defaults(command=_sweep)
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    if options.merge is not None:
+        for name in ("config", "set", "vary"):
+            if getattr(options, name):
+                raise ArgumentError(f"--merge with {name}; allowed: folders, and --out")
+        _show(merge_sweeps(options.merge, options.out), options.out or options.merge[0])
+        return 0
+    base = config.override(config.as_experiment(options.config), options.set)
+    vary = dict(map(config.values_of, options.vary))
+    if len(vary) < len(options.vary):
+        raise ArgumentError("--vary: a key is given twice; allowed: once, with all its values")
+    out, (part, parts) = options.out or OUT, options.shard
+    with SweepBar(quiet=options.quiet) as show:
+        found = sweeping.sweep(
+            base,
+            vary=vary,
+            seeds=options.seeds,
+            out=out,
+            shard=options.shard,
+            together=options.together,
+            overwrite=options.overwrite,
+            progress=show,
+        )
+    if parts == 1:
+        _show(found, out)
+    else:
+        print(f"Part {part} of {parts} is done; with all of them: posegsa sweep --merge {out}")
+    return 0
+
+
+def _show(found: Sweep, folder: str) -> None:
+    print(found.table())
+    print(f"\nWritten to {folder}: {TABLE}, {DATA}, {EACH}, figures/")
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """Read an argument as a part and the number of parts."""
+    part, _, parts = text.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: I/N with 1 <= I <= N")
+    return int(part), int(parts)
