@@ -3,7 +3,7 @@
 import argparse
 
 from posegsa import comparing, config
-from posegsa.cli.arguments import add_count, add_search_arguments
+from posegsa.cli.arguments import add_count, add_figures, add_search_arguments
 from posegsa.cli.progress import CompareBar
 from posegsa.optimisers.functions import FUNCTIONS, ClassicalFunction
 
@@ -44,6 +44,7 @@ def add(commands) -> None:
     parser.add_argument("--shift", type=float, default=0.0, metavar="S", help=shift)
     rotation = "turn the function about its minimum"
     parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
+    add_figures(parser)
     parser.set_defaults(command=_compare)
 
 
@@ -66,11 +67,13 @@ def _compare(options: argparse.Namespace) -> int:
             out=options.out,
             overwrite=options.overwrite,
             levels=options.levels,
+            figures=options.figures,
             progress=show,
         )
     print(comparison.table(options.levels))
     if options.out is not None:
-        print(f"\nWritten to {options.out}: comparison.json, comparison.txt, comparison.png")
+        drawn = "" if options.figures == [] else ", comparison.png"
+        print(f"\nWritten to {options.out}: comparison.json, comparison.txt{drawn}")
     return 0
 
 

@@ -5,10 +5,10 @@ import sys
 
 from posegsa import evaluating
 from posegsa.arguments import MAX_INTEGER
-from posegsa.cli.arguments import whole_number
+from posegsa.cli.arguments import add_figures, whole_number
 from posegsa.judging.evaluation import CONSTANT
 from posegsa.saving.folder import locked_folder
-from posegsa.saving.run import load, write_run
+from posegsa.saving.run import load, run_figures, write_run
 
 
 def add(commands) -> None:
@@ -27,17 +27,19 @@ def add(commands) -> None:
     parser.add_argument("--scenarios", type=count, default=1000, metavar="S", help=scenarios)
     seed = "another held-out set than the run's own; any whole number from 0"
     parser.add_argument("--seed", type=whole_number(0, MAX_INTEGER), metavar="N", help=seed)
+    add_figures(parser)
     parser.set_defaults(command=_evaluate)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
     load(options.run)  # where there is no run, nothing is made
+    figures = run_figures(options.figures)
     with locked_folder(options.run, overwrite=True) as folder:  # before the minutes, not after
         result = load(folder)  # again: another process may have replaced it in between
         result = evaluating.evaluate(
             result, scenarios=options.scenarios, seed=options.seed, progress=_say
         )
-        write_run(result, folder)
+        write_run(result, folder, figures)
     print(result.evaluation.table())
     print(f"\n{result.endurance.table(CONSTANT)}")
     for warning in result.warnings():

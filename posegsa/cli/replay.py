@@ -4,6 +4,7 @@ import argparse
 from typing import Literal
 
 from posegsa import replaying
+from posegsa.cli.arguments import add_figures
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
 from posegsa.errors import ArgumentError
 from posegsa.judging.recorded import RecordingResult
@@ -41,6 +42,7 @@ def add(commands) -> None:
     words = "of imu: time at rest at the start [s], 0 for none (default: found)"
     parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
+    add_figures(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
     parser.set_defaults(command=_replay)
 
@@ -70,8 +72,9 @@ def read(paths: list[str], part: tuple[float, float] | None) -> list[Recording]:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    if options.overwrite and options.out is None:
-        raise ArgumentError("--overwrite; allowed: with --out")
+    for name in ("overwrite", "figures"):
+        if getattr(options, name) not in (None, False) and options.out is None:
+            raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window)
     result = _filter(options.run)
     if isinstance(result, ImuConfig):
@@ -81,7 +84,8 @@ def _replay(options: argparse.Namespace) -> int:
         ]
     elif options.frame != "ENU" or options.rest != "auto":
         raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
-    replays = replaying.replay(result, recordings, out=options.out, overwrite=options.overwrite)
+    where = {"out": options.out, "overwrite": options.overwrite, "figures": options.figures}
+    replays = replaying.replay(result, recordings, **where)
     for one in replays:
         print(one.recording.describe())
     print(f"\n{replay_table(replays)}")

@@ -8,7 +8,7 @@ from typing import get_args
 import jax
 
 from posegsa import config, tuning
-from posegsa.cli.arguments import add_search_arguments
+from posegsa.cli.arguments import add_figures, add_search_arguments
 from posegsa.cli.progress import TuneBar
 from posegsa.cli.replay import RECORDING, add_window, read, window
 from posegsa.errors import ArgumentError, PosegsaWarning
@@ -41,6 +41,7 @@ def add(commands) -> None:
         "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
         "more iterations"
     )
+    add_figures(parser)
     parser.add_argument("--resume", metavar="DIR", help=resume)
     parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
     parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
@@ -82,6 +83,7 @@ def _tune(options: argparse.Namespace) -> int:
     out = OUT if options.out is None and options.resume is None else options.out
     with TuneBar(experiment.search.total_iterations, quiet=options.quiet or not first) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
+        where["figures"] = options.figures
         result = tuning.tune(experiment, **where, progress=show)
     if first:
         print(result.summary())
@@ -92,6 +94,8 @@ def _tune(options: argparse.Namespace) -> int:
 def _tune_on_recordings(options: argparse.Namespace) -> int:
     if options.resume is not None or options.distributed:
         raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
+    if options.figures is not None:
+        raise ArgumentError("--recording with --figures; allowed: one of them, as none are drawn")
     experiment, out = _experiment(options), options.out or OUT
     recordings = read(options.recording, options.window)
     held_out = read(options.held_out or [], options.held_out_window)

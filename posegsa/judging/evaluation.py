@@ -34,7 +34,9 @@ CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, 
 )
 """Names of the filters that may be judged, in the order in which they are shown."""
 BAND_POINTS = 300
-"""Most points in time that error bands are kept at."""
+"""Most points in time that error bands are kept at over the whole of a run, evenly spaced."""
+EARLY, EARLY_POINTS = 1.0, 100
+"""The first second, in which the errors fall most: there as many more, at most."""
 
 
 class Interval(NamedTuple):
@@ -238,13 +240,15 @@ def contender(
 ) -> Contender:
     """A filter's performance from what it did on the held-out scenarios."""
     metrics, bands = metrics_of(tracks, held_out, cost)
-    kept = band_samples(held_out.samples.time.shape[1])
+    kept = band_samples(np.asarray(held_out.samples.time[0]))
     return Contender(metrics, Bands(*(band[:, kept] for band in bands)), description)
 
 
-def band_samples(samples: int) -> np.ndarray:
-    """Those (n,) of N samples at which error bands are kept."""
-    return np.unique(np.linspace(0, samples - 1, BAND_POINTS).round().astype(int))
+def band_samples(time: np.ndarray) -> np.ndarray:
+    """Those (n,) of the samples at times (N,) [s] at which error bands are kept."""
+    early = np.count_nonzero(time - time[0] <= EARLY)
+    places = (np.linspace(0, early - 1, EARLY_POINTS), np.linspace(0, len(time) - 1, BAND_POINTS))
+    return np.unique(np.concatenate(places).round().astype(int))
 
 
 def evaluation(
@@ -252,4 +256,4 @@ def evaluation(
 ) -> Evaluation:
     """Contenders that met the same held-out scenarios, side by side."""
     time = np.asarray(held_out.samples.time[0], np.float64)
-    return Evaluation(seed=seed, time=time[band_samples(len(time))], contenders=contenders)
+    return Evaluation(seed=seed, time=time[band_samples(time)], contenders=contenders)

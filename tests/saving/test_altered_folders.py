@@ -52,7 +52,7 @@ CELLS = ("", "x", "nan", "inf", "1e308", "-1", "0", "1.5", "\x1b[31m", "true")
 def run(tmp_path_factory):
     """The folder of a small result with every contender, without figures."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("posegsa.saving.run.draw", lambda _: {})
+    patch.setattr("posegsa.saving.run.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
     patch.undo()
 
@@ -334,7 +334,7 @@ def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value
     ],
 )
 def test_files_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     posegsa.save(consistent(**values), tmp_path)
     with pytest.raises(RunFolderError, match=rf"{said}.* = .*; in result\.json: "):
         posegsa.load(tmp_path)
