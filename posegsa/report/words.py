@@ -87,8 +87,8 @@ def worse_words(evaluation: Evaluation) -> str:
     listed = "; ".join(worse)
     return (
         f"The tuned filter is worse than the best constant gains in: {listed}. The search "
-        "minimises the cost alone: what the cost does not look at, such as the errors of the estimated "
-        "biases, may become worse on the way."
+        "minimises the cost alone: what the cost does not look at, such as the errors of the "
+        "estimated biases, may become worse on the way."
     )
 
 
