@@ -29,6 +29,7 @@ from posegsa.judging.recorded import RecordingResult as RecordingResult
 from posegsa.judging.recorded import by_hand as by_hand
 from posegsa.judging.result import TuneBatch as TuneBatch
 from posegsa.judging.result import TuneResult as TuneResult
+from posegsa.judging.sweep import Sweep as Sweep
 from posegsa.model.filter import FilterSettings as FilterSettings
 from posegsa.model.filter import FilterState as FilterState
 from posegsa.model.filter import initial_state as initial_state
@@ -68,11 +69,14 @@ from posegsa.saving.comparison import load_comparison as load_comparison
 from posegsa.saving.loading import save as save
 from posegsa.saving.recorded import load_recorded as load_recorded
 from posegsa.saving.run import load as load
+from posegsa.saving.sweep import load_sweep as load_sweep
+from posegsa.saving.sweep import merge_sweeps as merge_sweeps
 from posegsa.search.build import filter_settings as filter_settings
 from posegsa.search.build import parameter_space as parameter_space
 from posegsa.search.build import signal_settings as signal_settings
 from posegsa.streaming import Pose as Pose
 from posegsa.streaming import PoseFilter as PoseFilter
+from posegsa.sweeping import sweep as sweep
 from posegsa.tuning import tune as tune
 from posegsa.tuning import tune_batch as tune_batch
 from posegsa.version import __version__ as __version__

@@ -13,6 +13,7 @@ from jax import Array
 from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, check_type, check_whole, several
 from posegsa.errors import ConfigError
+from posegsa.figures.choice import chosen_figures
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
@@ -91,6 +92,7 @@ def compare(
     out: str | Path | None = None,
     overwrite: bool = False,
     levels: Sequence[float] | None = None,
+    figures: Iterable[str] | None = None,
     progress: Callable[[Status], object] | None = None,
 ) -> OptimiserComparison:
     """Run several optimisers many times on the same problem, each with the same evaluations.
@@ -115,6 +117,7 @@ def compare(
             settings, are not run again.
         overwrite: Replace a comparison of something else in that folder.
         levels: Costs to reach, in the table that is written to `out`; by default medians.
+        figures: Names of those to draw in `out`: "comparison", by default, or none.
         progress: Told several times a search where it stands.
 
     Returns:
@@ -128,6 +131,7 @@ def compare(
             there.
     """
     check_callable("progress", progress)
+    drawn = chosen_figures(figures, ["comparison"])
     one = config.as_experiment(experiment)
     names = several("optimisers", optimisers, str, "several names")
     if not names:
@@ -169,7 +173,7 @@ def compare(
                     write_searches(comparison, folder)
         if folder is not None:
             steps.begin("drawing")
-            write_comparison(comparison, folder, levels)
+            write_comparison(comparison, folder, levels, figure=bool(drawn))
     return comparison
 
 

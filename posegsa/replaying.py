@@ -6,6 +6,8 @@ from typing import Literal
 
 from posegsa.arguments import check_type, several
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
+from posegsa.figures.choice import chosen_figures
+from posegsa.figures.replay import REPLAY_FIGURES
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import Replay, replayed_on
 from posegsa.judging.result import TuneResult
@@ -21,6 +23,7 @@ def replay(
     *,
     out: str | Path | None = None,
     overwrite: bool = False,
+    figures: Iterable[str] | None = None,
 ) -> list[Replay]:
     """Run a tuned filter over recordings, and judge it where they have a truth.
 
@@ -31,12 +34,14 @@ def replay(
         recordings: One, or several.
         out: Folder to write tables, trajectories (TUM) and figures to.
         overwrite: Replace the replays that it holds.
+        figures: Names of those to draw there; by default all.
 
     Raises:
         ArgumentError: An argument is of another type.
         MeasurementError: A recording can't be started.
         RunFolderError: `out` holds replays already, or can't be written.
     """
+    drawn = chosen_figures(figures, REPLAY_FIGURES)
     if result == SHIPPED:
         result = load_imu()
     allowed = 'a TuneResult, a RecordingResult, an ImuConfig or "imu"'
@@ -45,7 +50,7 @@ def replay(
     each = several("recordings", given, Recording, "recordings, or one")
     replays = [_replayed(result, one) for one in each]
     if out is not None:
-        write_replays(replays, out, overwrite=overwrite)
+        write_replays(replays, out, overwrite=overwrite, figures=drawn)
     return replays
 
 

@@ -25,7 +25,7 @@ from posegsa.saving.folder import locked_folder
 from posegsa.saving.interrupt import resumable
 from posegsa.saving.recorded import write_recorded
 from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
-from posegsa.saving.run import write_run
+from posegsa.saving.run import run_figures, write_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
@@ -55,6 +55,7 @@ def tune(
     out: str | Path | None = None,
     overwrite: bool = False,
     resume: str | Path | None = None,
+    figures: Iterable[str] | None = None,
     cost: TrackCost | None = None,
     progress: Tell = None,
 ) -> TuneResult: ...
@@ -73,6 +74,7 @@ def tune(
     out: str | Path | None = None,
     overwrite: bool = False,
     resume: None = None,
+    figures: None = None,
     cost: None = None,
     progress: Tell = None,
 ) -> RecordingResult: ...
@@ -90,6 +92,7 @@ def tune(
     out: str | Path | None = None,
     overwrite: bool = False,
     resume: str | Path | None = None,
+    figures: Iterable[str] | None = None,
     cost: TrackCost | None = None,
     progress: Tell = None,
 ) -> TuneResult | RecordingResult:
@@ -121,6 +124,7 @@ def tune(
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
             of the same experiment (`saving.resume.experiment_to_resume`), but for more iterations:
             past those that it began with, G and K_best hold their final values.
+        figures: With a folder, names of the figures to draw; by default all. Not on recordings.
         cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
             its errors (`ErrorTrack`) and the times (N,) [s].
         progress: Called when the search is compiled, and after each chunk of iterations.
@@ -139,6 +143,9 @@ def tune(
     """
     check_callable("progress", progress)
     check_callable("cost", cost)
+    drawn = run_figures(figures)
+    if figures is not None and (recordings is not None or (out is None and resume is None)):
+        refuse("figures with recordings, or without a folder", "with out or resume")
     if recordings is not None:
         if resume is not None or cost is not None:
             refuse("recordings with resume or cost", "one of them")
@@ -154,11 +161,11 @@ def tune(
         refuse(f"{name} without recordings", "both, or neither")
     if resume is not None:
         folder = folder_to_resume(resume, out, overwrite)
-        return _resume(folder, experiment, seed, iterations, cost, progress)
+        return _resume(folder, experiment, seed, iterations, drawn, cost, progress)
     chosen = _chosen(experiment, seed, iterations)
     if out is not None and jax.process_index() == 0:  # of processes that have joined, one writes
         with locked_folder(out, overwrite=overwrite) as folder:
-            return _tune_in_folder(chosen, folder, None, cost, progress)
+            return _tune_in_folder(chosen, folder, None, drawn, cost, progress)
     with jax.enable_x64(chosen.run.dtype == "float64"):
         problem = _prepared(chosen, cost)
         return judge(problem, run_search(problem, progress))
@@ -260,6 +267,7 @@ def _tune_in_folder(
     experiment: config.Experiment,
     folder: Path,
     run: CheckpointedRun | None,
+    figures: list[str],
     cost: TrackCost | None,
     progress: Tell,
 ) -> TuneResult:
@@ -271,7 +279,7 @@ def _tune_in_folder(
             result = judge(problem, found)
     try:
         with _resumable(folder):
-            write_run(result, folder)
+            write_run(result, folder, figures)
     except RunFolderError as error:
         raise SaveError(str(error), result) from error
     return result
@@ -298,6 +306,7 @@ def _resume(
     experiment: Given,
     seed: int | None,
     iterations: int | None,
+    figures: list[str],
     cost: TrackCost | None,
     progress: Tell,
 ) -> TuneResult:
@@ -314,7 +323,7 @@ def _resume(
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)
         agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed)
-        return finished or _tune_in_folder(agreed, folder, run, cost, progress)
+        return finished or _tune_in_folder(agreed, folder, run, figures, cost, progress)
 
 
 def _all_chosen(

@@ -1,4 +1,4 @@
-"""The command line: `posegsa tune`, `evaluate`, `replay`, `export`, `compare` and `configs`."""
+"""The command line: a command a file of this folder."""
 
 import argparse
 import logging
@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
-from posegsa.cli.parsers import compare, configs, evaluate, export, replay, tune
+from posegsa.cli.parsers import compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parsers.lazy_help import Parser
 from posegsa.cli.progress import say
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"posegsa {VERSION}")
     commands = parser.add_subparsers(title="commands", required=True)
-    for command in (tune, evaluate, replay, export, compare, configs):
+    for command in (tune, evaluate, replay, export, compare, sweep, configs):
         command.add(commands)
     return parser
 

@@ -35,9 +35,11 @@ def run(options: argparse.Namespace) -> int:
             out=options.out,
             overwrite=options.overwrite,
             levels=options.levels,
+            figures=options.figures,
             progress=show,
         )
     print(comparison.table(options.levels))
     if options.out is not None:
-        print(f"\nWritten to {options.out}: comparison.json, comparison.txt, comparison.png")
+        drawn = "" if options.figures == [] else ", comparison.png"
+        print(f"\nWritten to {options.out}: comparison.json, comparison.txt{drawn}")
     return 0

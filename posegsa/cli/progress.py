@@ -20,6 +20,7 @@ from posegsa.steps import Step
 if TYPE_CHECKING:
     from posegsa.comparing import Status
     from posegsa.search.run import Progress
+    from posegsa.sweeping import SweepStatus
 
 BETWEEN_LINES = 10.0
 """Time between two lines of the same part, where nothing is drawn [s]."""
@@ -197,6 +198,21 @@ class CompareDisplay(Display):
                 done=before + status.share,
                 parts=len(self.optimisers) * status.repeats,
                 about=f"{status.optimiser} {status.repeat + 1}/{status.repeats}",
+            )
+        )
+
+
+class SweepDisplay(Display):
+    """Shows all runs of a sweep."""
+
+    def __call__(self, status: "SweepStatus") -> None:
+        """Show where the sweep stands; what a folder held already counts as done."""
+        self.show(
+            Step(
+                name="sweeping",
+                done=status.done + status.running,
+                parts=status.runs,
+                best_cost=status.best_cost if math.isfinite(status.best_cost) else None,
             )
         )
 

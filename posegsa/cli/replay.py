@@ -21,8 +21,9 @@ def read(paths: list[str], part: tuple[float, float] | None) -> list[Recording]:
 
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and say how it errs."""
-    if options.overwrite and options.out is None:
-        raise ArgumentError("--overwrite; allowed: with --out")
+    for name in ("overwrite", "figures"):
+        if getattr(options, name) not in (None, False) and options.out is None:
+            raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window)
     result = _filter(options.run)
     if isinstance(result, ImuConfig):
@@ -32,7 +33,8 @@ def run(options: argparse.Namespace) -> int:
         ]
     elif options.frame != "ENU" or options.rest != "auto":
         raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
-    replays = replaying.replay(result, recordings, out=options.out, overwrite=options.overwrite)
+    where = {"out": options.out, "overwrite": options.overwrite, "figures": options.figures}
+    replays = replaying.replay(result, recordings, **where)
     for one in replays:
         print(one.recording.describe())
     print(f"\n{replay_table(replays)}")

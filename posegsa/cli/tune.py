@@ -28,6 +28,7 @@ def run(options: argparse.Namespace) -> int:
     out = OUT if options.out is None and options.resume is None else options.out
     with TuneDisplay(_judging(experiment), quiet=options.quiet or not first) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
+        where["figures"] = options.figures
         result = tuning.tune(experiment, **where, progress=show)
     if options.resume is not None and not show.began:
         print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
@@ -40,6 +41,8 @@ def run(options: argparse.Namespace) -> int:
 def _tune_on_recordings(options: argparse.Namespace) -> int:
     if options.resume is not None or options.distributed:
         raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
+    if options.figures is not None:
+        raise ArgumentError("--recording with --figures; allowed: one of them, as none are drawn")
     experiment, out = _experiment(options), options.out or OUT
     recordings = read(options.recording, options.window)
     held_out = read(options.held_out or [], options.held_out_window)

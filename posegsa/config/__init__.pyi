@@ -13,6 +13,7 @@ from posegsa.config.files import from_dict as from_dict
 from posegsa.config.files import load as load
 from posegsa.config.files import override as override
 from posegsa.config.files import to_toml as to_toml
+from posegsa.config.files import values_of as values_of
 from posegsa.config.files import with_tuned as with_tuned
 from posegsa.config.imu import ImuConfig as ImuConfig
 from posegsa.config.imu import ImuObserverConfig as ImuObserverConfig

@@ -112,6 +112,40 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     return _validated(data, "not a valid experiment with these settings")
 
 
+def values_of(text: str) -> tuple[str, list[Any]]:
+    """Reads a key and several values, as `--vary` has them on the command line.
+
+    Args:
+        text: Such as `filter.gamma=1,5,10` or `search.optimiser=gsa,de`: a path of keys and array
+            indices, and values as TOML writes them with commas between.
+
+    Raises:
+        ConfigError: It is no such text.
+    """
+    path, _, written = (part.strip() for part in text.partition("="))
+    parsed = [_parsed(f"{path}={part}") for part in _parts(written)]
+    if violations := [one for one in parsed if isinstance(one, Violation)]:
+        raise violations_error("values that cannot be read", violations)
+    return path, [one[1] for one in parsed if not isinstance(one, Violation)]
+
+
+def _parts(written: str) -> list[str]:
+    """A text divided at its commas, but for those within brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for character in written:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        else:
+            depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
 def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experiment:
     """An experiment with the numbers in it that were tuned beside k1..k22, by key.
 

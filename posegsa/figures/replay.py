@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
+from posegsa.figures.trajectory import ASKED, USED
 from posegsa.judging.replay import Replay
 
 if TYPE_CHECKING:
@@ -17,12 +19,17 @@ MOST = 4000
 """Most points of a curve; of more samples the largest of each of so many bins is drawn."""
 
 
-def draw_replay(replay: Replay) -> dict[str, Figure]:
-    """The figures of a replay by name; those that have nothing to show are left out."""
+REPLAY_FIGURES = ("attitude_errors", "position", "gain")
+"""Names of the figures of a replay."""
+
+
+def draw_replay(replay: Replay, figures: Sequence[str] = REPLAY_FIGURES) -> dict[str, Figure]:
+    """Figures of a replay by name; those that have nothing to show are left out."""
+    plots = (plot_attitude_errors, plot_position, plot_gain)
     drawn = {
-        "attitude_errors": plot_attitude_errors(replay),
-        "position": plot_position(replay),
-        "gain": plot_gain(replay),
+        name: plot(replay)
+        for name, plot in zip(REPLAY_FIGURES, plots, strict=True)
+        if name in figures
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
@@ -85,14 +92,11 @@ def plot_position(replay: Replay) -> Figure | None:
 def plot_gain(replay: Replay) -> Figure:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s]."""
     figure, (ax,) = style.panels(1, 3.0)
-    for name, gain, colour, width in (
-        ("asked for", replay.estimates.gain, style.SKY, 2.4),
-        ("used, after the limit", replay.estimates.gain_used, style.BLACK, 1.0),
+    for name, gain, look in (
+        ("asked for", replay.estimates.gain, ASKED),
+        ("used, after the limit", replay.estimates.gain_used, USED),
     ):
-        ax.plot(
-            *_largest(replay.recording.time, finite(gain)),
-            **{"label": name, "color": colour, "linewidth": width},
-        )
+        ax.plot(*_largest(replay.recording.time, finite(gain)), label=name, **look)
     ax.set_ylabel("Gain $K$ [1/s]")
     ax.set_ylim(bottom=0)
     style.finish_time([ax], replay.recording.time)

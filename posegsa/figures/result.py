@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import jax
 
 from posegsa.arguments import check_type
 from posegsa.figures import evaluation, schedule, search, trajectory
+from posegsa.figures.choice import chosen_figures
 from posegsa.judging.result import TuneResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = (*evaluation.FIGURES, *schedule.FIGURES, *trajectory.FIGURES, *search.FIGURES)
+NAMES = tuple(each.name for each in FIGURES)
 
 
-def draw(result: TuneResult) -> dict[str, Figure]:
-    """The figures of a result by name; those that have nothing to show are left out."""
+def draw(result: TuneResult, figures: Iterable[str] | None = None) -> dict[str, Figure]:
+    """The figures of a result by name; those that have nothing to show are left out.
+
+    Args:
+        result: From `tune` or `evaluate`.
+        figures: Names of those to draw; by default all.
+
+    Raises:
+        ArgumentError: There is no such result, or no figure of such a name.
+    """
     check_type("result", result, TuneResult)
+    names = chosen_figures(figures, NAMES)
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        drawn = {each.name: each.draw(result) for each in FIGURES}
+        drawn = {each.name: each.draw(result) for each in FIGURES if each.name in names}
     return {name: figure for name, figure in drawn.items() if figure is not None}

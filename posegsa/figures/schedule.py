@@ -36,8 +36,9 @@ _SQUARE_ROOT = (
     FIGURES,
     name="control_surface",
     title="Control surface",
-    caption="The gain that the schedule asks for. Both axes go by the square root, because a "
-    "filter spends its time in the lower left corner. Hatched regions have no rule that fires.",
+    caption="The gain that the schedule asks for, by how large the error is and how fast it "
+    "changes. Both axes are stretched towards 0, where a filter spends most of its time. No rule "
+    "fires in hatched regions.",
 )
 def plot_surface(controller: FuzzyController) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
@@ -80,8 +81,8 @@ def plot_surface(controller: FuzzyController) -> Figure:
 def plot_rules(trust: Trust) -> Figure:
     """Mean firing strength [-] of each rule over a held-out trajectory, by the terms of its inputs.
 
-    Shades go by the square root, because the rules of small errors fire most of the time; a rule
-    that never fires is left blank.
+    Shades tell small strengths apart better than large ones, because the rules of small errors fire
+    most of the time; a rule that never fires is left blank.
     """
     from matplotlib.colors import PowerNorm
 

@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
+from posegsa.judging.evaluation import EARLY
+
 DPI = 200
 """Resolution for print [dots per inch]."""
 WIDTH = 6.5
 """Width of a figure [in]: one column of a page, or both of a two-column one."""
-START = 1.0
+START = EARLY
 """Length of the start of a run that figures show enlarged [s]."""
 LOG_RATIO = 30.0
 """Costs that differ by more than this factor are drawn over a logarithmic axis."""
@@ -169,7 +171,15 @@ def finite(values: ArrayLike) -> np.ndarray:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a PNG file at the resolution for print."""
-    file = io.BytesIO()
+    """A figure as a PNG file at the resolution for print.
+
+    The layout is made here, once: `savefig` would draw the whole figure once more to make it.
+    """
+    file, layout = io.BytesIO(), figure.get_layout_engine()
+    figure.set_dpi(DPI)
+    if layout is not None:
+        layout.execute(figure)
+        figure.set_layout_engine("none")
     figure.savefig(file, format="png", dpi=DPI)
+    figure.set_layout_engine(layout)
     return file.getvalue()

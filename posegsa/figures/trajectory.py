@@ -24,6 +24,9 @@ _BIASES = (
 _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
 _EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
 """Colours of vectors."""
+ASKED: Style = {"color": style.SKY, "linewidth": 3.4}
+"""The gain that a schedule asked for: wide, so that it shows on both sides of the one used."""
+USED: Style = {"color": style.BLACK, "linewidth": 0.9}
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
 
 
@@ -63,13 +66,13 @@ def plot_gain(trajectory: Trajectory) -> Figure:
     time = trajectory.time
     parts = style.time_parts(time)[::-1]
     figure, axes = style.panels(len(parts), 4.6 if len(parts) > 1 else 3.4, sharex=False)
-    for ax, part, width in zip(axes, parts, (0.5, 1.4), strict=False):
-        for name, gain, colour, thickness in (
-            ("asked for", trajectory.gain, style.SKY, 2 * width),
-            ("used, after the limit", trajectory.gain_used, style.BLACK, width),
-        ):
-            curve = finite(gain)[part]
-            ax.plot(time[part], curve, label=name, color=colour, linewidth=thickness)
+    looks: tuple[tuple[str, np.ndarray, Style], ...] = (
+        ("asked for", trajectory.gain, ASKED),
+        ("used, after the limit", trajectory.gain_used, USED),
+    )
+    for ax, part in zip(axes, parts, strict=True):
+        for name, gain, look in looks:
+            ax.plot(time[part], finite(gain)[part], label=name, **look)
         ax.set_ylabel("Gain $K$ [1/s]")
         ax.set_ylim(bottom=0)
         style.finish_time([ax], time[part])

@@ -19,6 +19,7 @@ from posegsa.judging.evaluation import (
     OPEN_LOOP,
     RANDOM,
     REPLAYED,
+    SCHEDULES,
     SMOOTH,
     SWITCH,
     Description,
@@ -52,14 +53,6 @@ KNOTS = 16
 """Knots of the best open-loop gains."""
 REPLAYED_KNOTS = 300
 """Most knots of the tuned gains that are replayed."""
-
-SCHEDULES: dict[Kind, type] = {
-    "constant": ConstantGain,
-    "switch": SwitchGain,
-    "smooth": SmoothGain,
-    "open loop": KnotGain,
-}
-"""The types of schedules without a controller, by the kind of their `Description`."""
 
 
 def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> Description:

@@ -1,8 +1,9 @@
 """What schedules are worth on scenarios that they were not tuned on, side by side."""
 
 import math
+import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -10,10 +11,14 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
 from posegsa.arguments import MAX_INTEGER
+from posegsa.config import PARAMETERS
 from posegsa.judging.metrics import Bands, Metrics, metrics_of
+from posegsa.model.ekf import EkfNoise
 from posegsa.model.rollout import ErrorTrack
+from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
+from posegsa.settings.fields import Number
 from posegsa.words import counted, text_table
 
 CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, EKF_VECTORS = (
@@ -29,7 +34,9 @@ CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, 
 )
 """Names of the filters that may be judged, in the order in which they are shown."""
 BAND_POINTS = 300
-"""Most points in time that error bands are kept at."""
+"""Most points in time that error bands are kept at over the whole of a run, evenly spaced."""
+EARLY, EARLY_POINTS = 1.0, 100
+"""The first second, in which the errors fall most: there as many more, at most."""
 
 
 class Interval(NamedTuple):
@@ -46,18 +53,50 @@ class Interval(NamedTuple):
 
 
 Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "Kalman"]
+SCHEDULES: dict[Kind, type] = {
+    "constant": ConstantGain,
+    "switch": SwitchGain,
+    "smooth": SmoothGain,
+    "open loop": KnotGain,
+}
+"""The types of schedules without a controller, by the kind of their `Description`."""
 
 
 class Description(NamedTuple):
     """A filter as it is stored, by its own numbers."""
 
     kind: Kind
-    numbers: dict[str, list[float]]
+    numbers: dict[str, list[Number]]
     """Of the schedule, or the noises of a Kalman filter, by name; one number is a list of one."""
-    also: dict[str, float]
+    also: dict[str, Number]
     """What else was tuned of the filter and its signal, by key."""
     evaluations: Annotated[int, Field(ge=0)]
     """Evaluations of the search that found it; 0 where none was needed."""
+
+
+def _of_its_kind(found: Description) -> Description:
+    """A description that was read, if it has the numbers that filters of its kind have."""
+    lengths = {name: len(values) for name, values in found.numbers.items()}
+    match found.kind:
+        case "fuzzy":
+            fits, allowed = lengths == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
+        case "open loop":
+            time = found.numbers.get("time", [])
+            same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))
+            fits, allowed = same and bool(np.all(np.diff(time) > 0)), "ascending time, and log_gain"
+        case "Kalman":
+            fits = bool(lengths) and lengths.keys() <= set(EkfNoise._fields)
+            fits, allowed = fits and set(lengths.values()) == {1}, "noises, one number each"
+        case kind:
+            names = [field.name for field in fields(SCHEDULES[kind])]
+            fits, allowed = lengths == dict.fromkeys(names, 1), f"{', '.join(names)}, one each"
+    if not fits:
+        raise ValueError(f"its numbers are {reprlib.repr(lengths)} by length; allowed: {allowed}")
+    return found
+
+
+StoredFilter = Annotated[Description, AfterValidator(_of_its_kind)]
+"""A description with the numbers of its kind."""
 
 
 class Contender(NamedTuple):
@@ -65,7 +104,7 @@ class Contender(NamedTuple):
 
     metrics: Metrics
     bands: Bands
-    filter: Description
+    filter: StoredFilter
 
 
 class Summary(NamedTuple):
@@ -201,13 +240,15 @@ def contender(
 ) -> Contender:
     """A filter's performance from what it did on the held-out scenarios."""
     metrics, bands = metrics_of(tracks, held_out, cost)
-    kept = band_samples(held_out.samples.time.shape[1])
+    kept = band_samples(np.asarray(held_out.samples.time[0]))
     return Contender(metrics, Bands(*(band[:, kept] for band in bands)), description)
 
 
-def band_samples(samples: int) -> np.ndarray:
-    """Those (n,) of N samples at which error bands are kept."""
-    return np.unique(np.linspace(0, samples - 1, BAND_POINTS).round().astype(int))
+def band_samples(time: np.ndarray) -> np.ndarray:
+    """Those (n,) of the samples at times (N,) [s] at which error bands are kept."""
+    early = np.count_nonzero(time - time[0] <= EARLY)
+    places = (np.linspace(0, early - 1, EARLY_POINTS), np.linspace(0, len(time) - 1, BAND_POINTS))
+    return np.unique(np.concatenate(places).round().astype(int))
 
 
 def evaluation(
@@ -215,4 +256,4 @@ def evaluation(
 ) -> Evaluation:
     """Contenders that met the same held-out scenarios, side by side."""
     time = np.asarray(held_out.samples.time[0], np.float64)
-    return Evaluation(seed=seed, time=time[band_samples(len(time))], contenders=contenders)
+    return Evaluation(seed=seed, time=time[band_samples(time)], contenders=contenders)

@@ -2,18 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
+from pydantic import AfterValidator
 
 from posegsa import steps
 from posegsa.arguments import check_type
 from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import FuzzyError, RecordingError
-from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
-from posegsa.judging.evaluation import Description
+from posegsa.judging.baselines import candidate_of, describe
+from posegsa.judging.evaluation import SCHEDULES, StoredFilter
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
@@ -34,6 +35,15 @@ from posegsa.version import VERSION
 from posegsa.words import counted, text_table
 
 
+def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
+    """Errors by phase that were read, if those of all that is judged are among them."""
+    if "judged" not in errors:
+        raise ValueError(
+            f"its phases are {', '.join(errors) or 'none'}; allowed: judged among them"
+        )
+    return errors
+
+
 class RecordingScore(NamedTuple):
     """A filter on one recording."""
 
@@ -46,7 +56,7 @@ class RecordingScore(NamedTuple):
     """What is measured and what was made from the truth, in words."""
     notes: list[str]
     """What was bridged, dropped or left out."""
-    errors: dict[str, Rmse]
+    errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
     """Root mean squares by phase, "judged" first."""
 
 
@@ -55,7 +65,7 @@ class RecordingResult:
     """A gain schedule tuned on recordings, how it was found, and what it is worth."""
 
     experiment: Experiment
-    filter: Description
+    filter: StoredFilter
     """The schedule by its kind and its own numbers, and what was tuned beside it."""
     position_weight: NonNegative
     """Of the position's RMSE in the cost [deg/m]."""

@@ -4,8 +4,17 @@ import math
 
 import numpy as np
 
-from posegsa.judging.evaluation import CONSTANT, TUNED, Description, Evaluation
+from posegsa.judging.evaluation import (
+    BEHAVIOUR,
+    CONSTANT,
+    SWITCH,
+    TUNED,
+    Description,
+    Evaluation,
+)
+from posegsa.judging.result import TuneResult
 from posegsa.report.numbers import cost, interval, number
+from posegsa.search.population import CONFIGURED
 from posegsa.words import counted
 
 
@@ -37,6 +46,75 @@ def verdict(evaluation: Evaluation) -> str:
         f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
         f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
+
+
+def cost_words(result: TuneResult) -> str:
+    """What the cost of a run is, in sentences."""
+    if result.cost != CONFIGURED:
+        return (
+            f"The cost of a run is what the function {result.cost} makes of its errors over time; "
+            "less is better."
+        )
+    settings, step = result.experiment.cost, result.experiment.scenario.sampling_time
+    spans = [
+        f"{number(first * step, 'g')} to {number(last * step, 'g')} s"
+        for first, last in (settings.transient_window, settings.steady_window)
+    ]
+    return (
+        "The cost of a run is a sum of errors over its samples, without a unit; less is better. "
+        "The error of a sample is that of the attitude, from 0 (none) to 1 (turned by "
+        f"180\u00a0deg), plus {number(settings.position_weight, 'g')} for each metre that the "
+        f"position is off. From {spans[0]} it counts {number(settings.transient_weight, 'g')} "
+        f"times, from {spans[1]} {number(settings.steady_weight, 'g')} times."
+    )
+
+
+def worse_words(evaluation: Evaluation) -> str:
+    """Where the tuned filter's errors are larger than those of the best constant gains, if any."""
+    tuned, constant = (evaluation.contenders[name].metrics for name in (TUNED, CONSTANT))
+    worse = []
+    for head, form, of in BEHAVIOUR:
+        own, other = (float(np.mean(np.asarray(of(metrics)))) for metrics in (tuned, constant))
+        if own > other:
+            name, _, unit = head.replace("\n", " ").partition(" [")
+            unit = f" {unit.rstrip(']')}" if unit else ""
+            worse.append(
+                f"{name[:1].lower()}{name[1:]} ({number(own, form)} against "
+                f"{number(other, form)}{unit})"
+            )
+    if not worse:
+        return ""
+    listed = "; ".join(worse)
+    return (
+        f"The tuned filter is worse than the best constant gains in: {listed}. The search "
+        "minimises the cost alone: what the cost does not look at, such as the errors of the "
+        "estimated biases, may become worse on the way."
+    )
+
+
+def next_words(result: TuneResult) -> list[str]:
+    """What a reader may do next, in sentences."""
+    evaluation = result.evaluation
+    steps = []
+    if result.warnings():
+        steps.append("Read the warnings above first: they say why these numbers may mislead.")
+    if evaluation.difference(CONSTANT).high < 0:
+        steps.append(
+            "The schedule pays: write the whole filter as C with posegsa export RUN --format c, or "
+            "run it over recordings of your own with posegsa replay RUN FILE."
+        )
+    else:
+        steps.append(
+            "A schedule that is not better than constant gains is not worth its trouble: search "
+            "longer (search.iterations) or with more training scenarios, or take the constant gain "
+            f"of {number(result.constant_gain, '.4g')} 1/s."
+        )
+    if SWITCH not in evaluation.contenders:
+        steps.append(
+            "posegsa evaluate RUN judges it on many more scenarios, beside simpler schedules and "
+            "Kalman filters that may do as well."
+        )
+    return steps
 
 
 def filter_words(found: Description) -> str:

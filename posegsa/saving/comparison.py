@@ -71,15 +71,20 @@ def write_searches(comparison: OptimiserComparison, folder: Path) -> None:
 
 
 def write_comparison(
-    comparison: OptimiserComparison, folder: Path, levels: Sequence[float] | None
+    comparison: OptimiserComparison,
+    folder: Path,
+    levels: Sequence[float] | None,
+    *,
+    figure: bool = True,
 ) -> None:
     """Write JSON, table (with these costs to reach) and figure to a folder that is locked."""
     files = {
         DATA: _json(comparison),
         TABLE: f"{comparison.table(levels)}\n".encode(),
-        FIGURE: png(plot_comparison(comparison)),
     }
-    replace_files(folder, files, remove=())
+    if figure:
+        files[FIGURE] = png(plot_comparison(comparison))
+    replace_files(folder, files, remove=[FIGURE])
 
 
 def _json(comparison: OptimiserComparison) -> bytes:

@@ -1,5 +1,6 @@
 """Finished runs written and read back, whatever they were tuned on."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from posegsa.judging.recorded import RecordingResult
@@ -10,7 +11,11 @@ from posegsa.saving.recorded import holds_recorded, load_recorded, write_recorde
 
 
 def save(
-    result: TuneResult | RecordingResult, folder: str | Path, *, overwrite: bool = False
+    result: TuneResult | RecordingResult,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    figures: Iterable[str] | None = None,
 ) -> Path:
     """Write a result to the folder of a run: JSON, tables, and of simulations figures and report.
 
@@ -18,15 +23,17 @@ def save(
         result: From `tune`, `evaluate` or `by_hand`.
         folder: Where; made if missing.
         overwrite: Replace another run's files there.
+        figures: Of simulations, names of those to draw; by default all.
 
     Returns:
         The folder.
 
     Raises:
         RunFolderError: It holds a run already, or can't be written.
+        ArgumentError: There is no figure of such a name.
     """
     if not isinstance(result, RecordingResult):
-        return run.save(result, folder, overwrite=overwrite)
+        return run.save(result, folder, overwrite=overwrite, figures=figures)
     with locked_folder(folder, overwrite=overwrite) as locked:
         write_recorded(result, locked)
     return locked

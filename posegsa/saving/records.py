@@ -124,16 +124,16 @@ _SCALARS = {
 
 def _strict(kind: Any) -> Any:
     """The type by which pydantic reads values of a type from plain data, and nothing else."""
+    origin: Any = typing.get_origin(kind)
+    parts = typing.get_args(kind)
+    if origin is Annotated:
+        return Annotated[(_strict(parts[0]), *parts[1:])]
     if kind in _SCALARS:
         return _SCALARS[kind]
     if is_dataclass(kind) or typing.is_typeddict(kind) or hasattr(kind, "_fields"):
         return _strict_record(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
-    origin: Any = typing.get_origin(kind)
-    parts = typing.get_args(kind)
-    if origin is Annotated:
-        return Annotated[(_strict(parts[0]), *parts[1:])]
     if origin is None or origin is Literal:
         return kind
     inner = tuple(_strict(part) for part in parts)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from posegsa.errors import RunFolderError
-from posegsa.figures.replay import draw_replay
+from posegsa.figures.replay import REPLAY_FIGURES, draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replay import Replay, replay_table
 from posegsa.recordings.tum import tum_text
@@ -21,12 +21,16 @@ TABLE, DATA = "replay.txt", "replay.json"
 
 
 def write_replays(
-    replays: Sequence[Replay], folder: str | Path, *, overwrite: bool = False
+    replays: Sequence[Replay],
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    figures: Sequence[str] = REPLAY_FIGURES,
 ) -> Path:
     """Write replays to a folder, made if missing.
 
     These are replay.txt and replay.json, and for each recording a folder with estimated.tum,
-    true.tum (what is judged of the truth) and figures.
+    true.tum (what is judged of the truth) and those figures that are named.
 
     Raises:
         RunFolderError: It holds replays already, or can't be written.
@@ -42,7 +46,7 @@ def write_replays(
     files: dict[str, bytes] = {}
     names = folder_names([each.recording.name for each in replays])
     for name, each in zip(names, replays, strict=True):
-        files |= {f"{name}/{file}": content for file, content in _files(each).items()}
+        files |= {f"{name}/{file}": content for file, content in _files(each, figures).items()}
     data = {"schema": SCHEMA, "recordings": [_summary(each) for each in replays]}
     described = [each.recording.describe() for each in replays]
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
@@ -64,7 +68,7 @@ def folder_names(names: Sequence[str]) -> list[str]:
     return found
 
 
-def _files(replay: Replay) -> dict[str, bytes]:
+def _files(replay: Replay, figures: Sequence[str]) -> dict[str, bytes]:
     recording, estimates = replay.recording, replay.estimates
     position = None if recording.attitude_only else estimates.position
     files = {"estimated.tum": tum_text(recording.time, estimates.rotation, position).encode()}
@@ -76,8 +80,8 @@ def _files(replay: Replay) -> dict[str, bytes]:
             None if truth.position is None else truth.position[judged],
         )
         files["true.tum"] = true.encode()
-    figures = {f"{name}.png": png(figure) for name, figure in draw_replay(replay).items()}
-    return files | figures
+    drawn = draw_replay(replay, figures).items()
+    return files | {f"{name}.png": png(figure) for name, figure in drawn}
 
 
 def _summary(replay: Replay) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The files of a tuning run: result, tables, figures and report, written and read."""
 
 import reprlib
+from collections.abc import Iterable
 from dataclasses import fields, make_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -11,9 +12,10 @@ from posegsa import steps
 from posegsa.arguments import check_type
 from posegsa.errors import RunFolderError
 from posegsa.figures import result as result_figures
+from posegsa.figures.choice import chosen_figures
 from posegsa.figures.result import draw
 from posegsa.figures.style import png
-from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation, band_samples
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.metrics import QUANTILES
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trajectory import Trajectory
@@ -38,7 +40,7 @@ SCHEMA = 3
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
-RUN_FIGURES = [_FIGURE.format(each.name) for each in result_figures.FIGURES]
+RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
 RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
 """All that a finished run's folder may hold beside checkpoints."""
 MAX_ROW = 2**10
@@ -55,35 +57,55 @@ _StoredResult: Any = make_dataclass(
 """The fields of a result that result.json holds."""
 
 
-def save(result: TuneResult, folder: str | Path, *, overwrite: bool = False) -> Path:
+def save(
+    result: TuneResult,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    figures: Iterable[str] | None = None,
+) -> Path:
     """Write a result to the folder of a run: JSON, tables, figures and report.
 
     Args:
         result: From `tune` or `evaluate`.
         folder: Where; made if missing.
         overwrite: Replace another run's files there.
+        figures: Names of those to draw; by default all.
 
     Returns:
         The folder.
 
     Raises:
         RunFolderError: It holds a run already, or can't be written.
+        ArgumentError: There is no figure of such a name.
     """
     check_type("result", result, TuneResult)
+    names = run_figures(figures)
     with locked_folder(folder, overwrite=overwrite) as folder:
-        write_run(result, folder)
+        write_run(result, folder, names)
     return folder
 
 
-def write_run(result: TuneResult, folder: Path) -> None:
+def run_figures(figures: Iterable[str] | None) -> list[str]:
+    """Names of a run's figures from a user, checked; None is all.
+
+    Raises:
+        ArgumentError: There is no such figure.
+    """
+    return chosen_figures(figures, result_figures.NAMES)
+
+
+def write_run(result: TuneResult, folder: Path, figures: Iterable[str] | None = None) -> None:
     """Write all files of a result at once, to a folder that the caller has locked.
+
+    Of its figures those with these names are drawn, by default all; others that are there go.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
     steps.begin("drawing")
-    figures = list(draw(result).items())
-    pictures = {name: png(figure) for name, figure in steps.each("drawing", figures)}
+    drawn = list(draw(result, figures).items())
+    pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
     evaluation = result.evaluation
     texts = {
@@ -145,6 +167,7 @@ def load(folder: str | Path) -> TuneResult:
 def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
     """Raise a RunFolderError where the files of a run do not fit together."""
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
+    last = round(float(evaluation.time[-1]) / experiment.scenario.sampling_time)
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
     k, gain = (
         evaluation.contenders[name].filter.numbers.get(value) if name in both else None
@@ -157,7 +180,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
         (EVALUATION, f"contenders.{TUNED}.filter.k", k, result.parameters.tolist()),
         (EVALUATION, f"contenders.{CONSTANT}.filter.gain", gain, [result.constant_gain]),
-        (EVALUATION, "number of times", len(evaluation.time), len(band_samples(samples))),
+        (EVALUATION, "sample of the last time", last, samples - 1),
         (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
         (RESULT, "number of training_costs", len(result.training_costs), training),
         (HISTORY, "last best", float(history.best[-1]), result.best_cost),

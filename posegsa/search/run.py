@@ -2,7 +2,7 @@
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -182,6 +182,14 @@ def search_batch(
         )
         for i in range(share)
     ]
+
+
+def structure(problem: TuningProblem) -> Hashable:
+    """What the searches of a batch must have in common: their program, all but their numbers."""
+    searched = problem.training, _with_reach(problem.space, 0)
+    leaves, tree = jax.tree.flatten(searched)
+    shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+    return tree, shapes, problem.experiment.search, problem.experiment.objective
 
 
 def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[ParameterSpace]:

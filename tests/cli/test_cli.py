@@ -272,3 +272,31 @@ def test_the_command_is_installed_and_helps():
     assert done.returncode == 0
     for command in ("tune", "evaluate", "export"):
         assert command in done.stdout
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_figures_that_there_are_not_are_refused_before_a_search(tmp_path, capsys):
+    for command in (
+        ["tune", *SETTINGS, "--out", str(tmp_path / "run")],
+        ["compare", *SETTINGS, "--out", str(tmp_path / "compared")],
+    ):
+        assert main([*command, "--quiet", "--figures", "gian"]) == 2
+        assert "figures: 'gian'; allowed: " in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(SystemExit):
+        main(["tune", "--figures", "gain", "--no-figures"])
+    assert main(["replay", str(tmp_path), "none.csv", "--no-figures"]) == 2
+    assert "--figures; allowed: with --out" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_a_comparison_without_figures(tmp_path, capsys):
+    out = tmp_path / "compared"
+    command = ["compare", "--function", "sphere", "--dimensions", "2", "--repeats", "1", "--quiet"]
+    command += ["--optimisers", "random_search", "--evaluations", "100", "--out", str(out)]
+    assert main(command) == 0
+    assert "comparison.png" in capsys.readouterr().out
+    assert (out / "comparison.png").exists()
+    assert main([*command, "--no-figures"]) == 0
+    assert "comparison.png" not in capsys.readouterr().out
+    assert not (out / "comparison.png").exists()

@@ -388,3 +388,17 @@ def test_sorting_stays_inside_boxes_that_ascend(
     )
     for low, value, high in zip(lower, sorted_terms(k), upper, strict=True):
         assert low <= value <= high
+
+
+def test_several_values_of_a_key_are_read_as_toml_and_bare_words():
+    for text, key, values in (
+        ("filter.gamma=1,5.5, 10", "filter.gamma", [1, 5.5, 10]),
+        ("search.optimiser=gsa,de", "search.optimiser", ["gsa", "de"]),
+        ("filter.gamma=[1.0, 2.0],3", "filter.gamma", [[1.0, 2.0], 3]),
+        ("a.b='x,y',\"z\"", "a.b", ["x,y", "z"]),
+        ("a.b={c = 1, d = [2]},true", "a.b", [{"c": 1, "d": [2]}, True]),
+    ):
+        assert config.values_of(text) == (key, values)
+    for text in ("filter.gamma", "filter.gamma=", "gamma=1", "filter.gamma=1,,2", "a.b=[1,2"):
+        with pytest.raises(ConfigError, match="allowed: "):
+            config.values_of(text)

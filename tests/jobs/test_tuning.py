@@ -199,7 +199,7 @@ def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch
 
 def test_a_run_is_replaced_when_asked(run, tmp_path, monkeypatch):
     result, _, _ = run
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     posegsa.save(result, tmp_path)
     with pytest.raises(RunFolderError, match="overwrite"):
         posegsa.save(result, tmp_path)

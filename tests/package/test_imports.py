@@ -49,7 +49,7 @@ def command(*arguments: str) -> str:
         ["no such"],
         *(
             [name, option]
-            for name in ("tune", "evaluate", "replay", "export")
+            for name in ("tune", "evaluate", "replay", "export", "sweep")
             for option in ("--help", "--no-such")
         ),
         ["compare", "--no-such"],

@@ -23,7 +23,7 @@ from reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
 from posegsa import config
-from posegsa.errors import RunFolderError
+from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import CONSTANT, CONTENDERS, EKF, OPEN_LOOP, SWITCH, TUNED
@@ -150,6 +150,36 @@ def test_the_verdict_is_that_of_the_paired_interval(shift, said):
 def test_the_verdict_of_one_scenario_is_that_there_is_none():
     given = evaluation((TUNED, CONSTANT), cost=np.array([43.0]))
     assert "too few" in verdict(given)
+
+
+def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
+    better = changed(evaluation((TUNED, CONSTANT)), TUNED, cost=np.linspace(1, 2, 40))
+    better = changed(better, CONSTANT, cost=np.linspace(4, 4.5, 40), bias_linear=np.full(40, 0.25))
+    better = changed(better, TUNED, bias_linear=np.full(40, 0.5))
+    text = page(result(evaluation=better)).text
+    order = ("What it is for", "What is minimised", "What came out", "What to do next", "Held out:")
+    places = [text.index(words) for words in order]
+    assert places == sorted(places)
+    assert "plus 0.2 for each metre" in text
+    assert "From 0 to 1 s it counts 0.3 times, from 4 to 59 s 1 times" in text
+    assert "bias error, linear (0.500 against 0.250 m/s)" in text
+    assert "The schedule pays" in text
+    assert "posegsa evaluate RUN judges it" in text
+    other = changed(better, TUNED, cost=np.linspace(5, 6, 40))
+    text = page(result(evaluation=other, cost="mine.cost")).text
+    assert "take the constant gain of 53.5 1/s" in text
+    assert "the function mine.cost" in text
+    assert "posegsa evaluate RUN" not in page().text
+
+
+def test_where_nothing_is_worse_nothing_is_said_and_without_figures_no_box_is_left():
+    same = evaluation((TUNED, CONSTANT))
+    own = same.contenders[TUNED].metrics
+    even = changed(same, CONSTANT, **own._asdict())
+    found = page(result(evaluation=even), pictures={"none": PICTURE})
+    assert "is worse than the best constant gains in" not in found.text
+    boxes = [a for _, a in found.elements if a.get("class") == "figures"]
+    assert len(boxes) == 1, "the tables of terms"
 
 
 def test_warnings_are_shown_before_all_else():
@@ -404,13 +434,19 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
     assert shown == set(figures.values()), "every figure is in the report"
     loaded = posegsa.load(folder)
     assert report_html(loaded, figures) == text
+    # Those that are asked for, or none; what was there before goes.
+    for names in (["gain", "rules"], []):
+        posegsa.save(whole, folder, overwrite=True, figures=names)
+        assert {path.stem for path in (folder / "figures").iterdir()} == set(names)
+    with pytest.raises(ArgumentError, match="figures: 'gian'; allowed: costs, bands"):
+        posegsa.save(whole, folder, overwrite=True, figures=["gian"])
 
 
 def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
     monkeypatch.setattr(
         "posegsa.saving.run.draw",
-        lambda result: {
+        lambda result, _: {
             each.name: figure
             for each in evaluation_figures.FIGURES
             if (figure := each.draw(result)) is not None
@@ -427,7 +463,7 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     (tmp_path / "figures").write_text("a file in the place of a folder")
     with pytest.raises(RunFolderError, match="cannot be written: Not a directory"):
         posegsa.save(result(), tmp_path)

@@ -1,4 +1,4 @@
-"""Every field of every file of a run and of a comparison, altered: refused by name, or of use.
+"""Every field of every file of a run, simulated or recorded, and of a comparison, altered.
 
 What is read is refused with file and field, or it makes a result that can be shown. Nothing else
 happens: no other exception, then or later, and no control character reaches a terminal.
@@ -10,15 +10,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
-from evaluations import evaluation
+from evaluations import description, evaluation
+from experiments import tiny
 from reports import consistent
 
 import posegsa
 from posegsa.errors import RunFolderError
+from posegsa.judging.baselines import candidate_of
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
-from posegsa.judging.evaluation import TUNED
+from posegsa.judging.evaluation import EKF, OPEN_LOOP, SWITCH, TUNED, Description
+from posegsa.judging.kalman import noise_of
+from posegsa.judging.recorded import RecordingResult, RecordingScore
+from posegsa.recordings.accuracy import Rmse
 from posegsa.report import report_html
 from posegsa.saving.comparison import load_comparison, write_searches
 
@@ -46,7 +52,7 @@ CELLS = ("", "x", "nan", "inf", "1e308", "-1", "0", "1.5", "\x1b[31m", "true")
 def run(tmp_path_factory):
     """The folder of a small result with every contender, without figures."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("posegsa.saving.run.draw", lambda _: {})
+    patch.setattr("posegsa.saving.run.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
     patch.undo()
 
@@ -69,6 +75,27 @@ def comparison(tmp_path_factory):
     )
     write_searches(made, folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """The folder of a constant gain on recordings, with one other filter beside it."""
+    errors = {phase: Rmse(1.0, 0.5, 0.25, 0.1, 20) for phase in ("judged", "moving")}
+    one = RecordingScore("a walk", 30, 0.3, False, {"gyroscope": "measured"}, ["a gap"], errors)
+    made = RecordingResult(
+        experiment=tiny(),
+        filter=description("constant", gain=8.0),
+        position_weight=10.0,
+        best_cost=2.0,
+        training=[one],
+        held_out=[one, one],
+        compile_seconds=1.0,
+        search_seconds=0.5,
+        environment={"jax": "0.10"},
+        version="1.2.3",
+        baselines={"VQF": [one, one]},
+    )
+    return posegsa.save(made, tmp_path_factory.mktemp("recorded") / "out")
 
 
 def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
@@ -126,6 +153,14 @@ def shown(result: posegsa.TuneResult) -> str:
     return "".join(texts) + report_html(result, {})
 
 
+def rebuilt(found: Description) -> object:
+    """The filter that a description means."""
+    with jax.enable_x64(True):
+        if found.kind == "Kalman":
+            return noise_of(found, np.dtype(np.float64))
+        return candidate_of(found, posegsa.parameter_space(tiny("run.dtype=float64")))
+
+
 @pytest.mark.parametrize("name", ["result.json", "evaluation.json"])
 def test_every_field_of_a_run(run, name):
     file = run / name
@@ -134,17 +169,23 @@ def test_every_field_of_a_run(run, name):
     try:
         for path in paths(data):
             # The summary is not read, the experiment is checked like any configuration, and all
-            # contenders are of one type but for their schedules.
+            # contenders are of one type but for the numbers of their filters: of each kind one,
+            # and of the noises of a Kalman filter one.
             if path[0] == "summary" or (path[0] == "experiment" and len(path) > 2):
                 continue
-            if path[0] == "contenders" and TUNED not in path and "schedule" not in path:
-                continue
+            if path[0] == "contenders" and len(path) > 2 and path[1] != TUNED:
+                if "filter" not in path or path[1] not in (SWITCH, OPEN_LOOP, EKF):
+                    continue
+                if path[1] == EKF and len(path) > 4 and path[4] != "vector":
+                    continue
             for altered in alterations(data, path):
                 result = checked(file, json.dumps(altered), posegsa.load)
                 refused += result is None
                 if result is not None and path[0] != "experiment":
                     accepted += 1
                     shown(result)
+                    if "filter" in path:
+                        assert rebuilt(result.evaluation.contenders[path[1]].filter)
     finally:
         file.write_text(good, encoding="utf-8")
     assert refused > 300
@@ -173,6 +214,28 @@ def test_every_column_of_a_run(run, name):
     finally:
         file.write_text(good, encoding="utf-8")
     assert refused > 13 * len(header)
+
+
+def test_every_field_of_a_result_on_recordings(recorded):
+    file = recorded / "recorded.json"
+    good = file.read_text(encoding="utf-8")
+    data, accepted, refused = json.loads(good), 0, 0
+    try:
+        for path in paths(data):
+            # The scores are of one type, on whatever recordings and of whatever filter.
+            if len(path) > 2 and path[0] in ("experiment", "held_out", "baselines"):
+                continue
+            for altered in alterations(data, path):
+                result = checked(file, json.dumps(altered), posegsa.load_recorded)
+                refused += result is None
+                if result is not None:
+                    accepted += 1
+                    texts = (result.summary(), posegsa.export.export(result, "json"))
+                    assert all(c.isprintable() or c == "\n" for text in texts for c in text)
+    finally:
+        file.write_text(good, encoding="utf-8")
+    assert refused > 2 * accepted
+    assert posegsa.load_recorded(recorded).summary()
 
 
 def test_every_field_of_a_comparison(comparison):
@@ -218,6 +281,18 @@ def test_every_field_of_a_comparison(comparison):
         ),
         (
             "evaluation.json",
+            ("contenders", "best time switch", "filter", "numbers", "before"),
+            [],
+            "contenders.best time switch.filter: its numbers are {'after': 1, 'before': 0, ",
+        ),
+        (
+            "evaluation.json",
+            ("contenders", "tuned gains replayed", "filter", "numbers", "time"),
+            [0.0, 2.0, 1.0],
+            "allowed: ascending time, and log_gain",
+        ),
+        (
+            "evaluation.json",
             ("contenders", "\x1b[31m"),
             {},
             "contenders.?[31m.[key] = '\\x1b[31m': allowed: printable text",
@@ -259,7 +334,7 @@ def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value
     ],
 )
 def test_files_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda _: {})
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     posegsa.save(consistent(**values), tmp_path)
     with pytest.raises(RunFolderError, match=rf"{said}.* = .*; in result\.json: "):
         posegsa.load(tmp_path)

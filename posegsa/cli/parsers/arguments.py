@@ -40,6 +40,19 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
+def add_figures(parser: argparse.ArgumentParser) -> None:
+    """--figures and --no-figures, for a command that draws: `options.figures` is None for all."""
+    group = parser.add_mutually_exclusive_group()
+    words = "draw these figures only, names with commas between"
+    group.add_argument("--figures", type=_names, metavar="NAMES", help=words)
+    words = "draw none"
+    group.add_argument("--no-figures", action="store_const", const=[], dest="figures", help=words)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
 def add_count(parser: argparse.ArgumentParser, name: str, default: int, words: str) -> None:
     """A whole number from 1, with what it counts in words."""
     words = f"{words} (default: %(default)s)"

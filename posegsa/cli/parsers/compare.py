@@ -2,7 +2,7 @@
 
 import argparse
 
-from posegsa.cli.parsers.arguments import add_count, add_search_arguments
+from posegsa.cli.parsers.arguments import add_count, add_figures, add_search_arguments
 
 
 def add(commands) -> None:
@@ -41,6 +41,7 @@ def add(commands) -> None:
     parser.add_argument("--shift", type=float, default=0.0, metavar="S", help=shift)
     rotation = "turn the function about its minimum"
     parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
+    add_figures(parser)
     parser.set_defaults(command="compare")
 
 

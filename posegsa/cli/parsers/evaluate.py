@@ -1,6 +1,6 @@
 """What can be typed after `posegsa evaluate`."""
 
-from posegsa.cli.parsers.arguments import add_quiet, whole_number
+from posegsa.cli.parsers.arguments import add_figures, add_quiet, whole_number
 
 
 def add(commands) -> None:
@@ -19,5 +19,6 @@ def add(commands) -> None:
     parser.add_argument("--scenarios", type=count, default=1000, metavar="S", help=scenarios)
     seed = "another held-out set than the run's own; any whole number from 0"
     parser.add_argument("--seed", type=whole_number(0), metavar="N", help=seed)
+    add_figures(parser)
     add_quiet(parser)
     parser.set_defaults(command="evaluate")

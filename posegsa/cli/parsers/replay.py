@@ -3,7 +3,7 @@
 import argparse
 from typing import Literal
 
-from posegsa.cli.parsers.arguments import RECORDING, add_window
+from posegsa.cli.parsers.arguments import RECORDING, add_figures, add_window
 from posegsa.recordings.frames import UP
 
 
@@ -29,6 +29,7 @@ def add(commands) -> None:
     words = "of imu: time at rest at the start [s], 0 for none (default: found)"
     parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
+    add_figures(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
     parser.set_defaults(command="replay")
 

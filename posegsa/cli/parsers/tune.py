@@ -2,7 +2,13 @@
 
 from typing import get_args
 
-from posegsa.cli.parsers.arguments import RECORDING, add_search_arguments, add_window, window
+from posegsa.cli.parsers.arguments import (
+    RECORDING,
+    add_figures,
+    add_search_arguments,
+    add_window,
+    window,
+)
 from posegsa.search.recorded_schedules import RecordedSchedule
 
 OUT = "posegsa-run"
@@ -25,6 +31,7 @@ def add(commands) -> None:
         out=f"folder to write to, checkpoints too (default: {OUT})",
         replaced="the run that the folder holds",
     )
+    add_figures(parser)
     resume = (
         "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
         "more iterations"

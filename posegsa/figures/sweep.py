@@ -1,0 +1,107 @@
+"""The figures of a sweep: what a key that was varied does to the cost."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from posegsa.arguments import check_type, refuse
+from posegsa.figures import style
+from posegsa.judging.sweep import Spread, Sweep, Values, shown_value, spread
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_CURVES = 6
+"""Settings of the other keys that are drawn as curves of their own; more are drawn as one."""
+LOGARITHMIC = 10.0
+"""Ratio of the largest to the least value from which the axis of a key is logarithmic."""
+
+
+@style.styled
+def plot_sweep(sweep: Sweep, key: str) -> Figure:
+    """Held-out and training cost over the values of one key: means, and ranges over seeds.
+
+    The settings of the other keys have a curve each or, if they are many, one together.
+    """
+    check_type("sweep", sweep, Sweep)
+    if key not in sweep.keys:
+        refuse(f"key = {key!r}", ", ".join(sweep.keys))
+    curves = _curves(sweep, key)
+    texts = dict.fromkeys(text for each in curves.values() for text in each)
+    values = [json.loads(text) for text in texts]
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    places = values if numeric else list(range(len(values)))
+    at = dict(zip(texts, places, strict=True))
+    figure, axes = style.panels(2, 5.4)
+    shown = ("held_out", "Held-out"), ("training", "Training")
+    for ax, (field, label) in zip(axes, shown, strict=True):
+        for i, (name, each) in enumerate(curves.items()):
+            found = [getattr(costs, field) for costs in each.values()]
+            aside = 0.0 if numeric else 0.12 * (i - 0.5 * (len(curves) - 1))
+            x = np.array([at[text] for text in each], np.float64) + aside
+            _draw(ax, x, found, name, i, joined=numeric)
+        ax.set_ylabel(f"{label} cost [-]")
+    _scale(axes[-1], key, values, numeric=numeric)
+    if list(curves) != [""]:
+        style.legend_above(figure, axes[0])
+    return figure
+
+
+class _Costs(NamedTuple):
+    """Costs of one value of the key."""
+
+    held_out: Spread
+    training: Spread
+
+
+def _curves(sweep: Sweep, key: str) -> dict[str, dict[str, _Costs]]:
+    """By the settings of the other keys in words, and by the value of this one as JSON."""
+    named: dict[str, dict[str, list]] = {}
+    others = {_others(run.values, key) for run in sweep.runs}
+    for run in sweep.runs:
+        name = _others(run.values, key) if len(others) <= MOST_CURVES else "all others"
+        named.setdefault(name, {}).setdefault(json.dumps(run.values[key]), []).append(run)
+    return {
+        name: {
+            value: _Costs(
+                held_out=spread([run.held_out_cost for run in runs]),
+                training=spread([run.training_cost for run in runs]),
+            )
+            for value, runs in each.items()
+        }
+        for name, each in named.items()
+    }
+
+
+def _others(values: Values, key: str) -> str:
+    """The settings of the other keys in words."""
+    return ", ".join(f"{name} = {shown_value(v)}" for name, v in values.items() if name != key)
+
+
+def _draw(ax: Axes, x: np.ndarray, costs: list[Spread], name: str, i: int, *, joined: bool) -> None:
+    """Means with bars from the least to the most."""
+    mean, least, most = (
+        style.finite(np.array([getattr(one, field) for one in costs]))
+        for field in ("mean", "least", "most")
+    )
+    look = {**style.CURVES[i % len(style.CURVES)], "marker": "o", "markersize": 4}
+    if not joined:
+        look["linestyle"] = "none"
+    bars = np.array([mean - least, most - mean])
+    ax.errorbar(x, mean, yerr=bars, elinewidth=1, capsize=3, label=name, **look)
+
+
+def _scale(ax: Axes, key: str, values: list, *, numeric: bool) -> None:
+    """The axis of the key, a place for each word or a scale for numbers."""
+    ax.set_xlabel(key)
+    if not numeric:
+        ax.set_xticks(range(len(values)), [shown_value(value) for value in values])
+        ax.set_xlim(-0.5, len(values) - 0.5)
+    elif min(values) > 0 and max(values) >= LOGARITHMIC * min(values):
+        ax.set_xscale("log")
+        ax.set_xticks(values, [f"{value:g}" for value in values])
+        ax.minorticks_off()

@@ -1,0 +1,184 @@
+"""What searches with other values and seeds came to: runs, and what they are per value."""
+
+import csv
+import hashlib
+import io
+import json
+import math
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field, JsonValue
+
+from posegsa.arguments import MAX_INTEGER
+from posegsa.config import PARAMETERS, Experiment
+from posegsa.settings.arrays import Cost, Numbers
+from posegsa.settings.fields import NonNegative
+from posegsa.words import counted, text_table, toml
+
+SEED = "run.seed"
+"""The key of the seed, over which the runs of a setting are averaged."""
+
+Values = dict[str, JsonValue]
+"""What is varied: the value of each key, as TOML and JSON have it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepRun:
+    """One search of a sweep, and what its best candidate costs."""
+
+    base: Experiment
+    """What is not varied."""
+    values: Values
+    """What is varied, by key, in the order of the table's columns."""
+    seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)]
+    training_cost: Cost
+    """Mean over the training scenarios; infinite where it diverged."""
+    held_out_cost: Cost
+    """Mean over the held-out scenarios."""
+    held_out_worst: Cost
+    diverged: Annotated[int, Field(ge=0)]
+    """Held-out scenarios on which it diverged."""
+    parameters: Annotated[list[float], Numbers(len(PARAMETERS))]
+    """k1..k22."""
+    also: dict[str, float]
+    """What was tuned beside them."""
+    evaluations: Annotated[int, Field(ge=1)]
+    search_seconds: NonNegative
+    """Its share of the time of the batch that it was searched in."""
+    environment: dict[str, str]
+    version: str
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was searched.
+
+        Raises:
+            ConfigError: The values are none that the experiment can have.
+        """
+        return with_values(self.base, self.values, self.seed)
+
+
+def with_values(base: Experiment, values: Values, seed: int) -> Experiment:
+    """An experiment with the values of one run of a sweep.
+
+    Raises:
+        ConfigError: It can't have them.
+    """
+    return base.replace(**{**values, SEED: seed})
+
+
+def run_name(experiment: Experiment) -> str:
+    """A name that only the run of this experiment has."""
+    text = json.dumps(experiment.model_dump(mode="json"), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class SweepRow(NamedTuple):
+    """The runs of one setting, over seeds."""
+
+    values: Values
+    seeds: int
+    training: "Spread"
+    held_out: "Spread"
+    diverged: int
+    """Held-out scenarios, of all seeds together, on which it diverged."""
+
+
+class Spread(NamedTuple):
+    """Costs of several seeds."""
+
+    mean: float
+    deviation: float
+    """Standard deviation; NaN of a single seed, or where a cost is infinite."""
+    least: float
+    most: float
+
+
+def spread(costs: list[float]) -> Spread:
+    """What costs (n,) of n seeds come to."""
+    known = len(costs) > 1 and all(map(math.isfinite, costs))
+    return Spread(
+        mean=float(np.mean(costs)),
+        deviation=float(np.std(costs, ddof=1)) if known else math.nan,
+        least=min(costs),
+        most=max(costs),
+    )
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Runs that differ in the values of some keys, and in their seeds."""
+
+    runs: tuple[SweepRun, ...]
+    """All of the same experiment but for those, in the order of their values; at least one."""
+
+    @property
+    def keys(self) -> list[str]:
+        """What is varied."""
+        return list(self.runs[0].values)
+
+    def rows(self) -> list[SweepRow]:
+        """The settings, in the order in which they first come."""
+        settings: dict[str, list[SweepRun]] = {}
+        for run in self.runs:
+            settings.setdefault(json.dumps(run.values), []).append(run)
+        return [
+            SweepRow(
+                values=runs[0].values,
+                seeds=len(runs),
+                training=spread([run.training_cost for run in runs]),
+                held_out=spread([run.held_out_cost for run in runs]),
+                diverged=sum(run.diverged for run in runs),
+            )
+            for runs in settings.values()
+        ]
+
+    def table(self) -> str:
+        """The settings as text for a person: mean cost and standard deviation over seeds."""
+        heads = ("seeds", "training", "± sd", "held out", "± sd", "least", "most", "diverged")
+        rows = [[*self.keys, *heads]]
+        for row in self.rows():
+            own, unseen = row.training, row.held_out
+            costs = (own.mean, own.deviation, *unseen)
+            cells = ["" if math.isnan(cost) else f"{cost:.4g}" for cost in costs]
+            shown = map(shown_value, row.values.values())
+            rows.append([*shown, str(row.seeds), *cells, str(row.diverged)])
+        title = f"{counted(len(self.runs), 'run')}; costs are means over scenarios, then seeds:"
+        return f"{title}\n\n{text_table(rows)}"
+
+    def csv(self) -> str:
+        """The settings as a table to compute with, numbers with all their digits."""
+        names = [
+            *(f"{of}_{what}" for of in ("training", "held_out") for what in Spread._fields),
+            "diverged",
+        ]
+        rows = [
+            [*row.values.values(), row.seeds, *row.training, *row.held_out, row.diverged]
+            for row in self.rows()
+        ]
+        return _csv([*self.keys, "seeds", *names], rows)
+
+    def runs_csv(self) -> str:
+        """The runs one by one as such a table."""
+        names = ("training_cost", "held_out_cost", "held_out_worst", "diverged", "search_seconds")
+        rows = [
+            [*run.values.values(), run.seed, *(getattr(run, name) for name in names)]
+            for run in self.runs
+        ]
+        return _csv([*self.keys, "seed", *names], rows)
+
+
+def shown_value(value: JsonValue) -> str:
+    """A value for a person: as TOML has it, a word without its quotes."""
+    return value if isinstance(value, str) else toml(value)
+
+
+def _csv(header: list[str], rows: list[list]) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow([toml(cell) if isinstance(cell, list | dict) else cell for cell in row])
+    return text.getvalue()

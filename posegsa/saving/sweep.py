@@ -1,0 +1,181 @@
+"""The folder of a sweep: a file for each run, written when it is done, and what they come to.
+
+    runs/*.json               one run each, named after its experiment; nothing else is read
+    sweep.txt, sweep.csv      the settings, over seeds
+    runs.csv                  the runs one by one
+    figures/*.png             one for each key that is varied
+
+Several processes may write runs to one folder at once, as no two runs have the same file.
+"""
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from posegsa.config import Experiment
+from posegsa.errors import ConfigError, RunFolderError
+from posegsa.figures.style import png
+from posegsa.figures.sweep import plot_sweep
+from posegsa.judging.sweep import Sweep, SweepRun, run_name
+from posegsa.saving.files import write_atomically
+from posegsa.saving.folder import (
+    FIGURES,
+    as_path,
+    finish_commit,
+    lock,
+    read_text,
+    replace_files,
+    write_errors,
+)
+from posegsa.saving.records import from_json, to_json
+
+SCHEMA = 1
+"""Number of the layout of a run's file; it changes with its record."""
+RUNS = "runs"
+TABLE, DATA, EACH = "sweep.txt", "sweep.csv", "runs.csv"
+
+
+def stored_runs(folder: Path) -> list[SweepRun]:
+    """The runs that a folder holds; none where there is no such folder.
+
+    Raises:
+        RunFolderError: One is damaged, of another layout or name, or they are not of one sweep.
+    """
+    runs = [_read(path) for path in sorted((folder / RUNS).glob("*.json"))]
+    for run in runs:
+        _refuse_another(folder, run, runs[0].base, list(runs[0].values))
+    return runs
+
+
+def _read(path: Path) -> SweepRun:
+    text = read_text(path.parent, path.name, of="run of a sweep")
+    run = from_json(SweepRun, text, SCHEMA, path)
+    try:
+        name = run_name(run.experiment)
+    except ConfigError as error:
+        raise RunFolderError(f"{path}: values: {error}") from None
+    if path.stem != name:
+        raise RunFolderError(f"{path}: is the run of another experiment; allowed: {name}.json")
+    return run
+
+
+def _refuse_another(folder: Path, run: SweepRun, base: Experiment, keys: list[str]) -> None:
+    """Raise a RunFolderError unless a run in a folder is of this sweep."""
+    if list(run.values) != keys:
+        found, needed = (", ".join(names) for names in (run.values, keys))
+        raise RunFolderError(f"{folder}: holds a sweep over {found}; needed: over {needed}")
+    if run.base != base:
+        raise RunFolderError(
+            f"{folder}: holds a sweep of another experiment; choose another folder, or replace "
+            "what is there (--overwrite; overwrite=True)"
+        )
+
+
+def prepare_sweep_folder(
+    folder: Path, base: Experiment, keys: list[str], *, overwrite: bool = False
+) -> list[SweepRun]:
+    """Make the folder of a sweep if it is missing; the runs that it holds already.
+
+    Args:
+        folder: Where.
+        base: What the sweep does not vary.
+        keys: What it varies.
+        overwrite: Remove the runs of another sweep.
+
+    Raises:
+        RunFolderError: It can't be written, or holds another sweep.
+    """
+    with write_errors(folder):
+        (folder / RUNS).mkdir(parents=True, exist_ok=True)
+    try:
+        runs = stored_runs(folder)
+        for run in runs[:1]:
+            _refuse_another(folder, run, base, keys)
+    except RunFolderError:
+        if not overwrite:
+            raise
+        with write_errors(folder):
+            shutil.rmtree(folder / RUNS)
+            (folder / RUNS).mkdir()
+        return []
+    return runs
+
+
+def write_sweep_run(folder: Path, run: SweepRun) -> None:
+    """Write one run of a sweep to its folder.
+
+    Raises:
+        RunFolderError: It can't be written.
+    """
+    with write_errors(folder):
+        path = folder / RUNS / f"{run_name(run.experiment)}.json"
+        write_atomically(path, to_json(run, SCHEMA).encode())
+
+
+def write_sweep(folder: Path, sweep: Sweep) -> None:
+    """Write tables and figures of a sweep.
+
+    Raises:
+        RunFolderError: They can't be written.
+    """
+    texts = {TABLE: sweep.table() + "\n", DATA: sweep.csv(), EACH: sweep.runs_csv()}
+    files = {name: text.encode() for name, text in texts.items()}
+    figures = {f"{FIGURES}/{key}.png": png(plot_sweep(sweep, key)) for key in sweep.keys}
+    with lock(folder):
+        finish_commit(folder)
+        replace_files(folder, files | figures, remove=())
+
+
+def load_sweep(folder: str | Path) -> Sweep:
+    """The sweep that a folder holds, finished or not.
+
+    Raises:
+        RunFolderError: It holds none, or a file is damaged; names it, and the field.
+    """
+    path = as_path("folder", folder)
+    runs = stored_runs(path)
+    if not runs:
+        raise RunFolderError(f"{path}: holds no runs of a sweep ({RUNS}/*.json)")
+    return Sweep(tuple(in_order(runs)))
+
+
+def merge_sweeps(folders: Iterable[str | Path], out: str | Path | None = None) -> Sweep:
+    """All runs of several folders of one sweep, such as its shards, with tables and figures.
+
+    Args:
+        folders: Where the runs are; a run that is in several of them counts once.
+        out: Where all runs, tables and figures are written; by default the first of the folders.
+
+    Raises:
+        RunFolderError: A folder holds no runs or those of another sweep, or `out` can't be written.
+    """
+    given = [as_path("folder", folder) for folder in folders]
+    if not given:
+        raise RunFolderError("folders: none; allowed: at least one")
+    runs: dict[str, SweepRun] = {}
+    for folder in given:
+        found = load_sweep(folder).runs
+        first = next(iter(runs.values()), found[0])
+        _refuse_another(folder, found[0], first.base, list(first.values))
+        runs |= {run_name(run.experiment): run for run in found}
+    target = given[0] if out is None else as_path("out", out)
+    there = prepare_sweep_folder(target, first.base, list(first.values))
+    for name in runs.keys() - {run_name(run.experiment) for run in there}:
+        write_sweep_run(target, runs[name])
+    merged = load_sweep(target)
+    write_sweep(target, merged)
+    return merged
+
+
+def in_order(runs: Iterable[SweepRun]) -> list[SweepRun]:
+    """Runs by their values, numbers by size and words by letters, then by seed."""
+
+    def rank(run: SweepRun) -> list[tuple[bool, float, str]]:
+        values = [*run.values.values(), run.seed]
+        numbers = [isinstance(value, int | float) for value in values]
+        return [
+            (not number, float(value) if number else 0.0, "" if number else str(value))
+            for number, value in zip(numbers, values, strict=True)
+        ]
+
+    return sorted(runs, key=rank)

@@ -1,0 +1,285 @@
+"""`posegsa sweep`: an experiment with other values and seeds, searched in batches, side by side."""
+
+import math
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from itertools import product
+from numbers import Integral
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from posegsa import config, steps
+from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole, refuse, several
+from posegsa.errors import MemoryLimitError
+from posegsa.judging.baselines import describe
+from posegsa.judging.sweep import SEED, Sweep, SweepRun, Values, run_name, with_values
+from posegsa.runtime import environment
+from posegsa.saving.folder import as_path
+from posegsa.saving.interrupt import resumable
+from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
+from posegsa.search import memory
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.population import costs_by_scenario
+from posegsa.search.run import Found, Progress, run_search, search_batch, structure
+from posegsa.settings.plain import plain
+from posegsa.version import VERSION
+
+TOGETHER = 16
+"""Searches of one batch, at most: what is lost where a sweep is stopped."""
+MOST_RUNS = 100_000
+
+
+class SweepStatus(NamedTuple):
+    """What a progress callback is told."""
+
+    done: int
+    """Runs that are done, those of earlier calls too."""
+    runs: int
+    running: float
+    """Of those that are searched now, how many that is by iterations."""
+    best_cost: float
+    """Best cost of those so far; infinite before any."""
+
+
+class _Planned(NamedTuple):
+    """A run that is to be made."""
+
+    values: Values
+    seed: int
+    experiment: config.Experiment
+
+
+def sweep(
+    experiment: config.Experiment | str | Path | None = None,
+    *,
+    vary: Mapping[str, Iterable[Any]],
+    seeds: int | Iterable[int] = 1,
+    out: str | Path | None = None,
+    shard: tuple[int, int] = (1, 1),
+    together: int = TOGETHER,
+    overwrite: bool = False,
+    progress: Callable[[SweepStatus], object] | None = None,
+) -> Sweep:
+    """Search an experiment with every combination of values, each with several seeds.
+
+    What differs only in numbers is searched in batches: one compiled program, whose searches run
+    side by side to the same bits as alone. Each best candidate is judged by its cost on the
+    experiment's held-out scenarios.
+
+    Args:
+        experiment: An experiment, or a TOML file or name; by default the recommended experiment.
+        vary: Values of keys, such as `{"filter.gamma": [1, 5, 10]}`, as `Experiment.replace` takes
+            them. The last key varies fastest.
+        seeds: How many, from the experiment's own seed on; or which.
+        out: Folder to keep each run in when its batch is done. Runs that it holds already are not
+            made again; those of more values or seeds come to them. At the end, unless there are
+            other shards, tables and figures are written there.
+        shard: (i, n) makes the i-th of n parts, counted from 1. Parts may share a folder, and run
+            at the same time; `merge_sweeps` puts them together.
+        together: Searches of one batch, at most; fewer where memory is short.
+        overwrite: Remove another sweep in that folder.
+        progress: Called as searches go on.
+
+    Returns:
+        All runs of this part that are asked for; with a folder, of all parts that it holds.
+
+    Raises:
+        ConfigError: A value is none that the experiment can have, or needs more memory than there
+            is.
+        ArgumentError: An argument is none that is allowed.
+        RunFolderError: The folder holds another sweep, or can't be written.
+        SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
+    """
+    check_callable("progress", progress)
+    check_type("overwrite", overwrite, bool)
+    check_whole("together", together, 1)
+    base = config.as_experiment(experiment)
+    mine = _part(_planned(base, vary, seeds), shard)
+    tell = progress or (lambda _: None)
+    if out is None:
+        return Sweep(tuple(in_order(_made(base, mine, together, tell))))
+
+    folder = as_path("out", out)
+    stored = prepare_sweep_folder(folder, base, list(mine[0].values), overwrite=overwrite)
+    names = {run_name(run.experiment) for run in stored}
+    missing = [one for one in mine if run_name(one.experiment) not in names]
+    made, before = [], len(mine) - len(missing)
+
+    def how() -> str:
+        done = f"{before + len(made)} of {len(mine)} runs are in {folder}"
+        return f"interrupted; {done}, the same command goes on from there"
+
+    with resumable(how):
+        for run in _made(base, missing, together, tell, before):
+            write_sweep_run(folder, run)
+            made.append(run)
+        found = Sweep(tuple(in_order([*stored, *made])))
+        if shard[1] == 1:
+            steps.begin("drawing")
+            write_sweep(folder, found)
+    return found
+
+
+def _planned(
+    base: config.Experiment, vary: Mapping[str, Iterable[Any]], seeds: int | Iterable[int]
+) -> list[_Planned]:
+    """Every combination of values with every seed, each experiment checked, none of them twice."""
+    check_type("vary", vary, Mapping, allowed="a table of values by key")
+    choices = {
+        key: several(f"vary[{key!r}]", given, object, "values") for key, given in vary.items()
+    }
+    if not choices:
+        refuse("vary: nothing", 'values by key, such as {"filter.gamma": [1, 5, 10]}')
+    for key, values in choices.items():
+        if key == SEED:
+            refuse(f"vary: {SEED}", "other keys; seeds are given as seeds")
+        if not values:
+            refuse(f"vary[{key!r}]: none", "at least one value")
+    if isinstance(seeds, Integral):
+        check_whole("seeds", seeds, 1)
+        first = base.run.seed
+        chosen = list(range(first, first + int(seeds)))
+    else:
+        chosen = several("seeds", seeds, object, "a number of seeds, or the seeds")
+        if not chosen:
+            refuse("seeds: none", "at least one")
+    for one in chosen:
+        check_whole("seeds", one, 0, MAX_INTEGER)
+    count = math.prod(map(len, choices.values())) * len(chosen)
+    if count > MOST_RUNS:
+        refuse(f"vary: {count} runs", f"at most {MOST_RUNS}")
+    planned: dict[str, _Planned] = {}
+    for combination in product(*choices.values()):
+        values = plain(dict(zip(choices, combination, strict=True)))
+        for seed in chosen:
+            one = with_values(base, values, int(seed))
+            planned.setdefault(run_name(one), _Planned(values, int(seed), one))
+    return list(planned.values())
+
+
+def _part(planned: list[_Planned], shard: tuple[int, int]) -> list[_Planned]:
+    """The i-th of n parts of about the same size; neighbours, which share programs, stay together.
+
+    Raises:
+        ArgumentError: There is no such part, or nothing in it.
+    """
+    allowed = f"(i, n) with 1 <= i <= n <= {len(planned)}, the number of runs"
+    check_type("shard", shard, tuple, list, allowed=allowed)
+    whole = len(shard) == 2 and all(type(number) is int for number in shard)
+    if not (whole and 1 <= shard[0] <= shard[1] <= len(planned)):
+        refuse(f"shard = {shard!r}", allowed)
+    part, parts = shard
+    return planned[len(planned) * (part - 1) // parts : len(planned) * part // parts]
+
+
+def _made(
+    base: config.Experiment,
+    planned: list[_Planned],
+    together: int,
+    tell: Callable[[SweepStatus], object],
+    before: int = 0,
+) -> Iterator[SweepRun]:
+    """Make runs in batches, each run as its batch is done; `before` are done already."""
+    done, total = before, before + len(planned)
+    steps.begin("preparing")
+    tell(SweepStatus(done, total, 0.0, math.inf))
+    for batch in _batches(planned, together):
+
+        def show(
+            at: Progress, size: int = len({id(one) for one in batch}), done: int = done
+        ) -> None:
+            running = size * at.iteration / at.iterations
+            tell(SweepStatus(done, total, running, at.best_cost))
+
+        for run in _search(base, batch, show):
+            done += 1
+            yield run
+        tell(SweepStatus(done, total, 0.0, math.inf))
+
+
+def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]:
+    """What is searched at once: of one structure, and within memory.
+
+    The batches of a structure have the same size, so that one program serves all of them; the last
+    one may repeat its last run.
+    """
+    structures: dict[str, Hashable] = {}
+    groups: dict[Hashable, list[_Planned]] = {}
+    for one in planned:
+        key = repr(one.values)
+        if key not in structures:  # the seed changes numbers only
+            structures[key] = _structure(one.experiment)
+        groups.setdefault(structures[key], []).append(one)
+    for group in groups.values():
+        most = 1 if group[0].experiment.search.on_host else _within_memory(group, together)
+        batches = -(-len(group) // most)
+        size = -(-len(group) // batches)
+        for first in range(0, len(group), size):
+            yield group[first : first + size] + group[-1:] * (first + size - len(group))
+
+
+def _structure(experiment: config.Experiment) -> Hashable:
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        return structure(tuning_problem(experiment))
+
+
+def _within_memory(group: list[_Planned], together: int) -> int:
+    """How many of a group may be searched at once, at least one.
+
+    Raises:
+        MemoryLimitError: Not even one.
+    """
+    size = min(together, len(group))
+    while True:
+        try:
+            memory.check(one.experiment for one in group[:size])
+            return size
+        except MemoryLimitError:
+            if size == 1:
+                raise
+            size = -(-size // 2)
+
+
+def _search(
+    base: config.Experiment, batch: list[_Planned], show: Callable[[Progress], object]
+) -> Iterator[SweepRun]:
+    """The runs of a batch, without those that it repeats."""
+    first = batch[0].experiment
+    with jax.enable_x64(first.run.dtype == "float64"):
+        problems = [tuning_problem(one.experiment) for one in batch]
+        alone = first.search.on_host
+        found = [run_search(problems[0], show)] if alone else search_batch(problems, show)
+        last = None
+        for one, problem, each in zip(batch, problems, found, strict=True):
+            if one is not last:  # which is repeated to fill the batch up
+                yield _judged(base, one, problem, each)
+            last = one
+
+
+def _judged(
+    base: config.Experiment, one: _Planned, problem: TuningProblem, found: Found
+) -> SweepRun:
+    """A run from what its search found: the best candidate on training and held-out scenarios."""
+    candidate = problem.space.candidate(found.search.best_position)
+    alone = jax.tree.map(lambda a: a[None], candidate)
+    costs = np.asarray(costs_by_scenario(alone, problem.scenarios)[:, 0], np.float64)
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    count = one.experiment.run.training_scenarios
+    found_filter = describe(candidate, problem.space.schedules, one.experiment.search.evaluations)
+    return SweepRun(
+        base=base,
+        values=one.values,
+        seed=one.seed,
+        training_cost=float(np.mean(costs[:count])),
+        held_out_cost=float(np.mean(costs[count:])),
+        held_out_worst=float(np.max(costs[count:])),
+        diverged=int(np.count_nonzero(np.isinf(costs[count:]))),
+        parameters=found_filter.numbers["k"],
+        also=found_filter.also,
+        evaluations=found_filter.evaluations,
+        search_seconds=found.search_seconds,
+        environment=environment(),
+        version=VERSION,
+    )
