@@ -1,7 +1,7 @@
 """`posegsa replay`."""
 
 import argparse
-from typing import Literal
+from typing import Literal, get_args
 
 from posegsa import replaying
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
@@ -9,6 +9,7 @@ from posegsa.errors import ArgumentError
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import replay_table
 from posegsa.judging.result import TuneResult
+from posegsa.recordings.bridging import Policy
 from posegsa.recordings.imu import UP, as_imu
 from posegsa.recordings.recording import Recording
 from posegsa.saving.loading import load
@@ -36,6 +37,7 @@ def add(commands) -> None:
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
+    add_bridge(parser)
     words = "of imu: the inertial frame, x y z (default: %(default)s)"
     parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
     words = "of imu: time at rest at the start [s], 0 for none (default: found)"
@@ -63,16 +65,37 @@ def window(text: str) -> tuple[float, float]:
     return found
 
 
-def read(paths: list[str], part: tuple[float, float] | None) -> list[Recording]:
-    """The recordings of some paths, cut to a window."""
-    found = [Recording.read(path) for path in paths]
+def add_bridge(parser: argparse._ActionsContainer) -> None:
+    """--bridge and --longest-gap, what is done where a recording does not go on."""
+    parser.add_argument(
+        "--bridge",
+        choices=get_args(Policy),
+        help="what is done about gaps, stamps that go back and samples without velocities: "
+        "refused (default), the last velocities held, or interpolated",
+    )
+    words = "time up to which anything is bridged [s] (default: 1)"
+    parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
+
+
+def read(
+    paths: list[str],
+    part: tuple[float, float] | None,
+    bridge: Policy | None = None,
+    longest_gap: float | None = None,
+) -> list[Recording]:
+    """The recordings of some paths, bridged as stated, cut to a window."""
+    if longest_gap is not None and bridge in (None, "refuse"):
+        raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
+    stated = {"bridge": bridge, "longest_gap": longest_gap}
+    more = {name: value for name, value in stated.items() if value is not None}
+    found = [Recording.read(path, **more) for path in paths]
     return found if part is None else [each.window(*part) for each in found]
 
 
 def _replay(options: argparse.Namespace) -> int:
     if options.overwrite and options.out is None:
         raise ArgumentError("--overwrite; allowed: with --out")
-    recordings = read(options.recordings, options.window)
+    recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
     result = _filter(options.run)
     if isinstance(result, ImuConfig):
         recordings = [

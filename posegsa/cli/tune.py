@@ -10,7 +10,7 @@ import jax
 from posegsa import config, tuning
 from posegsa.cli.arguments import add_search_arguments
 from posegsa.cli.progress import TuneBar
-from posegsa.cli.replay import RECORDING, add_window, read, window
+from posegsa.cli.replay import RECORDING, add_bridge, add_window, read, window
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving import recorded
 from posegsa.saving.checkpointing import newest_checkpoint
@@ -53,6 +53,7 @@ def add(commands) -> None:
     group.add_argument(
         "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
     )
+    add_bridge(group)
     group.add_argument(
         "--schedule",
         choices=get_args(RecordedSchedule),
@@ -75,7 +76,10 @@ def _tune(options: argparse.Namespace) -> int:
     first = _join(options)
     if options.recording is not None:
         return _tune_on_recordings(options)
-    for name in ("held_out", "window", "held_out_window", "schedule"):
+    for name in (
+        *("held_out", "window", "held_out_window", "schedule"),
+        *("bridge", "longest_gap"),
+    ):
         if getattr(options, name) is not None:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
@@ -93,8 +97,9 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     if options.resume is not None or options.distributed:
         raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
     experiment, out = _experiment(options), options.out or OUT
-    recordings = read(options.recording, options.window)
-    held_out = read(options.held_out or [], options.held_out_window)
+    bridge = options.bridge, options.longest_gap
+    recordings = read(options.recording, options.window, *bridge)
+    held_out = read(options.held_out or [], options.held_out_window, *bridge)
     for one in (*recordings, *held_out):
         print(one.describe())
     with TuneBar(experiment.search.total_iterations, quiet=options.quiet) as show:

@@ -27,7 +27,7 @@ GAP = 5.0
 """Time steps longer than this many median ones are gaps."""
 LONGEST_STEP = 3600.0
 """No longer gap [s] is bridged, whoever asks for it: stamps in another unit look like that."""
-ALLOWED = 'allowed: bridge = "hold" or "interpolate"'
+ALLOWED = 'allowed: bridge = "hold" or "interpolate" (--bridge)'
 
 
 class Bridged(NamedTuple):
