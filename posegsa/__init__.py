@@ -28,7 +28,9 @@ from posegsa.figures.result import draw as draw
 from posegsa.figures.schedule import plot_input_terms as plot_input_terms
 from posegsa.figures.schedule import plot_output_terms as plot_output_terms
 from posegsa.figures.schedule import plot_surface as plot_surface
+from posegsa.imu_tuning import tune_imu as tune_imu
 from posegsa.judging.comparison import OptimiserComparison as OptimiserComparison
+from posegsa.judging.imu import ImuResult as ImuResult
 from posegsa.judging.recorded import RecordingResult as RecordingResult
 from posegsa.judging.recorded import by_hand as by_hand
 from posegsa.judging.result import VERSION

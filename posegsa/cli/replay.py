@@ -38,10 +38,7 @@ def add(commands) -> None:
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
-    words = "of imu: the inertial frame, x y z (default: %(default)s)"
-    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
-    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
-    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
+    add_imu(parser)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
     parser.set_defaults(command=_replay)
@@ -63,6 +60,14 @@ def window(text: str) -> tuple[float, float]:
     if not colon or not 0 <= found[0] < found[1]:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: A:B in seconds, such as 0:40 or 40:")
     return found
+
+
+def add_imu(parser: argparse._ActionsContainer) -> None:
+    """--frame and --rest, of the filter for inertial sensors."""
+    words = "of imu: the inertial frame, x y z (default: %(default)s)"
+    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
+    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
+    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
 
 
 def add_bridge(parser: argparse._ActionsContainer) -> None:

@@ -7,12 +7,13 @@ from typing import get_args
 
 import jax
 
-from posegsa import config, tuning
+from posegsa import config, imu_tuning, tuning
 from posegsa.cli.arguments import add_search_arguments
 from posegsa.cli.progress import TuneBar
-from posegsa.cli.replay import RECORDING, add_bridge, add_window, read, window
+from posegsa.cli.replay import RECORDING, add_bridge, add_imu, add_window, read, window
+from posegsa.config.imu import names_imu
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.saving import recorded
+from posegsa.saving import imu, recorded
 from posegsa.saving.checkpointing import newest_checkpoint
 from posegsa.search.devices import join_processes
 from posegsa.search.recorded import RecordedSchedule
@@ -54,6 +55,7 @@ def add(commands) -> None:
         "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
     )
     add_bridge(group)
+    add_imu(group)
     group.add_argument(
         "--schedule",
         choices=get_args(RecordedSchedule),
@@ -74,6 +76,10 @@ def add(commands) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     first = _join(options)
+    if names_imu(options.config):
+        return _tune_imu(options)
+    if options.frame != "ENU" or options.rest != "auto":
+        raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
     if options.recording is not None:
         return _tune_on_recordings(options)
     for name in (
@@ -114,6 +120,38 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
         )
     print(f"\n{result.summary()}")
     print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
+    return 0
+
+
+def _tune_imu(options: argparse.Namespace) -> int:
+    if options.recording is None:
+        raise ArgumentError(
+            f"{options.config}: is tuned on recordings alone; allowed: with --recording FILE"
+        )
+    if options.resume is not None or options.distributed or options.schedule is not None:
+        raise ArgumentError(
+            f"--resume, --distributed, --schedule; allowed: without {options.config}, whose gain "
+            "is constant, and which is searched in one process"
+        )
+    given = [] if options.iterations is None else [f"search.iterations={options.iterations}"]
+    filter = config.override_imu(config.load_imu(options.config), [*options.set, *given])
+    bridge, out = (options.bridge, options.longest_gap), options.out or OUT
+    recordings = read(options.recording, options.window, *bridge)
+    held_out = read(options.held_out or [], options.held_out_window, *bridge)
+    with TuneBar(filter.search.total_iterations, quiet=options.quiet) as show:
+        result = imu_tuning.tune_imu(
+            filter,
+            recordings=recordings,
+            held_out=held_out,
+            frame=options.frame,
+            rest=options.rest,
+            seed=options.seed or 0,
+            out=out,
+            overwrite=options.overwrite,
+            progress=show,
+        )
+    print(result.summary())
+    print(f"\nWritten to {out}: {', '.join(imu.FILES)}")
     return 0
 
 

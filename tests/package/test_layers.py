@@ -12,7 +12,7 @@ pytestmark = pytest.mark.quick
 LAYERS = (
     "errors arguments words runtime settings | optimisers model | exchange config | recordings"
     " | search | judging | figures | report export | saving"
-    " | tuning evaluating replaying comparing streaming"
+    " | tuning imu_tuning evaluating replaying comparing streaming"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may
