@@ -72,9 +72,9 @@ from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search
 from posegsa.saving.comparison import load_comparison as load_comparison
+from posegsa.saving.loading import load as load
 from posegsa.saving.loading import save as save
 from posegsa.saving.recorded import load_recorded as load_recorded
-from posegsa.saving.run import load as load
 from posegsa.search.build import filter_settings as filter_settings
 from posegsa.search.build import parameter_space as parameter_space
 from posegsa.search.build import signal_settings as signal_settings

@@ -4,7 +4,6 @@ from posegsa.errors import PosegsaError
 from posegsa.export.c import export_c, filter_to_c
 from posegsa.export.c_gain import export_c_gain
 from posegsa.export.controllers import export_fcl, export_fis, export_fll, export_fml
-from posegsa.export.recorded import recorded_json
 from posegsa.export.tables import SCHEMA, export_csv, export_json
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
@@ -35,6 +34,8 @@ FORMATS = {
     "fml": export_fml,
 }
 """What `export` writes, by name."""
+CONTROLLERS = ("csv", "c-gain", "fis", "fll", "fcl", "fml")
+"""Formats of a fuzzy controller; other gains have none."""
 NAMED = ("c", "c-gain")
 """Formats whose names begin with one that can be chosen."""
 
@@ -43,22 +44,23 @@ def export(result: TuneResult | RecordingResult, format: str, name: str | None =
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
-        result: what was tuned; on recordings only "json".
+        result: what was tuned, on scenarios or on recordings.
         format: of `FORMATS`.
         name: what the names in a file of C begin with; default "posegsa".
 
     Raises:
-        PosegsaError: There is no such format, or it has no names that could begin with one.
+        PosegsaError: There is no such format, it has no names that could begin with one, or it is
+            of fuzzy controllers and the gain is none.
     """
     if not isinstance(format, str) or format not in FORMATS:
         raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
     if name is not None and format not in NAMED:
         raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(NAMED)}")
-    if isinstance(result, RecordingResult):
-        if format != "json":
+    if isinstance(result, RecordingResult) and format in CONTROLLERS:
+        kind = result.filter.kind
+        if kind != "fuzzy":
             raise PosegsaError(
-                f"format = {format!r} of a result on recordings; allowed: 'json', or in Python "
-                "filter_to_c(result.schedule, *result.settings(recording), vectors=, landmarks=)"
+                f"format = {format!r} of a {kind} gain; allowed: "
+                f"{', '.join(name for name in FORMATS if name not in CONTROLLERS)}, or a fuzzy gain"
             )
-        return recorded_json(result)
     return FORMATS[format](result) if name is None else FORMATS[format](result, name=name)
