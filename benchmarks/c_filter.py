@@ -36,6 +36,7 @@ from posegsa.export import export_c, filter_to_c
 from posegsa.judging.result import TuneResult
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import integrate, measure
+from posegsa.saving.run import load
 from posegsa.search.build import filter_settings, scenario, signal_settings
 
 HERE = Path(__file__).parent / "on_target"
@@ -232,7 +233,7 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    text = tables(posegsa.load(options.run) if options.run else posegsa.tune())
+    text = tables(load(options.run) if options.run else posegsa.tune())
     print(text)
     if options.write:
         write_block("c-filter", text, "docs/export.md")

@@ -9,6 +9,7 @@ from readme import ROOT
 
 import posegsa
 from posegsa import config
+from posegsa.saving.run import load
 
 sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
 
@@ -91,7 +92,7 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
     if counts[count] % WRITTEN == 0:
         with tempfile.TemporaryDirectory() as folder:
             posegsa.tune(experiment, out=folder)
-            result = posegsa.load(folder)
+            result = load(folder)
         counts["of these written and read back"] += 1
     else:
         result = posegsa.tune(experiment)

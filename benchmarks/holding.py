@@ -29,6 +29,7 @@ from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import TuneResult
 from posegsa.model.rollout import ErrorTrack
 from posegsa.runtime import environment
+from posegsa.saving.run import load
 from posegsa.search.build import parameter_space, scenario, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
@@ -194,7 +195,7 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    text = table(posegsa.load(options.run) if options.run else posegsa.tune())
+    text = table(load(options.run) if options.run else posegsa.tune())
     print(text)
     if options.write:
         write_block("holding", text, "docs/filter.md")

@@ -24,7 +24,9 @@ from posegsa.figures.result import draw as draw
 from posegsa.figures.schedule import plot_input_terms as plot_input_terms
 from posegsa.figures.schedule import plot_output_terms as plot_output_terms
 from posegsa.figures.schedule import plot_surface as plot_surface
+from posegsa.imu_tuning import tune_imu as tune_imu
 from posegsa.judging.comparison import OptimiserComparison as OptimiserComparison
+from posegsa.judging.imu import ImuResult as ImuResult
 from posegsa.judging.recorded import RecordingResult as RecordingResult
 from posegsa.judging.recorded import by_hand as by_hand
 from posegsa.judging.result import TuneBatch as TuneBatch
@@ -66,9 +68,9 @@ from posegsa.runtime import enable_fast_path as enable_fast_path
 from posegsa.saving.checkpoint import load_search as load_search
 from posegsa.saving.checkpoint import save_search as save_search
 from posegsa.saving.comparison import load_comparison as load_comparison
+from posegsa.saving.loading import load as load
 from posegsa.saving.loading import save as save
 from posegsa.saving.recorded import load_recorded as load_recorded
-from posegsa.saving.run import load as load
 from posegsa.saving.sweep import load_sweep as load_sweep
 from posegsa.saving.sweep import merge_sweeps as merge_sweeps
 from posegsa.search.build import filter_settings as filter_settings

@@ -13,6 +13,8 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.judging.known_sensors import KnownSensors, of_scenario
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings, FilterState, checked_state
 from posegsa.model.fuzzy import FuzzyController
@@ -40,6 +42,7 @@ MAX_GAIN = 1e9
 BLIND = (ConstantGain, SettlingGain, SwitchGain, KnotGain)
 """Schedules that do not look at the error, and so need no settings of its signal."""
 
+_STILL = np.zeros(3)
 _NO_NUMBER: Any = np.zeros(())
 _UNSEEN = SignalSettings(
     signal="measured",
@@ -86,15 +89,16 @@ class PoseFilter:
     that has passed. Arrays that are returned are the caller's own.
 
     Args:
-        source: What the gain comes from: a tuned result, which brings settings and references too;
+        source: What the gain comes from: a tuned result, which brings settings and references too
+            (one tuned on recordings those of its recordings, whose weights are in its settings);
             or a gain schedule (`FuzzyGain`, `ConstantGain`, one of your own), a `FuzzyController`,
             or a constant gain K [1/s] as a number.
         rotation: (3, 3) R_est at the first sample, body to inertial.
         position: (3,) P_est there [m], inertial frame.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
-            `update`; default those of the result's experiment, or none. If there are more or fewer
-            than in the experiment, each has the weight 1.
+            `update`; default those of the result's experiment or recordings, or none. If there are
+            more or fewer than in the experiment, each has the weight 1.
         landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
         vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
         landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
@@ -113,7 +117,7 @@ class PoseFilter:
 
     def __init__(
         self,
-        source: TuneResult | GainSchedule | FuzzyController | float,
+        source: TuneResult | RecordingResult | GainSchedule | FuzzyController | float,
         *,
         rotation: ArrayLike,
         position: ArrayLike,
@@ -129,17 +133,20 @@ class PoseFilter:
     ) -> None:
         self._hold_time = _duration("hold_time", hold_time)
         self._window = _duration("observable_window", observable_window)
-        if isinstance(source, TuneResult):
+        known = None
+        if isinstance(source, TuneResult | RecordingResult):
             if settings is not None or signal is not None:
                 refuse("settings, signal: given beside a result", "neither, it brings its own")
-            scenario = source.experiment.scenario
-            if vector_references is None:
-                vector_references = np.array([v.direction for v in scenario.vectors])
-            if landmark_references is None:
-                landmark_references = np.array([p.position for p in scenario.landmarks])
+            if vector_references is None or landmark_references is None:
+                known = _known_sensors(source)
+                if vector_references is None:
+                    vector_references = np.array(known.vectors)
+                if landmark_references is None:
+                    landmark_references = np.array(known.landmarks)
+        self._attitude_only = known is not None and known.attitude_only
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
-        if isinstance(source, TuneResult):
+        if isinstance(source, TuneResult | RecordingResult):
             schedule, settings, signal = _tuned(source, len(vectors), len(landmarks))
         else:
             schedule, settings, signal = _by_hand(source, settings, signal)
@@ -193,7 +200,7 @@ class PoseFilter:
         dt = _time_step(time_step, self._dtype)
         ages = self._ages + self._time_step
         omega = self._held("angular_velocity", angular_velocity, 0, ages)
-        v = self._held("velocity", velocity, 1, ages)
+        v = self._held("velocity", _STILL if self._unmoved(velocity) else velocity, 1, ages)
         vectors_seen, vector_factors = self._vectors.seen(vectors, vector_weights)
         landmarks_seen, landmark_factors = self._landmarks.seen(landmarks, landmark_weights)
         factors = np.concatenate([vector_factors, landmark_factors])
@@ -356,6 +363,10 @@ class PoseFilter:
         self._velocities = np.zeros(3), np.zeros(3)
         """The last ones that were measured."""
 
+    def _unmoved(self, velocity: ArrayLike | None) -> bool:
+        """Whether there is no velocity because the filter is one of the attitude alone."""
+        return velocity is None and self._attitude_only
+
     def _held(self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray) -> np.ndarray:
         """The velocity as measured, or the last one where it is missing and that is not too old."""
         if value is not None:
@@ -422,8 +433,15 @@ class _Sensors:
         return array
 
 
+def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
+    """The sensors that a result was tuned with."""
+    if isinstance(result, RecordingResult):
+        return result.known_sensors
+    return of_scenario(result.experiment)
+
+
 def _tuned(
-    result: TuneResult, vectors: int, landmarks: int
+    result: TuneResult | RecordingResult, vectors: int, landmarks: int
 ) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
     """Schedule, settings and signal of a result, for so many sensors."""
     gain = result.tuned.gain
@@ -433,7 +451,7 @@ def _tuned(
             "knows",
             'one tuned with gain.signal = "measured"',
         )
-    if found := result.warnings():
+    if isinstance(result, TuneResult) and (found := result.warnings()):
         warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
     dtype = result.experiment.run.dtype
     with jax.enable_x64(dtype == "float64"):
@@ -450,7 +468,8 @@ def _by_hand(
     """Schedule, settings and signal that were given one by one."""
     if not (isinstance(source, Real | FuzzyController) or hasattr(source, "prepare")):
         allowed = (
-            "a TuneResult (posegsa.load reads one), a gain schedule, a FuzzyController, a number"
+            "a TuneResult or RecordingResult (posegsa.load reads one), a gain schedule, a "
+            "FuzzyController, a number"
         )
         refuse(f"source: a {type(source).__name__}", allowed)
     if settings is None:

@@ -6,22 +6,30 @@ from pathlib import Path
 
 import jax
 
-from posegsa import config, tuning
+from posegsa import config, imu_tuning, tuning
 from posegsa.cli.parsers.tune import FILES, OUT
 from posegsa.cli.progress import TuneDisplay
-from posegsa.cli.replay import read
+from posegsa.cli.replay import read, refuse_imu_options
+from posegsa.config.imu import names_imu
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.saving import recorded
+from posegsa.saving import imu, recorded
 from posegsa.saving.checkpointing import newest_checkpoint
+from posegsa.saving.interrupt import resumable
 from posegsa.search.devices import join_processes
 
 
 def run(options: argparse.Namespace) -> int:
     """Tune, judge and say what came out."""
     first = _join(options)
+    if names_imu(options.config):
+        return _tune_imu(options)
+    refuse_imu_options(options)
     if options.recording is not None:
         return _tune_on_recordings(options)
-    for name in ("held_out", "window", "held_out_window", "schedule"):
+    for name in (
+        *("held_out", "window", "held_out_window", "schedule"),
+        *("bridge", "longest_gap"),
+    ):
         if getattr(options, name) is not None:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
@@ -41,11 +49,11 @@ def run(options: argparse.Namespace) -> int:
 def _tune_on_recordings(options: argparse.Namespace) -> int:
     if options.resume is not None or options.distributed:
         raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
-    if options.figures is not None:
-        raise ArgumentError("--recording with --figures; allowed: one of them, as none are drawn")
+    _refuse_figures(options)
     experiment, out = _experiment(options), options.out or OUT
-    recordings = read(options.recording, options.window)
-    held_out = read(options.held_out or [], options.held_out_window)
+    bridge = options.bridge, options.longest_gap
+    recordings = read(options.recording, options.window, *bridge)
+    held_out = read(options.held_out or [], options.held_out_window, *bridge)
     for one in (*recordings, *held_out):
         print(one.describe())
     with TuneDisplay(_judging(experiment), quiet=options.quiet) as show:
@@ -61,6 +69,47 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     print(f"\n{result.summary()}")
     print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
     return 0
+
+
+def _tune_imu(options: argparse.Namespace) -> int:
+    if options.recording is None:
+        raise ArgumentError(
+            f"{options.config}: is tuned on recordings alone; allowed: with --recording FILE"
+        )
+    if options.resume is not None or options.distributed or options.schedule is not None:
+        raise ArgumentError(
+            f"--resume, --distributed, --schedule; allowed: without {options.config}, whose gain "
+            "is constant, and which is searched in one process"
+        )
+    _refuse_figures(options)
+    given = [] if options.iterations is None else [f"search.iterations={options.iterations}"]
+    filter = config.override_imu(config.load_imu(options.config), [*options.set, *given])
+    bridge, out = (options.bridge, options.longest_gap), options.out or OUT
+    recordings = read(options.recording, options.window, *bridge)
+    held_out = read(options.held_out or [], options.held_out_window, *bridge)
+    with (
+        resumable(lambda: "interrupted; nothing is kept"),
+        TuneDisplay("then seconds to judge what it finds", quiet=options.quiet) as show,
+    ):
+        result = imu_tuning.tune_imu(
+            filter,
+            recordings=recordings,
+            held_out=held_out,
+            frame=options.frame,
+            rest=options.rest,
+            seed=options.seed or 0,
+            out=out,
+            overwrite=options.overwrite,
+            progress=show,
+        )
+    print(result.summary())
+    print(f"\nWritten to {out}: {', '.join(imu.FILES)}")
+    return 0
+
+
+def _refuse_figures(options: argparse.Namespace) -> None:
+    if options.figures is not None:
+        raise ArgumentError("--recording with --figures; allowed: one of them, as none are drawn")
 
 
 def _judging(experiment: config.Experiment) -> str:

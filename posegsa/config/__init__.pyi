@@ -12,11 +12,13 @@ from posegsa.config.files import as_experiment as as_experiment
 from posegsa.config.files import from_dict as from_dict
 from posegsa.config.files import load as load
 from posegsa.config.files import override as override
+from posegsa.config.files import override_imu as override_imu
 from posegsa.config.files import to_toml as to_toml
 from posegsa.config.files import values_of as values_of
 from posegsa.config.files import with_tuned as with_tuned
 from posegsa.config.imu import ImuConfig as ImuConfig
 from posegsa.config.imu import ImuObserverConfig as ImuObserverConfig
+from posegsa.config.imu import ImuParametersConfig as ImuParametersConfig
 from posegsa.config.imu import ImuVectorsConfig as ImuVectorsConfig
 from posegsa.config.imu import load_imu as load_imu
 from posegsa.config.scenario import Landmark as Landmark

@@ -1,4 +1,4 @@
-"""An experiment's data with single values changed, by their paths."""
+"""The data of an experiment, or of an attitude filter, with values changed by their paths."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -16,12 +16,12 @@ def with_values(
     """An experiment's data with values replaced, and why some can't be.
 
     Args:
-        data: Plain data of a whole experiment; changed in place.
+        data: Plain data of a whole experiment, or of an `ImuConfig`; changed in place.
         before: Its optimiser.
         values: Paths of keys and array indices, such as `scenario.vectors.0.noise`, or of a whole
             section, each with its value.
     """
-    range_before = data["parameters"]["gain_range"]
+    range_before = data["parameters"].get("gain_range")
     data["search"], named, violations = {}, [], []
     for path, value in values:
         named.append(path)
@@ -31,7 +31,7 @@ def with_values(
     if isinstance(data["search"], dict):
         data["search"] = _search(before, data["search"])
     parameters = data["parameters"]
-    if "parameters.gain_range" in named and isinstance(parameters, dict):
+    if range_before and "parameters.gain_range" in named and isinstance(parameters, dict):
         for key, fitted in fitted_bounds(*range_before).items():
             # Bounds that were fitted to the range before, and are not stated, fit the new one.
             stated = any(_overlap(path, f"parameters.{key}") for path in named)

@@ -14,10 +14,11 @@ from posegsa.arguments import check_type, several
 from posegsa.config import shipped
 from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
-from posegsa.config.imu import ImuConfig
+from posegsa.config.imu import ImuConfig, is_imu
 from posegsa.config.reading import read_toml
 from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
+from posegsa.optimisers import Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
 
 _NAME = re.compile(r"[a-z0-9_]+")
@@ -39,10 +40,11 @@ def load(path: str | Path) -> Experiment:
     if _NAME.fullmatch(str(path)) and not Path(path).exists():
         path = shipped.find(str(path))
     data = read_toml(path)
-    if data and data.keys() <= ImuConfig.model_fields.keys():
+    if is_imu(data):
         raise ConfigError(
-            f"{path}: is an attitude filter for inertial sensors, which is not tuned; allowed: an "
-            "experiment (`posegsa replay imu` and config.load_imu take the filter)"
+            f"{path}: is an attitude filter for inertial sensors; allowed: an experiment (`posegsa "
+            "replay imu`, `posegsa tune imu --recording FILE`, posegsa.tune_imu and "
+            "config.load_imu take the filter)"
         )
     return _validated(data, f"{path} is not a valid experiment")
 
@@ -102,13 +104,9 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     """
     check_type("experiment", experiment, Experiment)
     settings = several("settings", settings, str, "texts such as filter.substeps=4")
-    parsed = [_parsed(text) for text in settings]
-    violations = [one for one in parsed if isinstance(one, Violation)]
-    values = [one for one in parsed if not isinstance(one, Violation)]
-    data, refused = with_values(experiment.model_dump(mode="json"), experiment.search, values)
-    if violations or refused:
-        title = "settings that cannot be applied"
-        raise violations_error(title, [*violations, *refused])
+    data, refused = _with_settings(experiment.model_dump(mode="json"), experiment.search, settings)
+    if refused:
+        raise violations_error("settings that cannot be applied", refused)
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -146,6 +144,24 @@ def _parts(written: str) -> list[str]:
     return parts
 
 
+def override_imu(imu: ImuConfig, settings: Iterable[str]) -> ImuConfig:
+    """Changes single values of an attitude filter for inertial sensors, as `override` does.
+
+    Raises:
+        ConfigError: If a setting cannot be read, or the result is not a valid filter.
+    """
+    check_type("imu", imu, ImuConfig)
+    settings = several("settings", settings, str, "texts such as vectors.low_pass=3.0")
+    data, refused = _with_settings(imu.model_dump(mode="json"), imu.search, settings)
+    if refused:
+        raise violations_error("settings that cannot be applied", refused)
+    try:
+        return ImuConfig.model_validate(data)
+    except ValidationError as error:
+        title = "not a valid attitude filter for inertial sensors with these settings"
+        raise config_error(title, error, ImuConfig) from None
+
+
 def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experiment:
     """An experiment with the numbers in it that were tuned beside k1..k22, by key.
 
@@ -165,6 +181,17 @@ def _validated(data: object, title: str) -> Experiment:
         return Experiment.model_validate(data)
     except ValidationError as error:
         raise config_error(title, error, Experiment) from None
+
+
+def _with_settings(
+    data: dict[str, Any], search: Optimiser, settings: Iterable[str]
+) -> tuple[dict[str, Any], list[Violation]]:
+    """Plain data with the values that settings name, and what is wrong with these."""
+    parsed = [_parsed(text) for text in settings]
+    violations = [one for one in parsed if isinstance(one, Violation)]
+    values = [one for one in parsed if not isinstance(one, Violation)]
+    data, refused = with_values(data, search, values)
+    return data, [*violations, *refused]
 
 
 def _parsed(text: str) -> tuple[str, Any] | Violation:

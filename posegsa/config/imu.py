@@ -1,13 +1,18 @@
 """The attitude filter for inertial sensors: its numbers; `ImuConfig()` is the shipped one."""
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal, Self
 
+import tomli_w
 from pydantic import ValidationError
 
+from posegsa.config.experiment import ONE_OPTIMISER
 from posegsa.config.reading import read_toml
-from posegsa.settings.fields import NonNegative, Positive, Section
-from posegsa.settings.violations import config_error
+from posegsa.config.tunable import AlsoTuned, also_conflicts, with_effect, with_numbers
+from posegsa.optimisers import DifferentialEvolution, Optimiser
+from posegsa.settings.fields import NonNegative, Positive, Section, Tunable
+from posegsa.settings.violations import Violation, config_error
 
 SHIPPED = "imu"
 """What the shipped filter is called instead of a file."""
@@ -16,15 +21,15 @@ SHIPPED = "imu"
 class ImuVectorsConfig(Section):
     """[vectors]: what is made of accelerometer and magnetometer before the filter sees it."""
 
-    low_pass: NonNegative = 2.5
+    low_pass: Annotated[NonNegative, Tunable()] = 2.5
     """Time constant of the low-pass filter that the acceleration passes in an almost inertial frame
     [s]; 0 is none."""
-    field_tolerance: Positive | Literal["off"] = 0.02
+    field_tolerance: Annotated[Positive | Literal["off"], Tunable()] = 0.02
     """Distance of the magnetic field from its reference, as a share of the reference's length, at
     which east has half its weight; "off" never takes any away."""
-    field_recovery: NonNegative = 0.0
+    field_recovery: Annotated[NonNegative, Tunable()] = 0.0
     """Time constant with which a disturbance of the field is forgotten [s]; 0 at once."""
-    outlier: Positive = 10.0
+    outlier: Annotated[Positive, Tunable()] = 10.0
     """An acceleration or a field so many times as long as its reference is passed over."""
     gyroscope_interval: Literal["before", "after"] = "before"
     """Which time an angular velocity is about: that before its stamp, since the last sample, or
@@ -34,22 +39,83 @@ class ImuVectorsConfig(Section):
 class ImuObserverConfig(Section):
     """[observer]: the gains of the filter, which are constant."""
 
-    gain: Positive = 4.0
+    gain: Annotated[Positive, Tunable()] = 4.0
     """K [1/s]; an error of the inclination decays at K / 2."""
-    east_weight: NonNegative = 0.075
+    east_weight: Annotated[NonNegative, Tunable()] = 0.075
     """Weight s of east beside that of up, which is 1, no unit; where the field is undisturbed, an
     error of the heading decays at K s / 2."""
-    gamma: NonNegative = 2.0
+    gamma: Annotated[NonNegative, Tunable()] = 2.0
     """Gain of the gyroscope's bias law at K = 10/s [1/s^2]; that at K is (K / 10)^2 times it."""
-    gain_limit: Positive = 1.5
+    gain_limit: Annotated[Positive, Tunable()] = 1.5
     """Maximum step of the innovation, as [filter] gain_limit."""
 
 
+class ImuParametersConfig(Section):
+    """[parameters]: what a search on recordings tunes."""
+
+    also: tuple[AlsoTuned, ...] = (
+        AlsoTuned(key="vectors.low_pass", lower=0.5, upper=8.0, scale="logarithmic"),
+        AlsoTuned(key="vectors.field_tolerance", lower=0.02, upper=0.32, scale="logarithmic"),
+        AlsoTuned(key="observer.gain", lower=0.5, upper=16.0, scale="logarithmic"),
+        AlsoTuned(key="observer.east_weight", lower=0.01, upper=1.0, scale="logarithmic"),
+        AlsoTuned(key="observer.gamma", lower=0.1, upper=10.0, scale="logarithmic"),
+    )
+    """Numbers of [vectors] and [observer], each with its bounds."""
+
+
 class ImuConfig(Section):
-    """The whole filter."""
+    """The whole filter, and how `tune_imu` searches for its numbers."""
 
     vectors: ImuVectorsConfig = ImuVectorsConfig()
     observer: ImuObserverConfig = ImuObserverConfig()
+    parameters: ImuParametersConfig = ImuParametersConfig()
+    search: Annotated[Optimiser, ONE_OPTIMISER] = DifferentialEvolution(
+        agents=12, iterations=20, strategy="best/1/bin", factor=0.6
+    )
+    """The optimiser, by the name `search.optimiser`, with its size and its settings."""
+
+    def _conflicts(self) -> Iterator[Violation]:
+        # A number that is "off" is not tuned by default.
+        needless = ImuParametersConfig().also
+        yield from also_conflicts(self, self.parameters.also, needless=needless)
+
+    @property
+    def also(self) -> tuple[AlsoTuned, ...]:
+        """The numbers that are tuned."""
+        return with_effect(self, self.parameters.also, needless=ImuParametersConfig().also)
+
+    def with_numbers(self, values: Mapping[str, float]) -> Self:
+        """The same with some of its numbers replaced, by key such as "vectors.low_pass".
+
+        Raises:
+            ConfigError: One is not allowed.
+        """
+        data: dict[str, Any] = with_numbers(self.model_dump(mode="json"), values)
+        try:
+            return type(self).model_validate(data)
+        except ValidationError as error:
+            title = "not a valid attitude filter with these numbers"
+            raise config_error(title, error, type(self)) from None
+
+    def to_toml(self) -> str:
+        """As a TOML file, every value included; `load_imu` of it gives an equal filter."""
+        return tomli_w.dumps(self.model_dump(mode="json"))
+
+
+def is_imu(data: Mapping[str, Any]) -> bool:
+    """Whether the data of a TOML file are meant as such a filter, not as an experiment."""
+    return bool(data.keys() & {"vectors", "observer"})
+
+
+def names_imu(name: str | Path | None) -> bool:
+    """Whether a user's CONFIG is such a filter: "imu", or a file that holds one.
+
+    Raises:
+        ConfigError: The file cannot be read or is not TOML.
+    """
+    if name is None or not str(name).endswith(".toml"):
+        return name == SHIPPED
+    return is_imu(read_toml(name))
 
 
 def load_imu(path: str | Path = SHIPPED) -> ImuConfig:

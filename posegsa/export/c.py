@@ -32,16 +32,19 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
+from posegsa.judging.known_sensors import of_scenario
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings
 from posegsa.model.schedules import FuzzyGain, GainSchedule, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
+from posegsa.search.recorded import settings_on
 from posegsa.version import VERSION
 from posegsa.words import counted
 
 
-def export_c(result: TuneResult, name: str = NAME) -> str:
+def export_c(result: TuneResult | RecordingResult, name: str = NAME) -> str:
     """C99 header with the whole filter: state, `posegsa_init`, `posegsa_step`.
 
     It includes nothing but `<math.h>`, allocates nothing, and computes in `POSEGSA_REAL`, which is
@@ -49,26 +52,31 @@ def export_c(result: TuneResult, name: str = NAME) -> str:
     what the filter is worth.
 
     Args:
-        result: the tuned filter, for the vectors and landmarks of its experiment.
+        result: the tuned filter, for the vectors and landmarks of its experiment, or of the
+            recordings that it was tuned on, whose weights are in it.
         name: what all names in the file begin with.
 
     Raises:
-        ArgumentError: Not a result, no name that C could take, or a result that was tuned on the
-            true errors, which no vehicle knows.
+        ArgumentError: Not a result, no name that C could take, a result that was tuned on the true
+            errors, which no vehicle knows, or on recordings that have no references in common.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
     check_name(name)
     experiment = config.override(result.tuned, ["run.dtype=float64"])
-    scenario = experiment.scenario
     with jax.enable_x64(True):
-        settings = filter_settings(experiment)
+        if isinstance(result, RecordingResult):
+            known = result.known_sensors
+            settings = settings_on(experiment, len(known.vectors), len(known.landmarks))
+            settings = known.weighted(settings)
+        else:
+            known, settings = of_scenario(experiment), filter_settings(experiment)
         signal = signal_settings(experiment.gain, np.dtype("float64"))
     return filter_to_c(
         result.schedule,
         settings,
         signal,
-        vectors=np.reshape([vector.direction for vector in scenario.vectors], (-1, 3)),
-        landmarks=np.reshape([landmark.position for landmark in scenario.landmarks], (-1, 3)),
+        vectors=np.reshape(known.vectors, (-1, 3)),
+        landmarks=np.reshape(known.landmarks, (-1, 3)),
         name=name,
         about=origin(result),
         worth=worth(result),

@@ -8,11 +8,13 @@ are shorter, and quicker to read, than a thousand statements without them. It st
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.config import PARAMETERS, TERMS, Experiment
+from posegsa.errors import ArgumentError
 from posegsa.export.c_text import (
     NAME,
     check_name,
@@ -24,7 +26,9 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
-from posegsa.export.tables import INFERENCE
+from posegsa.export.recorded import INFERENCE
+from posegsa.judging.known_sensors import KnownSensors, of_scenario
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.model.fuzzy import FuzzyController
 
@@ -52,7 +56,7 @@ _SYMBOLS = {
 }
 
 
-def export_c_gain(result: TuneResult, name: str = NAME) -> str:
+def export_c_gain(result: TuneResult | RecordingResult, name: str = NAME) -> str:
     """C99 file with the controller alone, `posegsa_gain`, for a filter of one's own.
 
     It computes in `POSEGSA_REAL`, which is double unless it is defined as float when compiling.
@@ -63,12 +67,14 @@ def export_c_gain(result: TuneResult, name: str = NAME) -> str:
         name: what all names in the file begin with.
 
     Raises:
-        ArgumentError: Not a result, or no name that C could take.
+        ArgumentError: Not a result, one whose gain is no fuzzy controller's, or no name that C
+            could take.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
     check_name(name)
     experiment, controller = result.tuned, result.controller
-    parameters = zip(PARAMETERS, result.parameters.tolist(), strict=True)
+    found = result.filter.numbers["k"] if isinstance(result, RecordingResult) else result.parameters
+    parameters = zip(PARAMETERS, np.asarray(found).tolist(), strict=True)
     text = (
         templates()
         .get_template("gain.c")
@@ -76,7 +82,7 @@ def export_c_gain(result: TuneResult, name: str = NAME) -> str:
             origin=comment(origin(result)),
             costs=comment(worth(result)),
             inference=comment([INFERENCE, *settings_of(experiment.fuzzy, without=["rules"])]),
-            signal=comment(signal_in_words(experiment)),
+            signal=comment(signal_in_words(result)),
             filter=comment(settings_of(experiment.filter)),
             parameters=comment(wrapped(", ".join(f"{which}={k!r}" for which, k in parameters))),
             linkage="",
@@ -121,9 +127,9 @@ def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
     return "\n".join(f"    {text}" for text in texts)
 
 
-def signal_in_words(experiment: Experiment) -> list[str]:
+def signal_in_words(result: TuneResult | RecordingResult) -> list[str]:
     """How the inputs come from measurements, with the run's constants."""
-    gain = experiment.gain
+    gain = result.tuned.gain
     smoothed = (
         f"e = before + dt / ({gain.smoothing!r} s + dt) (now - before)   [smoothed; dt: the time "
         "since the last sample]"
@@ -137,20 +143,29 @@ def signal_in_words(experiment: Experiment) -> list[str]:
         f"x {gain.rate_scale!r}",
         "    before is e of the sample before, and now at the first sample: there rate is 0",
         *wrapped(_SYMBOLS[gain.signal]),
-        *(_known(experiment) if gain.signal == "measured" else []),
+        *(_known(result) if gain.signal == "measured" else []),
         *settings_of(gain),
     ]
 
 
-def _known(experiment: Experiment) -> list[str]:
+def _known(result: TuneResult | RecordingResult) -> list[str]:
     """The vectors and landmarks of the run, with their weights."""
-    scenario, used = experiment.scenario, experiment.filter
+    experiment = result.tuned
+    used, sensors = experiment.filter, of_scenario(experiment)
+    if isinstance(result, RecordingResult):
+        try:
+            sensors = result.known_sensors
+        except ArgumentError:
+            return ["  the recordings that it was tuned on differ in their vectors and landmarks"]
+    vector_weights, cross_weight, landmark_weights = _weights(experiment, sensors)
     rows = [
-        f"  v_{i}^I = {vector.direction}, weight {vector.weight!r}"
-        for i, vector in enumerate(scenario.vectors, start=1)
+        f"  v_{i}^I = {tuple(vector)}, weight {weight!r}"
+        for i, (vector, weight) in enumerate(
+            zip(sensors.vectors, vector_weights, strict=True), start=1
+        )
     ]
-    if used.cross_vector:
-        rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {used.cross_vector_weight!r}")
+    if used.cross_vector and len(sensors.vectors) > 1:
+        rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {cross_weight!r}")
     if used.vector_bias == "estimated":
         rows += [
             "  c_i, its estimated bias, is taken off each measured vector first, body frame:",
@@ -160,7 +175,27 @@ def _known(experiment: Experiment) -> list[str]:
     if used.normalise_vectors:
         rows.append("  all of them at length one, v_i^B and v_i^I")
     rows += [
-        f"  p_{i} = {landmark.position} m, weight {landmark.weight!r}"
-        for i, landmark in enumerate(scenario.landmarks, start=1)
+        f"  p_{i} = {tuple(landmark)} m, weight {weight!r}"
+        for i, (landmark, weight) in enumerate(
+            zip(sensors.landmarks, landmark_weights, strict=True), start=1
+        )
     ]
     return rows
+
+
+def _weights(
+    experiment: Experiment, sensors: KnownSensors
+) -> tuple[list[float], float, list[float]]:
+    """Weights of the vectors, of the cross product and of the landmarks."""
+
+    def of(given: Sequence[Any], factors: list[float]) -> list[float]:
+        own = [one.weight for one in given[: len(factors)]]
+        own += [1.0] * (len(factors) - len(own))
+        return [weight * factor for weight, factor in zip(own, factors, strict=True)]
+
+    both = min(sensors.vector_weights[:2], default=1.0)
+    return (
+        of(experiment.scenario.vectors, sensors.vector_weights),
+        experiment.filter.cross_vector_weight * both,
+        of(experiment.scenario.landmarks, sensors.landmark_weights),
+    )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from posegsa.arguments import refuse
 from posegsa.export.tables import costs
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.settings.fields import Section
 from posegsa.version import VERSION
@@ -120,17 +121,27 @@ def comment(lines: Iterable[str]) -> str:
     return "\n".join(f" * {line}".rstrip() for line in safe)
 
 
-def origin(result: TuneResult) -> list[str]:
+def origin(result: TuneResult | RecordingResult) -> list[str]:
     """Which search a file comes from."""
     run, search = result.tuned.run, result.tuned.search
+    if isinstance(result, RecordingResult) and result.best_cost is None:
+        return wrapped(
+            f"Written by posegsa {VERSION}. A {result.filter.kind} gain made by hand with posegsa "
+            f"{result.version}."
+        )
     return wrapped(
         f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
         f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
     )
 
 
-def worth(result: TuneResult) -> list[str]:
-    """What a tuned filter and the best constant gain cost, and what warns of it."""
+def worth(result: TuneResult | RecordingResult) -> list[str]:
+    """What a tuned filter and the best constant gain cost, and what warns of it.
+
+    Of a result on recordings, its errors on them, and what of these is measured.
+    """
+    if isinstance(result, RecordingResult):
+        return _on_recordings(result)
     names = {
         "tuned": "  this schedule",
         "constant": f"  best constant gain {result.constant_gain:.4g}/s",
@@ -150,6 +161,16 @@ def worth(result: TuneResult) -> list[str]:
     for warning in result.warnings():
         lines += wrapped(f"WARNING: {warning}.")
     return lines
+
+
+def _on_recordings(result: RecordingResult) -> list[str]:
+    """The errors of a filter on recordings, and what of these is measured."""
+    if not (result.training or result.held_out):
+        return ["Not known: it was judged on no recording."]
+    lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
+    if not result.held_out:
+        lines += wrapped("WARNING: no recording was held out.")
+    return lines + [part for line in result.origins().splitlines() for part in wrapped(line)]
 
 
 def settings_of(section: Section, without: Collection[str] = ()) -> list[str]:

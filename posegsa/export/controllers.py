@@ -13,45 +13,48 @@ from posegsa.exchange.fll import to_fll
 from posegsa.exchange.fml import to_fml
 from posegsa.export.c_gain import signal_in_words
 from posegsa.export.c_text import origin, worth
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.model.fuzzy import FuzzyController
 
 
-def export_fis(source: TuneResult | FuzzyController) -> str:
+def export_fis(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller for MATLAB's Fuzzy Logic Toolbox.
 
     Args:
         source: A tuned result, whose comment says where it comes from, or any controller.
 
     Raises:
-        ArgumentError: It is neither.
+        ArgumentError: It is neither, or a result whose gain is no fuzzy controller's.
     """
     return _written(source, to_fis)
 
 
-def export_fll(source: TuneResult | FuzzyController) -> str:
+def export_fll(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller for fuzzylite; arguments as `export_fis`."""
     return _written(source, to_fll)
 
 
-def export_fcl(source: TuneResult | FuzzyController) -> str:
+def export_fcl(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller in IEC 61131-7's Fuzzy Control Language; arguments as `export_fis`."""
     return _written(source, to_fcl)
 
 
-def export_fml(source: TuneResult | FuzzyController) -> str:
+def export_fml(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller in IEEE 1855's Fuzzy Markup Language; arguments as `export_fis`."""
     return _written(source, to_fml)
 
 
-def _written(source: TuneResult | FuzzyController, write: Callable[..., str]) -> str:
-    check_type("source", source, TuneResult, FuzzyController)
+def _written(
+    source: TuneResult | RecordingResult | FuzzyController, write: Callable[..., str]
+) -> str:
+    check_type("source", source, TuneResult, RecordingResult, FuzzyController)
     if isinstance(source, FuzzyController):
         return write(source)
     return write(source.controller, _about(source))
 
 
-def _about(result: TuneResult) -> list[str]:
+def _about(result: TuneResult | RecordingResult) -> list[str]:
     """Where a schedule comes from, what it is worth and how its inputs are formed."""
     return [
         "Gain controller of a pose filter.",
@@ -60,6 +63,6 @@ def _about(result: TuneResult) -> list[str]:
         *worth(result),
         "",
         "Inputs, both without a unit:",
-        *signal_in_words(result.tuned),
+        *signal_in_words(result),
         "",
     ]

@@ -21,26 +21,41 @@ class Format(NamedTuple):
     about: str
     named: bool = False
     """Whether its names begin with one that can be chosen."""
+    controller: bool = False
+    """Whether it is of a fuzzy controller; other gains have none."""
 
 
 FORMATS = {
     "json": Format(
         "posegsa.export.tables:export_json", "the schedule, what it is worth, its control surface"
     ),
-    "csv": Format("posegsa.export.tables:export_csv", "the control surface, a row a point"),
+    "csv": Format(
+        "posegsa.export.tables:export_csv", "the control surface, a row a point", controller=True
+    ),
     "c": Format("posegsa.export.c:export_c", "the whole filter as a header of C99", named=True),
     "c-gain": Format(
-        "posegsa.export.c_gain:export_c_gain", "the gain's controller in C99", named=True
+        "posegsa.export.c_gain:export_c_gain",
+        "the gain's controller in C99",
+        named=True,
+        controller=True,
     ),
     "fis": Format(
-        "posegsa.export.controllers:export_fis", "the same for MATLAB's Fuzzy Logic Toolbox"
+        "posegsa.export.controllers:export_fis",
+        "the same for MATLAB's Fuzzy Logic Toolbox",
+        controller=True,
     ),
-    "fll": Format("posegsa.export.controllers:export_fll", "the same for fuzzylite"),
+    "fll": Format(
+        "posegsa.export.controllers:export_fll", "the same for fuzzylite", controller=True
+    ),
     "fcl": Format(
-        "posegsa.export.controllers:export_fcl", "the same as IEC 61131-7's Fuzzy Control Language"
+        "posegsa.export.controllers:export_fcl",
+        "the same as IEC 61131-7's Fuzzy Control Language",
+        controller=True,
     ),
     "fml": Format(
-        "posegsa.export.controllers:export_fml", "the same as IEEE 1855's Fuzzy Markup Language"
+        "posegsa.export.controllers:export_fml",
+        "the same as IEEE 1855's Fuzzy Markup Language",
+        controller=True,
     ),
 }
 """What `export` writes, by name."""
@@ -50,14 +65,14 @@ def export(result: "TuneResult | RecordingResult", format: str, name: str | None
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
-        result: what was tuned; on recordings only "json".
+        result: what was tuned, on scenarios or on recordings.
         format: of `FORMATS`.
         name: what the names in a file of C begin with; default "posegsa".
 
     Raises:
-        PosegsaError: There is no such format, or it has no names that could begin with one.
+        PosegsaError: There is no such format, it has no names that could begin with one, or it is
+            of fuzzy controllers and the gain is none.
     """
-    from posegsa.export.recorded import recorded_json
     from posegsa.judging.recorded import RecordingResult
 
     if not isinstance(format, str) or format not in FORMATS:
@@ -65,12 +80,13 @@ def export(result: "TuneResult | RecordingResult", format: str, name: str | None
     if name is not None and not FORMATS[format].named:
         named = (other for other, about in FORMATS.items() if about.named)
         raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(named)}")
-    if isinstance(result, RecordingResult):
-        if format != "json":
+    if isinstance(result, RecordingResult) and FORMATS[format].controller:
+        kind = result.filter.kind
+        if kind != "fuzzy":
+            others = (other for other, about in FORMATS.items() if not about.controller)
             raise PosegsaError(
-                f"format = {format!r} of a result on recordings; allowed: 'json', or in Python "
-                "filter_to_c(result.schedule, *result.settings(recording), vectors=, landmarks=)"
+                f"format = {format!r} of a {kind} gain; allowed: {', '.join(others)}, or a fuzzy "
+                "gain"
             )
-        return recorded_json(result)
     write = resolve_name(FORMATS[format].writer)
     return write(result) if name is None else write(result, name=name)

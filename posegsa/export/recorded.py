@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from posegsa.config import PARAMETERS, TERMS
-from posegsa.export.tables import INFERENCE
 from posegsa.judging.recorded import RecordingResult
 from posegsa.model.schedules import FuzzyGain
 from posegsa.settings.plain import json_text, plain
@@ -14,6 +13,10 @@ from posegsa.version import VERSION
 
 SCHEMA = 1
 """Number of the layout; it changes when a key changes its meaning."""
+INFERENCE = (
+    "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
+    "aggregation."
+)
 FORMULAS = {
     "fuzzy": INFERENCE,
     "constant": "K = gain [1/s]",
@@ -59,6 +62,7 @@ def recorded_json(result: RecordingResult) -> str:
         "vector_weights": [one.weight for one in tuned.scenario.vectors],
         "landmark_weights": [one.weight for one in tuned.scenario.landmarks],
         "tuned_too": result.filter.also,
+        "sensors": None if result.sensors is None else result.sensors._asdict(),
         "training": result.training,
         "held_out": result.held_out,
     }

@@ -11,7 +11,9 @@ import numpy as np
 
 from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
+from posegsa.export.recorded import INFERENCE, recorded_json
 from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.settings.plain import json_text, plain
 from posegsa.version import VERSION
@@ -22,10 +24,6 @@ SCHEMA = 1
 RESOLUTION = 101
 """Points along each input in the control surface."""
 
-INFERENCE = (
-    "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
-    "aggregation."
-)
 _ABOUT = (
     f"Gain schedule of a pose filter on SE(3). {INFERENCE} Terms are [left foot, peak, right "
     "foot], shared by both inputs. Rows of rules and of the control surface are the rate, columns "
@@ -34,13 +32,16 @@ _ABOUT = (
 )
 
 
-def export_json(result: TuneResult) -> str:
+def export_json(result: TuneResult | RecordingResult) -> str:
     """The schedule, what it is worth and its control surface as JSON.
 
     Reading a number back as the run's dtype gives it exactly; a cost that is not finite is text, as
-    in result.json.
+    in result.json. A result on recordings may have any gain; what its numbers mean is said beside
+    them, and a control surface is in `export_csv`.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
+    if isinstance(result, RecordingResult):
+        return recorded_json(result)
     experiment = result.tuned
     with jax.enable_x64(experiment.run.dtype == "float64"):
         controller = result.controller
@@ -77,16 +78,17 @@ def export_json(result: TuneResult) -> str:
     return json_text(plain(data)) + "\n"
 
 
-def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
+def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTION) -> str:
     """The control surface as a table: error, rate (no unit, 0 to 1) and gain, a row a point.
 
     Each input has `resolution` points. Where no rule fires and the last gain is to be held, it
     shows the initial gain.
 
     Raises:
-        ArgumentError: Not a result, or the resolution is not a whole number from 2 to 10000.
+        ArgumentError: Not a result, one whose gain is no fuzzy controller's, or the resolution is
+            not a whole number from 2 to 10000.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, TuneResult, RecordingResult)
     check_whole("resolution", resolution, 2, 10_000)
     errors, rates, gains = (a.tolist() for a in _surface(result, resolution))
     lines = ["error,rate,gain_1_s"]
@@ -95,7 +97,9 @@ def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _surface(result: TuneResult, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _surface(
+    result: TuneResult | RecordingResult, resolution: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors, rates and gains (rate, error) at the run's precision."""
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         error, rate, gains = result.controller.surface(resolution)

@@ -10,11 +10,12 @@ from jax import Array
 from pydantic import AfterValidator
 
 from posegsa import steps
-from posegsa.arguments import check_type
+from posegsa.arguments import check_type, refuse
 from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import candidate_of, describe
 from posegsa.judging.evaluation import SCHEDULES, StoredFilter
+from posegsa.judging.known_sensors import KnownSensors, of_recordings, of_scenario
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
@@ -81,6 +82,9 @@ class RecordingResult:
     version: str
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Other filters on the same held-out recordings, by name (`evaluate`)."""
+    sensors: KnownSensors | None = None
+    """What the recordings that it was tuned on know of their sensors, for exports and streams; None
+    where they differ in that, or there are none."""
 
     @property
     def candidate(self) -> Candidate:
@@ -97,6 +101,46 @@ class RecordingResult:
     def tuned(self) -> Experiment:
         """The experiment with the numbers in it that were tuned beside the schedule."""
         return with_tuned(self.experiment, self.filter.also)
+
+    @property
+    def controller(self) -> FuzzyController:
+        """The tuned fuzzy controller; `controller(error=..., rate=...)` is a gain [1/s].
+
+        Raises:
+            ArgumentError: The gain is another kind of schedule, which has none.
+        """
+        schedule = self.schedule
+        if not isinstance(schedule, FuzzyGain):
+            refuse(f"controller of a {self.filter.kind} gain", "that of a fuzzy gain")
+        return schedule.controller
+
+    @property
+    def known_sensors(self) -> KnownSensors:
+        """What the filter knows of its sensors: of its recordings; of its scenario without any.
+
+        Raises:
+            ArgumentError: The recordings have different references, or references that move.
+        """
+        if self.sensors is not None:
+            return self.sensors
+        if self.training:
+            refuse(
+                "a filter tuned on recordings whose references differ, or move",
+                "in Python, filter_to_c or PoseFilter with result.schedule, "
+                "*result.settings(recording) and references of your own",
+            )
+        return of_scenario(self.experiment)
+
+    def settings_for(self, vectors: int, landmarks: int) -> FilterSettings:
+        """The tuned filter's settings for so many sensors, each seen with the factor 1.
+
+        If there are as many as in `known_sensors`, the weights that these have in the recordings
+        are in the settings.
+        """
+        settings, known = settings_on(self.tuned, vectors, landmarks), self.sensors
+        if known and (len(known.vectors), len(known.landmarks)) == (vectors, landmarks):
+            return known.weighted(settings)
+        return settings
 
     def settings(self, recording: Recording) -> tuple[FilterSettings, SignalSettings]:
         """The tuned filter and its error signal for a recording's sensors."""
@@ -229,6 +273,7 @@ def judge_on_recordings(
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
+        sensors=of_recordings(training),
     )
     both = ((result.training, training), (result.held_out, held_out))
     pairs = [(scores, one) for scores, recordings in both for one in recordings]
@@ -284,6 +329,7 @@ def by_hand(
         search_seconds=0.0,
         environment=environment(),
         version=VERSION,
+        sensors=of_recordings(recordings),
     )
     result.held_out.extend(score(one, result.estimate(one)) for one in recordings)
     return result

@@ -12,6 +12,8 @@ GROUPS = "phases", "sources", "sensors"
 """Arguments that are dictionaries: each entry is an array called "group/name"."""
 START = "start_rotation", "start_position", "start_bias"
 WORDS = "name", "start"
+OUTLIER = "landmark_outlier"
+"""A number, or "off"."""
 ARRAYS = (
     *("time", "time_step", "angular_velocity", "velocity"),
     *("vectors", "vector_references", "vector_weights"),
@@ -39,10 +41,14 @@ def read_npz(path: str | Path) -> dict[str, Any]:
             found[name] = str(array)
         elif name == "notes":
             found[name] = tuple(map(str, np.ravel(array)))
+        elif name == OUTLIER:
+            found[name] = array.item() if array.ndim == 0 else array
         elif name in ARRAYS:
             found[name] = array
         else:
-            allowed = ", ".join((*ARRAYS, *WORDS, *START, "notes", *(f"{g}/..." for g in GROUPS)))
+            allowed = ", ".join(
+                (*ARRAYS, *WORDS, *START, OUTLIER, "notes", *(f"{g}/..." for g in GROUPS))
+            )
             raise RecordingError(f"{path}: holds {name!r}; allowed: {allowed}")
     if "angular_velocity" not in found:
         raise RecordingError(f"{path}: holds no angular_velocity")

@@ -12,22 +12,21 @@ samples at the median time step, with nothing measured in them but the velocitie
 is counted, and no gap is longer than a given time.
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import finite_array
+from posegsa.recordings.policies import Policy
 from posegsa.words import counted
-
-Policy = Literal["refuse", "hold", "interpolate"]
 
 GAP = 5.0
 """Time steps longer than this many median ones are gaps."""
 LONGEST_STEP = 3600.0
 """No longer gap [s] is bridged, whoever asks for it: stamps in another unit look like that."""
-ALLOWED = 'allowed: bridge = "hold" or "interpolate"'
+ALLOWED = 'allowed: bridge = "hold" or "interpolate" (--bridge)'
 
 
 class Bridged(NamedTuple):

@@ -137,6 +137,12 @@ def as_imu(
     return _with_vectors(recording, signals, frame, settings, resting, None)
 
 
+def with_vectors(recording: ImuRecording, settings: ImuVectorsConfig) -> ImuRecording:
+    """A recording with its vectors made anew with other numbers of the preparation."""
+    made = recording.frame, settings, recording.resting
+    return _with_vectors(recording, _signals(recording), *made, None)
+
+
 def with_known_bias(recording: ImuRecording, bias: np.ndarray) -> ImuRecording:
     """A recording with its vectors made anew with the gyroscope's bias known better than before.
 

@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -14,14 +15,18 @@ from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array
 from posegsa.recordings.archive import read_npz, write_npz
-from posegsa.recordings.bridging import Bridged, Policy, bridged_samples, known_everywhere, stamps
+from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.files import as_path
+from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
+from posegsa.recordings.policies import Policy
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
 from posegsa.recordings.table import Columns, read_csv
 
+LANDMARK_OUTLIER = 7.0
+"""Times as far as usual from its place at which a landmark is passed over, by default."""
 StartRule: TypeAlias = Start | Literal["rest", "sensors"]
 
 
@@ -103,6 +108,7 @@ class Recording:
         landmark_references: ArrayLike | None = None,
         landmark_weights: ArrayLike | None = None,
         weights_by_rate: bool = True,
+        landmark_outlier: float | Literal["off"] = LANDMARK_OUTLIER,
         truth_rotation: ArrayLike | None = None,
         truth_quaternion: ArrayLike | None = None,
         truth_position: ArrayLike | None = None,
@@ -133,6 +139,9 @@ class Recording:
             weights_by_rate: multiply the weights of each vector and landmark by the median number
                 of samples from one measurement of it to the next, so that one that is seen at 20 Hz
                 beside a gyroscope at 200 Hz pulls as much over a second as one seen at 200 Hz.
+            landmark_outlier: a landmark that is seen more than so many times as far as usual from
+                where the velocities put it loses its weight in that sample, which is counted in
+                `notes` and told (`posegsa.recordings.outliers`); "off" keeps all of them.
             truth_rotation: (K, 3, 3) reference of R; NaN is not known.
             truth_quaternion: (K, 4) the same as (w, x, y, z), instead.
             truth_position: (K, 3) reference of P [m]; NaN is not known.
@@ -185,6 +194,7 @@ class Recording:
                 "landmark", found, samples, landmarks, landmark_references, landmark_weights
             ),
         )
+        told = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
         intervals = {}
         for kind in ("vector", "landmark"):
             weights = values[f"{kind}_weights"]
@@ -207,7 +217,7 @@ class Recording:
             start=_start(start),
             attitude_only=attitude_only,
             sources={str(key): str(words) for key, words in (sources or {}).items()},
-            notes=(*notes, *found.notes),
+            notes=(*notes, *told),
             sensors={
                 str(key): found.spread(
                     finite_array(f"sensors[{key!r}]", signal, (samples, 3), finite=False), math.nan
@@ -216,8 +226,8 @@ class Recording:
             },
             **intervals,
         )
-        if found.notes:
-            warnings.warn(f"{name}: {'; '.join(found.notes)}", PosegsaWarning, stacklevel=2)
+        if told:
+            warnings.warn(f"{name}: {'; '.join(told)}", PosegsaWarning, stacklevel=2)
         return recording
 
     @classmethod
@@ -322,20 +332,24 @@ class Recording:
         return cls.from_arrays(**read_broad(path) | more)
 
     @classmethod
-    def read(cls, path: str | Path) -> "Recording":
+    def read(cls, path: str | Path, **more: Any) -> "Recording":
         """A recording from a file or folder by its kind: .csv, .npz, BROAD's .mat, EuRoC's folder.
+
+        Args:
+            path: the file or folder.
+            more: arguments of `from_arrays` that replace the file's, such as `bridge`.
 
         Raises:
             RecordingError: it is of another kind, or cannot be read.
         """
         path = as_path(path)
         if path.is_dir():
-            return cls.from_euroc(path)
+            return cls.from_euroc(path, **more)
         readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
         if path.suffix.lower() not in readers:
             kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
             raise RecordingError(f"{path}: no recording is read from it; allowed: {kinds}")
-        return readers[path.suffix.lower()](path)
+        return readers[path.suffix.lower()](path, **more)
 
     def save(self, path: str | Path) -> None:
         """Write it to an .npz file, which `from_npz` reads back.
@@ -352,6 +366,8 @@ class Recording:
                 seen[f"{kind}s"] = np.where(weights[..., None] > 0, values, math.nan)
                 seen[f"{kind}_references"] = m[f"{kind}_references"]
                 seen[f"{kind}_weights"] = weights / getattr(self, f"{kind}_interval")
+        if "landmarks" in seen:
+            seen["landmark_outlier"] = "off"  # they are out, and in the notes
         start = self.start
         if start == "sensors" and self.start_bias.any():
             start = self.initial()
@@ -593,6 +609,31 @@ def _spread_sightings(
             (f"{kind}_weights", weights, 0.0, 1),
         )
     }
+
+
+def _without_outliers(
+    values: dict[str, np.ndarray], time: np.ndarray, factor: float | Literal["off"]
+) -> list[str]:
+    """Takes the weight of landmarks that are outliers, in place; what was done, in words."""
+    number = isinstance(factor, Real) and not isinstance(factor, bool)
+    if not (factor == "off" if isinstance(factor, str) else number and 1 <= factor < math.inf):
+        raise RecordingError(
+            f'landmark_outlier = {factor!r}; allowed: a number from 1 on, or "off"'
+        )
+    if isinstance(factor, str):
+        return []
+    outliers = landmark_outliers(
+        values["landmarks"],
+        values["landmark_weights"] > 0,
+        values["angular_velocity"],
+        values["velocity"],
+        values["time_step"],
+        factor,
+    )
+    if not outliers.any():
+        return []
+    values["landmark_weights"] = np.where(outliers, 0.0, values["landmark_weights"])
+    return [outliers_in_words(outliers, time, factor)]
 
 
 def _intervals(seen: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from posegsa import config
-from posegsa.config import ImuConfig, load_imu
+from posegsa.config import ImuConfig, load_imu, override_imu
 from posegsa.errors import ConfigError
 
 pytestmark = pytest.mark.quick
@@ -16,7 +16,8 @@ SHIPPED = Path(__file__).parent.parent.parent / "configs" / "imu.toml"
 
 def test_the_shipped_file_is_the_default_with_every_value_written_out() -> None:
     assert load_imu() == load_imu("imu") == load_imu(SHIPPED) == ImuConfig()
-    assert tomllib.loads(SHIPPED.read_text("utf-8")) == ImuConfig().model_dump()
+    assert tomllib.loads(SHIPPED.read_text("utf-8")) == ImuConfig().model_dump(mode="json")
+    assert tomllib.loads(ImuConfig().to_toml()) == ImuConfig().model_dump(mode="json")
 
 
 def test_what_a_file_leaves_out_keeps_its_shipped_number(tmp_path: Path) -> None:
@@ -26,6 +27,17 @@ def test_what_a_file_leaves_out_keeps_its_shipped_number(tmp_path: Path) -> None
     assert found.observer.gain == 3.0
     assert found.observer.gamma == ImuConfig().observer.gamma
     assert found.vectors == ImuConfig().vectors
+
+
+def test_a_number_that_is_changed_is_not_searched_unless_it_is_said() -> None:
+    changed = override_imu(ImuConfig(), ["vectors.field_tolerance=off", "observer.gain=2.0"])
+    assert changed.vectors.field_tolerance == "off"
+    assert [one.key for one in changed.also] == [
+        *("vectors.low_pass", "observer.east_weight", "observer.gamma")
+    ]
+    assert [one.key for one in ImuConfig(vectors={"field_tolerance": "off"}).also] == [
+        *("vectors.low_pass", "observer.gain", "observer.east_weight", "observer.gamma")
+    ]
 
 
 @pytest.mark.parametrize(

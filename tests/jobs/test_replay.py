@@ -100,6 +100,45 @@ def test_the_command_writes_what_it_found(
         posegsa.replay(result, recording, out=out)
 
 
+def test_what_a_file_lacks_is_bridged_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = motion()
+    time = np.arange(400) / 100
+    time[150] = time[140]  # goes back
+    time[200:] += 0.5  # a gap
+    rows = np.column_stack([time, given["angular_velocity"], 9.81 * given["vectors"][:, 0]])
+    rows[300, 1] = np.nan
+    path = tmp_path / "log.csv"
+    np.savetxt(path, rows, delimiter=",", header="time,wx,wy,wz,ax,ay,az", comments="")
+    command = ["replay", "imu", str(path), "--rest", "1"]
+    assert main(command) == 2
+    assert "(--bridge)" in capsys.readouterr().err
+    refused = [
+        ["--longest-gap", "2"],
+        ["--bridge", "refuse", "--longest-gap", "2"],
+        ["--bridge", "hold", "--longest-gap", "0.3"],
+        ["--bridge", "hold", "--longest-gap", "nan"],
+    ]
+    for more in refused:
+        assert main([*command, *more]) == 2
+        assert "longest" in capsys.readouterr().err
+    out = tmp_path / "out"
+    assert main([*command, "--bridge", "interpolate", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    (data,) = json.loads((out / "replay.json").read_text())["recordings"]
+    table = (out / "replay.txt").read_text()
+    expected = (
+        "1 sample dropped: stamps that do not go on",
+        "1 gap longer than 5 median steps",
+        "1 sample without velocities, the first at 300: bridged (interpolate)",
+    )
+    for note, words in zip(data["notes"], expected, strict=True):
+        assert note.startswith(words)
+        assert note in said
+        assert note in table
+
+
 def test_folders_have_names_of_their_own() -> None:
     assert folder_names(["a[0:1]", "a/0:1", "..", "V1_02.b"]) == [
         "a_0_1",

@@ -146,8 +146,8 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     assert exported["kind"] == "constant"
     assert exported["numbers"] == {"gain": [8.0]}
     assert exported["filter"]["cross_vector"] is False
-    assert main_quietly(["export", str(tmp_path / "run"), "--format", "c"]) == 2
-    assert "allowed: 'json'" in capsys.readouterr().err
+    assert main_quietly(["export", str(tmp_path / "run"), "--format", "fis"]) == 2
+    assert "of a constant gain; allowed: json, c, or" in capsys.readouterr().err
     space = posegsa.parameter_space(chosen)
     controller = space.controller(0.5 * (space.lower + space.upper))
     again = json.loads(export(posegsa.by_hand(posegsa.FuzzyGain(controller), chosen), "json"))

@@ -56,6 +56,7 @@ def command(*arguments: str) -> str:
         ["tune", "--schedule", "no such"],
         ["export", "run", "--format", "no such"],
         ["replay", "imu", "a.csv", "--frame", "no such"],
+        ["tune", "--bridge", "no such"],
     ],
     ids=" ".join,
 )

@@ -12,7 +12,8 @@ pytestmark = pytest.mark.quick
 LAYERS = (
     "errors arguments words lazy version compiled_programs runtime steps settings"
     " | optimisers model | exchange config | recordings | search | judging | figures"
-    " | report export | saving | tuning evaluating replaying comparing sweeping streaming"
+    " | report export | saving"
+    " | tuning imu_tuning evaluating replaying comparing sweeping streaming"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package; those between two bars know nothing of each other, but may

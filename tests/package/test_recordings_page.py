@@ -68,9 +68,13 @@ def test_the_page_names_the_usual_columns() -> None:
 
 
 @pytest.mark.quick
-@pytest.mark.parametrize("block", ["euroc", "speed"])
+@pytest.mark.parametrize("block", ["euroc", "outliers", "speed"])
 def test_the_tables_are_those_that_were_measured(block: str) -> None:
     held = json.loads(benchmark.JSON.read_text("utf-8"))
     measured = TEXT.split(f"<!-- {block}: begin -->")[1].split(f"<!-- {block}: end -->")[0]
-    table = {"euroc": benchmark.euroc_table, "speed": benchmark.speed_table}[block]
+    table = {
+        "euroc": benchmark.euroc_table,
+        "outliers": benchmark.outliers_table,
+        "speed": benchmark.speed_table,
+    }[block]
     assert table(held[block]) in measured

@@ -2,6 +2,10 @@
 
 import argparse
 from collections.abc import Callable
+from typing import Literal, get_args
+
+from posegsa.recordings.frames import UP
+from posegsa.recordings.policies import Policy
 
 RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
@@ -88,3 +92,34 @@ def window(text: str) -> tuple[float, float]:
     if not colon or not 0 <= found[0] < found[1]:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: A:B in seconds, such as 0:40 or 40:")
     return found
+
+
+def add_imu(parser: argparse._ActionsContainer) -> None:
+    """--frame and --rest, of the filter for inertial sensors."""
+    words = "of imu: the inertial frame, x y z (default: %(default)s)"
+    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
+    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
+    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
+
+
+def add_bridge(parser: argparse._ActionsContainer) -> None:
+    """--bridge and --longest-gap, what is done where a recording does not go on."""
+    parser.add_argument(
+        "--bridge",
+        choices=get_args(Policy),
+        help="what is done about gaps, stamps that go back and samples without velocities: "
+        "refused (default), the last velocities held, or interpolated",
+    )
+    words = "time up to which anything is bridged [s] (default: 1)"
+    parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
+
+
+def _rest(text: str) -> float | Literal["auto"]:
+    """What reads --rest."""
+    if text == "auto":
+        return "auto"
+    try:
+        return float(text)
+    except ValueError:
+        words = f"{text!r}; allowed: auto, or a time in seconds"
+        raise argparse.ArgumentTypeError(words) from None

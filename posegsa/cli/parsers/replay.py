@@ -1,10 +1,6 @@
 """What can be typed after `posegsa replay`."""
 
-import argparse
-from typing import Literal
-
-from posegsa.cli.parsers.arguments import RECORDING, add_figures, add_window
-from posegsa.recordings.frames import UP
+from posegsa.cli.parsers.arguments import RECORDING, add_bridge, add_figures, add_imu, add_window
 
 
 def add(commands) -> None:
@@ -24,22 +20,9 @@ def add(commands) -> None:
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
-    words = "of imu: the inertial frame, x y z (default: %(default)s)"
-    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
-    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
-    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
+    add_bridge(parser)
+    add_imu(parser)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     add_figures(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
     parser.set_defaults(command="replay")
-
-
-def _rest(text: str) -> float | Literal["auto"]:
-    """What reads --rest."""
-    if text == "auto":
-        return "auto"
-    try:
-        return float(text)
-    except ValueError:
-        words = f"{text!r}; allowed: auto, or a time in seconds"
-        raise argparse.ArgumentTypeError(words) from None

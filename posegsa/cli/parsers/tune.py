@@ -4,7 +4,9 @@ from typing import get_args
 
 from posegsa.cli.parsers.arguments import (
     RECORDING,
+    add_bridge,
     add_figures,
+    add_imu,
     add_search_arguments,
     add_window,
     window,
@@ -48,6 +50,8 @@ def add(commands) -> None:
     group.add_argument(
         "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
     )
+    add_bridge(group)
+    add_imu(group)
     group.add_argument(
         "--schedule",
         choices=get_args(RecordedSchedule),

@@ -1,0 +1,126 @@
+"""What a search over the attitude filter for inertial sensors found, and what that is worth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from posegsa.config.imu import ImuConfig
+from posegsa.judging.recorded import RecordingScore, mean_errors, score
+from posegsa.judging.replay import HEADS, error_rows
+from posegsa.recordings.imu import ImuRecording, with_vectors
+from posegsa.recordings.imu_filter import run_imu
+from posegsa.search.imu import FoundImu
+from posegsa.words import counted, text_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuResult:
+    """The attitude filter for inertial sensors with numbers tuned on recordings."""
+
+    config: ImuConfig
+    """The filter; `run_imu(recording, result.config)` runs it."""
+    before: ImuConfig
+    """The filter that the search began with."""
+    cost: float
+    """Mean over the recordings that were tuned on of the total RMSE [deg]."""
+    cost_before: float
+    """The same with the numbers that the search began with."""
+    training: list[RecordingScore]
+    """On each recording that was tuned on."""
+    held_out: list[RecordingScore]
+    """On recordings that only judge; empty if there were none."""
+    held_out_before: list[RecordingScore]
+    """The filter that the search began with on these."""
+    evaluations: int
+    seconds: float
+    """The search took [s]."""
+
+    @property
+    def tuned(self) -> dict[str, float]:
+        """The numbers that were tuned, by key."""
+        return _numbers(self.config)
+
+    def __repr__(self) -> str:
+        return (
+            f"<ImuResult: cost {self.cost:.4g} deg, before {self.cost_before:.4g}; see summary()>"
+        )
+
+    def summary(self) -> str:
+        """A short text for a person; the held-out recordings always stand in it."""
+        search, before = self.config.search, _numbers(self.before)
+        numbers = [
+            ["", "found", "before"],
+            *([key, f"{a:.4g}", f"{before[key]:.4g}"] for key, a in self.tuned.items()),
+        ]
+        kept = "" if self.cost < self.cost_before else " (none was better: they stay as they were)"
+        alone = (
+            "No recording was held out: these errors say how well the filter fits the recordings "
+            "that it was tuned on, not how good it is on others."
+        )
+        parts = [
+            f"{search.optimiser}: {search.size_in_words()} for {len(self.tuned)} numbers on "
+            f"{counted(len(self.training), 'recording')}: "
+            f"{counted(self.evaluations, 'evaluation')} in {self.seconds:.1f} s, mean total RMSE "
+            f"{self.cost:.4g} deg, before {self.cost_before:.4g} deg{kept}",
+            text_table(numbers),
+            self.table(),
+            self._warning() if self.held_out else alone,
+        ]
+        return "\n\n".join(part for part in parts if part)
+
+    def _warning(self) -> str:
+        """What warns of numbers that are worse than those before on what was held out."""
+        new, old = (mean_errors(a).total for a in (self.held_out, self.held_out_before))
+        if new <= old:
+            return ""
+        return (
+            f"warning: on what was held out the numbers found are worse than those before, "
+            f"{new:.4g} deg instead of {old:.4g}; they fit the recordings that were tuned on, not "
+            "others"
+        )
+
+    def table(self) -> str:
+        """Root mean square errors by recording and phase, and those of the old numbers."""
+        blocks = {
+            "tuned on": self.training,
+            "held out": self.held_out,
+            "held out, numbers as before": self.held_out_before,
+        }
+        rows = []
+        for title, scores in blocks.items():
+            block = [row for one in scores for row in error_rows(one.name, one.errors.items())]
+            if len(scores) > 1:
+                block += error_rows("mean", [("judged", mean_errors(scores))])
+            rows += [[title if first == 0 else "", *row] for first, row in enumerate(block)]
+        return text_table([row[:-1] for row in (["", *HEADS], *rows)])  # there is no position
+
+
+def judge_imu(
+    found: FoundImu,
+    before: ImuConfig,
+    training: Sequence[ImuRecording],
+    held_out: Sequence[ImuRecording],
+) -> ImuResult:
+    """Judge what a search found."""
+
+    def scores(config: ImuConfig, recordings: Sequence[ImuRecording]) -> list[RecordingScore]:
+        made = (with_vectors(one, config.vectors) for one in recordings)
+        return [score(one, run_imu(one, config)) for one in made]
+
+    return ImuResult(
+        config=found.config,
+        before=before,
+        cost=found.cost,
+        cost_before=found.cost_before,
+        training=scores(found.config, training),
+        held_out=scores(found.config, held_out),
+        held_out_before=scores(before, held_out),
+        evaluations=found.evaluations,
+        seconds=found.seconds,
+    )
+
+
+def _numbers(config: ImuConfig) -> dict[str, float]:
+    """The numbers that a filter tunes, by key."""
+    sections = {"vectors": config.vectors, "observer": config.observer}
+    pairs = (one.key.split(".", 1) for one in config.also)
+    return {f"{section}.{name}": getattr(sections[section], name) for section, name in pairs}

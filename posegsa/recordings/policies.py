@@ -1,0 +1,6 @@
+"""What may be done where a recording does not go on."""
+
+from typing import Literal
+
+Policy = Literal["refuse", "hold", "interpolate"]
+"""Nothing; the last velocities held; or velocities interpolated (`recordings.bridging`)."""

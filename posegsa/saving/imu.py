@@ -1,0 +1,37 @@
+"""The files of a tuned attitude filter for inertial sensors: the filter itself, and its table."""
+
+from pathlib import Path
+
+from posegsa.errors import RunFolderError
+from posegsa.judging.imu import ImuResult
+from posegsa.saving.folder import lock, prepare_folder, replace_files
+
+FILTER, TABLE = FILES = "imu.toml", "imu.txt"
+
+
+def prepare_imu_folder(folder: str | Path, *, overwrite: bool) -> Path:
+    """A folder for the files, made if missing.
+
+    Raises:
+        RunFolderError: It holds a run or such a filter already, or can't be written.
+    """
+    path = prepare_folder(folder)
+    if not overwrite and (path / FILTER).exists():
+        raise RunFolderError(
+            f"{path}: holds a filter already ({FILTER}); choose another folder, or replace it "
+            "(--overwrite; overwrite=True)"
+        )
+    return path
+
+
+def write_imu(result: ImuResult, folder: Path) -> None:
+    """Write imu.toml, which `posegsa replay FOLDER/imu.toml` and `load_imu` take, and imu.txt.
+
+    Raises:
+        RunFolderError: They can't be written; the folder is as it was.
+    """
+    by = "# " + result.summary().replace("\n", "\n# ").replace("# \n", "#\n")
+    files = {FILTER: f"{by}\n\n{result.config.to_toml()}", TABLE: f"{result.summary()}\n"}
+    contents = {name: text.encode("utf-8") for name, text in files.items()}
+    with lock(folder):
+        replace_files(folder, contents, remove=())

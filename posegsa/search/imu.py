@@ -1,0 +1,106 @@
+"""A search over the numbers of the attitude filter for inertial sensors.
+
+The filter's vectors are made in NumPy before it runs (`recordings.imu`), and with other numbers of
+[vectors] they are other vectors. So each candidate makes its recordings anew, and the objective is
+an ordinary function, not a compiled one: a second for a candidate on a few minutes of motion.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from posegsa.config.imu import ImuConfig, ImuVectorsConfig
+from posegsa.optimisers import box, minimise
+from posegsa.optimisers.loop import Search
+from posegsa.recordings.accuracy import recording_errors
+from posegsa.recordings.imu import ImuRecording, with_vectors
+from posegsa.recordings.imu_filter import run_imu
+from posegsa.search.run import Progress
+
+
+class FoundImu(NamedTuple):
+    """What a search found."""
+
+    config: ImuConfig
+    """The filter with the best numbers; those that it was given, if none was better."""
+    cost: float
+    """What it costs: the mean over recordings of the total RMSE [deg]."""
+    cost_before: float
+    """The cost of the numbers that it was given."""
+    evaluations: int
+    seconds: float
+
+
+def search_imu(
+    config: ImuConfig,
+    recordings: Sequence[ImuRecording],
+    seed: int,
+    progress: Callable[[Progress], object] | None = None,
+) -> FoundImu:
+    """Search the numbers that a filter's `parameters.also` names.
+
+    Args:
+        config: The filter, what is searched and how.
+        recordings: At least one, each with a truth.
+        seed: Of the search.
+        progress: Called before the search, and after each iteration.
+    """
+    lower, upper = (np.array([getattr(one, end) for one in config.also]) for end in _ENDS)
+    by_logarithm = np.array([one.scale == "logarithmic" for one in config.also])
+
+    @lru_cache(maxsize=1)  # those of a search that leaves [vectors] alone are made once
+    def made(vectors: ImuVectorsConfig) -> list[ImuRecording]:
+        return [with_vectors(one, vectors) for one in recordings]
+
+    def cost(candidate: ImuConfig) -> float:
+        each = made(candidate.vectors)  # type: ignore[arg-type]  # frozen, so it has a hash
+        found = [recording_errors(run_imu(one, candidate), one) for one in each]
+        return float(np.mean([errors.rmse()["judged"].total for errors in found]))
+
+    def candidate(position: np.ndarray) -> ImuConfig:
+        numbers = np.where(by_logarithm, np.exp(np.where(by_logarithm, position, 0.0)), position)
+        numbers = np.clip(numbers, lower, upper)  # rounding may have passed a bound
+        keys = (one.key for one in config.also)
+        return config.with_numbers(dict(zip(keys, numbers.tolist(), strict=True)))
+
+    def costs(positions: np.ndarray) -> np.ndarray:
+        return np.array([cost(candidate(each)) for each in positions.astype(float)])
+
+    begun, iterations = time.monotonic(), config.search.total_iterations
+
+    def tell(iteration: int, best: float) -> None:
+        if progress is not None:
+            progress(Progress(iteration, iterations, best, time.monotonic() - begun))
+
+    def after(search: Search) -> None:
+        tell(int(search.iteration), min(before, float(search.best_cost)))
+
+    before = cost(config)
+    tell(0, before)
+    ends = (
+        np.where(by_logarithm, np.log(np.where(by_logarithm, a, 1.0)), a) for a in (lower, upper)
+    )
+    search = minimise(
+        costs,
+        box(*ends),
+        config.search,
+        jax.random.key(seed),
+        chunk=1,
+        callback=after,
+        python_objective=True,
+    )
+    better = float(search.best_cost) < before
+    return FoundImu(
+        config=candidate(np.asarray(search.best_position, float)) if better else config,
+        cost=min(before, float(search.best_cost)),
+        cost_before=before,
+        evaluations=config.search.evaluations,
+        seconds=time.monotonic() - begun,
+    )
+
+
+_ENDS = "lower", "upper"

@@ -1,0 +1,202 @@
+"""A result on recordings out of Python: streamed, exported, saved; the same filter everywhere."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from compiled_c import Build, Layout, needs_cc, run_c
+from compiled_c import build as build
+from recorded_motion import motion
+
+import posegsa
+from posegsa import config
+from posegsa.cli.command import main
+from posegsa.errors import ArgumentError, PosegsaError
+from posegsa.export import FORMATS, export
+from posegsa.judging.recorded import RecordingResult
+from posegsa.model.schedules import FuzzyGain, SmoothGain
+from posegsa.recordings.recording import Recording
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+CHOSEN = config.from_dict(
+    {
+        "run": {"dtype": "float64"},
+        "filter": {"vector_bias": "estimated", "cross_vector": True, "length": 3.0},
+        "gain": {"smoothing": 0.1, "error_scale": 0.2},
+        "parameters": {"also": []},
+    }
+)
+N = 150
+
+
+def seen(**changes: Any) -> Recording:
+    """Noisy vectors, one of them slow; slow landmarks, of weights of their own."""
+    given = motion(N, **changes)
+    rng = np.random.default_rng(0)
+    given["phases"] = {}
+    for name in {"vectors", "landmarks"} & set(given):
+        given[name] = given[name] + 0.02 * rng.normal(size=given[name].shape)
+    given["vectors"][np.arange(N) % 2 != 0, 1] = np.nan
+    if "landmarks" in given:
+        given["landmarks"][np.arange(N) % 5 != 0] = np.nan
+        given |= {"landmark_weights": [0.1, 0.05, 0.2]}
+    return Recording.from_arrays(name="bench", **given).off(40, 0.5)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return seen()
+
+
+@pytest.fixture(scope="module")
+def fuzzy(recording: Recording) -> RecordingResult:
+    with jax.enable_x64(True):
+        space = posegsa.parameter_space(CHOSEN)
+        controller = space.controller(0.3 * space.lower + 0.7 * space.upper)
+        return posegsa.by_hand(FuzzyGain(controller), CHOSEN, recordings=[recording])
+
+
+@pytest.fixture(scope="module")
+def attitude() -> tuple[RecordingResult, Recording]:
+    """One of the attitude alone, with a gain that is no controller's."""
+    given = seen(velocity=None, landmarks=None, landmark_references=None, truth_position=None)
+    with jax.enable_x64(True):
+        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]
+        return posegsa.by_hand(gain, CHOSEN, recordings=[given]), given
+
+
+def streamed(result: RecordingResult, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """R_est and P_est at each sample, of a filter that is told what was seen, and nothing more."""
+    start, m = recording.initial(), recording.measurements
+    found = posegsa.PoseFilter(
+        result, rotation=start.rotation, position=start.position, bias=start.bias
+    )
+    poses = [found.pose]
+    for k in range(recording.samples):
+        vectors, landmarks = (
+            np.where(np.asarray(w)[k, :, None] > 0, np.asarray(a)[k], np.nan)
+            for a, w in ((m.vectors, m.vector_weights), (m.landmarks, m.landmark_weights))
+        )
+        velocity = {} if recording.attitude_only else {"velocity": m.velocity[k]}
+        poses.append(
+            found.update(
+                time_step=float(m.time_step[k]),
+                angular_velocity=m.angular_velocity[k],
+                vectors=vectors,
+                landmarks=landmarks,
+                **velocity,
+            )
+        )
+    return np.array([p.rotation for p in poses[:-1]]), np.array([p.position for p in poses[:-1]])
+
+
+def test_a_stream_is_the_estimate(
+    fuzzy: RecordingResult, recording: Recording, attitude: tuple[RecordingResult, Recording]
+) -> None:
+    estimates = fuzzy.estimate(recording)
+    R, P = streamed(fuzzy, recording)
+    np.testing.assert_allclose(R, estimates.rotation, atol=1e-12)
+    np.testing.assert_allclose(P, estimates.position, atol=1e-12)
+    assert np.ptp(estimates.gain) > 1
+    result, given = attitude
+    R, _ = streamed(result, given)
+    np.testing.assert_allclose(R, result.estimate(given).rotation, atol=1e-12)
+    known = result.known_sensors
+    assert (known.vector_weights, known.landmarks) == ([1.0, 2.0], [])
+    assert fuzzy.known_sensors.landmark_weights == pytest.approx([0.5, 0.25, 1.0])
+
+
+def rows_of(recording: Recording) -> np.ndarray:
+    """(N, numbers) as C takes them: weights of 1 and 0."""
+    m = {name: np.asarray(a) for name, a in recording.measurements._asdict().items()}
+    columns = [m["time_step"][:, None], m["angular_velocity"]]
+    if not recording.attitude_only:
+        columns.append(m["velocity"])
+    for kind in ("vector", "landmark"):
+        if m[f"{kind}s"].shape[1]:
+            columns += [m[f"{kind}s"].reshape(N, -1), (m[f"{kind}_weights"] > 0).astype(float)]
+    return np.concatenate(columns, axis=1)
+
+
+@needs_cc
+def test_the_c_is_the_estimate(
+    fuzzy: RecordingResult,
+    recording: Recording,
+    attitude: tuple[RecordingResult, Recording],
+    build: Build,
+) -> None:
+    for result, given, layout, options in (
+        (fuzzy, recording, Layout(2, 3, learns=True), ()),
+        (*attitude, Layout(2, 0, learns=True), ("-DATTITUDE_ONLY",)),
+    ):
+        text = export(result, "c")
+        assert "Root mean square errors on recordings" in text
+        start, estimates = given.initial(), result.estimate(given)
+        q = posegsa.tum_text([0.0], start.rotation[None]).split()[4:]
+        begin = np.array([*q[-1:], *q[:-1]], float)
+        begin /= np.linalg.norm(begin)
+        if not given.attitude_only:
+            begin = np.concatenate([begin, start.position])
+        found = run_c(build(text, *options), layout, begin, rows_of(given))
+        assert (found.code == 0).all()
+        np.testing.assert_allclose(found.rotation, estimates.rotation, atol=1e-9)
+        if not given.attitude_only:
+            np.testing.assert_allclose(found.position, estimates.position, atol=1e-9)
+
+
+def test_every_format_is_written_or_refused_by_what_the_gain_is(
+    fuzzy: RecordingResult,
+    attitude: tuple[RecordingResult, Recording],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    texts = {name: export(fuzzy, name) for name in FORMATS}
+    (tmp_path / "gain.fis").write_text(texts["fis"])
+    read = posegsa.load_controller(tmp_path / "gain.fis")
+    with jax.enable_x64(True):
+        expected, own = (float(c(error=0.3, rate=0.1)) for c in (fuzzy.controller, read))
+    assert own == pytest.approx(expected, rel=1e-6)
+    for name in ("c-gain", "fis"):
+        assert "p_3 = (1.0, -3.0, 0.5) m, weight 1.0" in texts[name]
+        assert "v_3 = v_1 x v_2, weight 0.5" in texts[name]
+    assert texts["csv"].startswith("error,rate,gain_1_s")
+    smooth, _ = attitude
+    with pytest.raises(PosegsaError, match="format = 'fis' of a smooth gain; allowed: json, c, or"):
+        export(smooth, "fis")
+    with pytest.raises(ArgumentError, match="controller of a smooth gain"):
+        posegsa.export_fis(smooth)
+    posegsa.save(fuzzy, tmp_path / "run")
+    again = posegsa.load(tmp_path / "run")
+    assert isinstance(again, RecordingResult)
+    assert again.known_sensors == fuzzy.known_sensors
+    for name in ("c", "c-gain"):
+        assert main(["export", str(tmp_path / "run"), "--format", name, "--name", "own"]) == 0
+        assert "own_" in capsys.readouterr().out
+
+
+def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
+    recording: Recording, fuzzy: RecordingResult
+) -> None:
+    moved = motion()["landmark_references"] + 1.0
+    other = seen(landmark_references=moved)
+    result = RecordingResult(**vars(posegsa.by_hand(fuzzy.schedule, CHOSEN)))
+    assert len(result.known_sensors.landmarks) == len(CHOSEN.scenario.landmarks)
+    differing = posegsa.by_hand(fuzzy.schedule, CHOSEN, recordings=[recording, other])
+    assert differing.sensors is None
+    tuned = RecordingResult(**vars(differing) | {"training": differing.held_out})
+    with pytest.raises(ArgumentError, match=r"references differ, or move; allowed: in Python"):
+        export(tuned, "c")
+    with pytest.raises(ArgumentError, match="references differ, or move"):
+        posegsa.PoseFilter(tuned, rotation=np.eye(3), position=np.zeros(3))
+    assert "differ in their vectors and landmarks" in export(tuned, "c-gain")
+    own = posegsa.PoseFilter(
+        tuned,
+        rotation=np.eye(3),
+        position=np.zeros(3),
+        vector_references=np.eye(3)[:2],
+        landmark_references=moved,
+    )
+    assert own.pose.position.shape == (3,)
