@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -12,9 +12,9 @@ from posegsa.arguments import check_type
 from posegsa.config import Experiment, override, with_tuned
 from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
-from posegsa.judging.evaluation import Description
+from posegsa.judging.evaluation import TUNED, Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
-from posegsa.judging.result import VERSION
+from posegsa.judging.result import VERSION, TuneResult
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
@@ -31,6 +31,9 @@ from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
+
+TunedOn = Literal["recordings", "scenarios", "nothing"]
+"""What a filter was tuned on; on nothing if it was made by hand."""
 
 
 class RecordingScore(NamedTuple):
@@ -51,17 +54,20 @@ class RecordingScore(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingResult:
-    """A gain schedule tuned on recordings, how it was found, and what it is worth."""
+    """A gain schedule judged on recordings: how it was found, and what it is worth."""
 
     experiment: Experiment
+    tuned_on: TunedOn
+    """What the search saw."""
     filter: Description
     """The schedule by its kind and its own numbers, and what was tuned beside it."""
     position_weight: NonNegative
-    """Of the position's RMSE in the cost [deg/m]."""
+    """Of the position's RMSE in the cost on recordings [deg/m]; 0 where none were tuned on."""
     best_cost: Cost | None
-    """Least cost on the recordings that were tuned on [deg]; None of a filter made by hand."""
+    """Least cost that the search found: on recordings [deg], on scenarios the configured one; None
+    of a filter made by hand."""
     training: list[RecordingScore]
-    """On each of them."""
+    """On each recording that it was tuned on."""
     held_out: list[RecordingScore]
     """On recordings that only judge; empty if there were none."""
     compile_seconds: NonNegative
@@ -112,29 +118,37 @@ class RecordingResult:
 
     def summary(self) -> str:
         """A short text for a person; the held-out recordings always stand in it."""
-        search = self.experiment.search
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
-        head = f"A {self.filter.kind} gain made by hand"
-        if self.best_cost is not None:
-            head = (
-                f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
-                f"{counted(len(self.training), 'recording')}: "
-                f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
-                f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
-            )
         alone = (
             "No recording was held out: these errors say how well the filter fits the recordings "
             "that it was tuned on, not how good it is on others."
         )
         parts = [
-            head,
+            self._head(),
             f"Numbers: {found}" if found else "",
             self.table() if self.training or self.held_out else "",
             "" if self.held_out else alone,
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
+
+    def _head(self) -> str:
+        """How the filter was found."""
+        if self.best_cost is None:
+            return f"A {self.filter.kind} gain made by hand"
+        scenarios = self.experiment.run.training_scenarios
+        seen = {
+            "recordings": counted(len(self.training), "recording"),
+            "scenarios": counted(scenarios, "simulated scenario"),
+        }[self.tuned_on]
+        search = self.experiment.search
+        return (
+            f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
+            f"{seen}: "
+            f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
+            f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
+        )
 
     def table(self) -> str:
         """Root mean square errors by recording and phase, and those of other filters."""
@@ -209,6 +223,7 @@ def judge_on_recordings(
     tuned = problem.space.candidate(search.best_position)
     result = RecordingResult(
         experiment=experiment,
+        tuned_on="recordings",
         filter=describe(tuned, parameter_space(experiment), experiment.search.evaluations),
         position_weight=position_weight,
         best_cost=float(search.best_cost),
@@ -222,6 +237,29 @@ def judge_on_recordings(
     result.training.extend(score(one, result.estimate(one)) for one in training)
     result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
     return result
+
+
+def tuned_on_scenarios(result: TuneResult, filter: Description | None = None) -> RecordingResult:
+    """The filter of a run on simulated scenarios, not yet judged on any recording.
+
+    Args:
+        result: The run.
+        filter: Another one that was found on its scenarios, instead of the tuned one.
+    """
+    tuned = result.evaluation.contenders[TUNED].filter
+    return RecordingResult(
+        experiment=result.experiment,
+        tuned_on="scenarios",
+        filter=tuned if filter is None else filter,
+        position_weight=0.0,
+        best_cost=result.best_cost,
+        training=[],
+        held_out=[],
+        compile_seconds=result.compile_seconds,
+        search_seconds=result.search_seconds,
+        environment=result.environment,
+        version=result.version,
+    )
 
 
 def by_hand(
@@ -262,6 +300,7 @@ def by_hand(
         found = describe(Candidate(schedule), space, 0)
     result = RecordingResult(
         experiment=chosen,
+        tuned_on="nothing",
         filter=found,
         position_weight=0.0,
         best_cost=None,

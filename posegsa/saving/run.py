@@ -74,8 +74,14 @@ def save(result: TuneResult, folder: str | Path, *, overwrite: bool = False) -> 
     return folder
 
 
-def write_run(result: TuneResult, folder: Path) -> None:
+def write_run(result: TuneResult, folder: Path, *, same_run: bool = False) -> None:
     """Write all files of a result at once, to a folder that the caller has locked.
+
+    Args:
+        result: What is written.
+        folder: Where.
+        same_run: Whether what the folder holds is of the same run: then how that was judged on
+            recordings stays.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -94,7 +100,8 @@ def write_run(result: TuneResult, folder: Path) -> None:
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     figures = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.
-    replace_files(folder, files | figures, remove=[*RUN_FIGURES, RECORDED, RECORDED_TABLE])
+    stale = [*RUN_FIGURES] if same_run else [*RUN_FIGURES, RECORDED, RECORDED_TABLE]
+    replace_files(folder, files | figures, remove=stale)
 
 
 def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:

@@ -83,9 +83,10 @@ def recorded_problem(
 
 
 def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> FilterSettings:
-    """The filter that an experiment configures, for recordings with so many sensors.
+    """The filter that an experiment configures, for so many sensors of one's own.
 
-    The first of them have the weights of the experiment's, further ones 1.
+    Weights go in order: the first vector has that of the experiment's first, and so on; further
+    ones have 1, and so have landmarks. So a sensor more or less changes no other's weight.
     """
     settings = filter_settings(experiment)
 

@@ -194,8 +194,8 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
             posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]
     made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]
     for arguments, words in (
-        ({"recordings": recordings, "seed": 3}, "seed with a result on recordings"),
-        ({"recordings": recordings, "scenarios": 7}, "scenarios with a result on recordings"),
+        ({"recordings": recordings, "seed": 3}, "seed with recordings"),
+        ({"recordings": recordings, "scenarios": 7}, "scenarios with recordings"),
         ({"recordings": recordings, "training": recordings}, "bench is in training too"),
     ):
         with pytest.raises(ArgumentError, match=words):
