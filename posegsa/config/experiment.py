@@ -8,7 +8,13 @@ from pydantic import Field, ValidationError, model_validator
 from posegsa.config.changes import with_values
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
-from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.config.schedule import (
+    DEFAULT_ALSO,
+    SEARCHED,
+    FuzzyConfig,
+    GainConfig,
+    ParametersConfig,
+)
 from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
 from posegsa.model.filter import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
@@ -238,6 +244,12 @@ class Experiment(Section):
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
         wrong = list(also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO))
         yield from wrong or self._conflicts_of_bounds()
+        if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
+            reason = (
+                f"allowed: a table, because search.optimiser = {self.search.optimiser!r} only "
+                "follows gradients, and a choice between terms has none"
+            )
+            yield Violation("fuzzy.rules", reason, SEARCHED)
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:

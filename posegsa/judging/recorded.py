@@ -9,9 +9,15 @@ import numpy as np
 from jax import Array
 
 from posegsa.arguments import check_type
-from posegsa.config import Experiment, override, with_tuned
+from posegsa.config import SEARCHED, Experiment, override
 from posegsa.errors import FuzzyError, RecordingError
-from posegsa.judging.baselines import SCHEDULES, candidate_of, describe
+from posegsa.judging.baselines import (
+    SCHEDULES,
+    candidate_of,
+    describe,
+    rules_text,
+    tuned_experiment,
+)
 from posegsa.judging.evaluation import TUNED, Description
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.judging.result import VERSION, TuneResult
@@ -24,7 +30,7 @@ from posegsa.recordings.accuracy import Rmse
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
-from posegsa.search.build import TuningProblem, parameter_space, signal_settings
+from posegsa.search.build import TuningProblem, parameter_space, rule_table, signal_settings
 from posegsa.search.candidates import Candidate
 from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
@@ -90,8 +96,8 @@ class RecordingResult:
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with the numbers in it that were tuned beside the schedule."""
-        return with_tuned(self.experiment, self.filter.also)
+        """The experiment with all in it that was tuned beside the schedule, its rule table too."""
+        return tuned_experiment(self.experiment, self.filter)
 
     def settings(self, recording: Recording) -> tuple[FilterSettings, SignalSettings]:
         """The tuned filter and its error signal for a recording's sensors."""
@@ -120,6 +126,9 @@ class RecordingResult:
         """A short text for a person; the held-out recordings always stand in it."""
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
+        schedule, rules = self.schedule, ""
+        if isinstance(schedule, FuzzyGain) and self.experiment.fuzzy.rules == SEARCHED:
+            rules = rules_text(schedule.controller.rules)
         alone = (
             "No recording was held out: these errors say how well the filter fits the recordings "
             "that it was tuned on, not how good it is on others."
@@ -127,6 +136,7 @@ class RecordingResult:
         parts = [
             self._head(),
             f"Numbers: {found}" if found else "",
+            rules,
             self.table() if self.training or self.held_out else "",
             "" if self.held_out else alone,
             self.origins(),
@@ -284,6 +294,8 @@ def by_hand(
     check_type("experiment", chosen, Experiment)
     check_type("schedule", schedule, FuzzyGain, *SCHEDULES.values())
     chosen = override(chosen, ["parameters.also=[]"])  # nothing is searched
+    if isinstance(schedule, FuzzyGain) and chosen.fuzzy.rules == SEARCHED:
+        chosen = chosen.replace(**{"fuzzy.rules": rule_table(schedule.controller.rules)})
     with jax.enable_x64(chosen.run.dtype == "float64"):
         space = parameter_space(chosen)
         if isinstance(schedule, FuzzyGain):

@@ -12,8 +12,9 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type, refuse
-from posegsa.config import PARAMETERS, Experiment, with_tuned
+from posegsa.config import PARAMETERS, SEARCHED, Experiment
 from posegsa.errors import PosegsaWarning
+from posegsa.judging.baselines import rules_text, tuned_experiment
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
@@ -85,14 +86,15 @@ class TuneResult:
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with the numbers in it that were tuned beside k1..k22."""
-        return with_tuned(self.experiment, self.also)
+        """The experiment with all in it that was tuned beside k1..k22, its rule table too."""
+        found = self.evaluation.contenders[TUNED].filter
+        return tuned_experiment(self.experiment, found._replace(also=self.also))
 
     @property
     def controller(self) -> FuzzyController:
         """The tuned fuzzy controller, at the experiment's precision."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
-            space = parameter_space(self.experiment)
+            space = parameter_space(self.tuned)
             return space.controller(space.checked(self.parameters))
 
     @property
@@ -193,6 +195,8 @@ class TuneResult:
         if self.also:
             tuned = ", ".join(f"{key} = {value:.4g}" for key, value in self.also.items())
             parts.append(f"Tuned beside k1 to k{len(PARAMETERS)}: {tuned}")
+        if self.experiment.fuzzy.rules == SEARCHED:
+            parts.append(rules_text(self.controller.rules))
         warned = [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(parts), *warned])
 

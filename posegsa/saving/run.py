@@ -8,6 +8,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from posegsa.arguments import check_type
+from posegsa.config import SEARCHED
 from posegsa.errors import RunFolderError
 from posegsa.figures import result as result_figures
 from posegsa.figures.result import draw
@@ -115,6 +116,7 @@ def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
 def _result_summary(result: TuneResult) -> dict[str, Any]:
     costs = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
     return {
+        "rules": result.tuned.fuzzy.rules,
         "training_mean": {name: np.mean(training) for name, training in costs.items()},
         "held_out_mean": {name: result.evaluation.cost(name).mean for name in costs},
         "held_out_scenarios": result.evaluation.scenarios,
@@ -150,6 +152,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
     """Raise a RunFolderError where the files of a run do not fit together."""
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
+    numbers = evaluation.contenders[TUNED].filter.numbers if TUNED in both else {}
     k, gain = (
         evaluation.contenders[name].filter.numbers.get(value) if name in both else None
         for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
@@ -161,6 +164,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
         (EVALUATION, f"contenders.{TUNED}.filter.k", k, result.parameters.tolist()),
         (EVALUATION, f"contenders.{CONSTANT}.filter.gain", gain, [result.constant_gain]),
+        (EVALUATION, "rules in it", "rules" in numbers, experiment.fuzzy.rules == SEARCHED),
         (EVALUATION, "number of times", len(evaluation.time), len(band_samples(samples))),
         (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
         (RESULT, "number of training_costs", len(result.training_costs), training),
@@ -170,3 +174,9 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         if found != needed:
             found, needed = reprlib.repr(found), reprlib.repr(needed)
             raise RunFolderError(f"{folder / file}: {field} = {found}; in {RESULT}: {needed}")
+    try:
+        _ = result.tuned
+    except ValueError as error:
+        raise RunFolderError(
+            f"{folder / EVALUATION}: contenders.{TUNED}.filter.numbers.{error}"
+        ) from None

@@ -25,7 +25,7 @@ from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.candidates import Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
-from posegsa.search.parameters import ParameterSpace
+from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
 
 
@@ -316,6 +316,11 @@ def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
     )
 
 
+def rule_table(rules: Rules) -> list[list[str]]:
+    """The table of rules by term index, printed from VL to VS both ways as in a configuration."""
+    return [[config.TERMS[index] for index in reversed(row)] for row in reversed(rules)]
+
+
 def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     """The space that an experiment configures, at its dtype.
 
@@ -325,13 +330,18 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     check_type("experiment", experiment, config.Experiment)
     fuzzy, parameters = experiment.fuzzy, experiment.parameters
     dtype = jnp.dtype(experiment.run.dtype)
+    lower, upper, rules = parameters.lower, parameters.upper, None
+    if fuzzy.rules == config.SEARCHED:
+        lower, upper = (*lower, *(0.0,) * RULES), (*upper, *(float(TERM_COUNT),) * RULES)
+    else:
+        rules = rule_indices(fuzzy.rules)
     return ParameterSpace(
-        lower=jnp.asarray(parameters.lower, dtype),
-        upper=jnp.asarray(parameters.upper, dtype),
+        lower=jnp.asarray(lower, dtype),
+        upper=jnp.asarray(upper, dtype),
         overlap=jnp.asarray(fuzzy.overlap, dtype),
         ordering=fuzzy.ordering,
         coverage=fuzzy.coverage,
-        rules=rule_indices(fuzzy.rules),
+        rules=rules,
         gain_range=parameters.gain_range,
         centroid=fuzzy.centroid,
         sampled_points=fuzzy.sampled_points,

@@ -17,6 +17,7 @@ from posegsa.export import export
 from posegsa.judging.recorded import RecordingResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.folder import CHECKPOINT_SUFFIX
+from posegsa.search.build import rule_indices
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -158,6 +159,38 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
         posegsa.by_hand(posegsa.FuzzyGain(other), chosen)
     with pytest.raises(ArgumentError, match="schedule: a str"):
         posegsa.by_hand("fast")  # type: ignore[arg-type]
+
+
+def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
+    recordings: list[Recording], tmp_path: Path
+) -> None:
+    search = {"optimiser": "de", "agents": 6, "iterations": 2}
+    searched = config.from_dict(TINY | {"fuzzy": {"rules": "searched"}, "search": search})
+    found = posegsa.tune(searched, recordings=recordings[0], held_out=recordings[1], out=tmp_path)
+    table = found.tuned.fuzzy.rules
+    assert len(found.filter.numbers["rules"]) == 25
+    assert {*map(int, found.filter.numbers["rules"])} > {0}
+    controller = found.schedule.controller  # type: ignore[attr-defined]
+    assert config.from_dict({"fuzzy": {"rules": table}}).fuzzy.rules == table
+    assert rule_indices(table) == controller.rules  # type: ignore[arg-type]
+    for name, row in zip(reversed(config.TERMS), table, strict=True):
+        assert [name, *row] in [line.split() for line in found.summary().splitlines()]
+    exported = json.loads(export(found, "json"))
+    assert exported["controller"]["rules"] == [
+        [config.TERMS[i] for i in row] for row in controller.rules
+    ]
+    # The search's own cost is that of the table that came out.
+    judged = found.training[0].errors["judged"]
+    assert found.best_cost == pytest.approx(judged.total + 100 * (judged.position or 0), rel=0.02)
+    assert posegsa.load_recorded(tmp_path).filter == found.filter
+    path = tmp_path / "recorded.json"
+    whole = path.read_text()
+    for wrong in ([5] * 25, [0.5] * 25, [0] * 24, []):
+        data = json.loads(whole)
+        data["filter"]["numbers"]["rules"] = [float(n) for n in wrong]
+        path.write_text(json.dumps(data))
+        with pytest.raises(RunFolderError, match=r"rules = .*; allowed: 25 whole numbers"):
+            posegsa.load_recorded(tmp_path)
 
 
 def test_nothing_of_a_simulated_run_stays_under_it(result: RecordingResult, tmp_path: Path) -> None:
