@@ -132,6 +132,9 @@ class ObjectiveConfig(Section):
     """Only for "cvar": the share of scenarios, the best ones, that are left out, no unit."""
     factor: NonNegative = 1.0
     """Only for "mean_std": the multiple of the standard deviation, no unit."""
+    simulated_share: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    """Only where recordings are tuned on: the share of simulated scenarios in what is minimised, no
+    unit. 0 simulates none; 0.5 weighs both groups alike, however many each has."""
 
 
 class CheckpointConfig(Section):

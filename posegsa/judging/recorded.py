@@ -26,19 +26,20 @@ from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
-from posegsa.recordings.accuracy import Rmse
+from posegsa.recordings.accuracy import AnyNumber, Rmse
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem, parameter_space, rule_table, signal_settings
 from posegsa.search.candidates import Candidate
+from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
 
-TunedOn = Literal["recordings", "scenarios", "nothing"]
+TunedOn = Literal["recordings", "scenarios", "recordings and scenarios", "nothing"]
 """What a filter was tuned on; on nothing if it was made by hand."""
 
 
@@ -56,6 +57,24 @@ class RecordingScore(NamedTuple):
     """What was bridged, dropped or left out."""
     errors: dict[str, Rmse]
     """Root mean squares by phase, "judged" first."""
+
+
+class SimulatedScore(NamedTuple):
+    """A filter that was tuned on recordings and simulated scenarios, on the latter."""
+
+    training: list[AnyNumber]
+    """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
+    held_out: list[AnyNumber]
+    """The same on scenarios that only judge."""
+
+    def text(self, share: float) -> str:
+        """Both for a person, with the share of the scenarios in what was minimised."""
+        rows = [
+            [label, f"{np.mean(costs):.4g}", f"{np.max(costs):.4g}", str(len(costs))]
+            for label, costs in (("tuned on", self.training), ("held out", self.held_out))
+        ]
+        title = f"Simulated scenarios, {share:g} of what was minimised, cost [deg]"
+        return text_table([[title, "mean", "worst", "scenarios"], *rows])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +99,8 @@ class RecordingResult:
     search_seconds: NonNegative
     environment: dict[str, str]
     version: str
+    simulated: SimulatedScore | None = None
+    """On simulated scenarios, if these were tuned on too."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Other filters on the same held-out recordings, by name (`evaluate`)."""
 
@@ -126,6 +147,7 @@ class RecordingResult:
         """A short text for a person; the held-out recordings always stand in it."""
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
+        share = self.experiment.objective.simulated_share
         schedule, rules = self.schedule, ""
         if isinstance(schedule, FuzzyGain) and self.experiment.fuzzy.rules == SEARCHED:
             rules = rules_text(schedule.controller.rules)
@@ -139,6 +161,7 @@ class RecordingResult:
             rules,
             self.table() if self.training or self.held_out else "",
             "" if self.held_out else alone,
+            "" if self.simulated is None else self.simulated.text(share),
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
@@ -151,7 +174,8 @@ class RecordingResult:
         seen = {
             "recordings": counted(len(self.training), "recording"),
             "scenarios": counted(scenarios, "simulated scenario"),
-        }[self.tuned_on]
+        }
+        seen = " and ".join(seen[group] for group in self.tuned_on.split(" and "))
         search = self.experiment.search
         return (
             f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
@@ -231,9 +255,10 @@ def judge_on_recordings(
     """Judge the best candidate that a search on recordings found."""
     experiment, search = problem.experiment, found.search
     tuned = problem.space.candidate(search.best_position)
+    simulated = None if problem.beside is None else _on_scenarios(tuned, problem)
     result = RecordingResult(
         experiment=experiment,
-        tuned_on="recordings",
+        tuned_on="recordings" if simulated is None else "recordings and scenarios",
         filter=describe(tuned, parameter_space(experiment), experiment.search.evaluations),
         position_weight=position_weight,
         best_cost=float(search.best_cost),
@@ -243,10 +268,19 @@ def judge_on_recordings(
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
+        simulated=simulated,
     )
     result.training.extend(score(one, result.estimate(one)) for one in training)
     result.held_out.extend(score(one, result.estimate(one)) for one in held_out)
     return result
+
+
+def _on_scenarios(tuned: Candidate, problem: TuningProblem) -> SimulatedScore:
+    """The cost on each simulated scenario of a problem."""
+    agent = jax.tree.map(lambda a: a[None], tuned)
+    costs = np.asarray(costs_by_scenario(agent, problem.scenarios)[:, 0], np.float64).tolist()
+    count = problem.experiment.run.training_scenarios
+    return SimulatedScore(costs[:count], costs[count:])
 
 
 def tuned_on_scenarios(result: TuneResult, filter: Description | None = None) -> RecordingResult:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from recorded_motion import LANDMARKS, motion
 
 import posegsa
 from posegsa import config
@@ -159,6 +159,37 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
         posegsa.by_hand(posegsa.FuzzyGain(other), chosen)
     with pytest.raises(ArgumentError, match="schedule: a str"):
         posegsa.by_hand("fast")  # type: ignore[arg-type]
+
+
+def test_scenarios_are_tuned_on_beside_recordings(
+    recordings: list[Recording], tmp_path: Path
+) -> None:
+    sensors = {"landmarks": [{"position": row} for row in LANDMARKS.tolist()], "duration": 0.5}
+    together = {
+        "scenario": sensors,
+        "cost": {"transient_window": [0, 9], "steady_window": [20, 45]},
+        "run": {"training_scenarios": 2, "held_out_scenarios": 3},
+        "objective": {"simulated_share": 0.5},
+        "search": {"optimiser": "de", "agents": 6, "iterations": 2},
+    }
+    found = posegsa.tune(
+        config.from_dict(TINY | together),
+        recordings=recordings[0],
+        held_out=recordings[1],
+        schedule="constant",
+        out=tmp_path,
+    )
+    assert found.tuned_on == "recordings and scenarios"
+    assert found.simulated is not None
+    assert (len(found.simulated.training), len(found.simulated.held_out)) == (2, 3)
+    judged = found.training[0].errors["judged"]
+    alone = judged.total + 100 * (judged.position or 0)
+    both = 0.5 * alone + 0.5 * float(np.mean(found.simulated.training))
+    assert found.best_cost == pytest.approx(both, rel=0.02)
+    said = found.summary()
+    assert "on 1 recording and 2 simulated scenarios" in said
+    assert f"{np.mean(found.simulated.held_out):.4g}" in said
+    assert vars(posegsa.load_recorded(tmp_path)) == vars(found)
 
 
 def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
