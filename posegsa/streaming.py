@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.errors import MeasurementError, PosegsaWarning
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, FilterState, checked_state
+from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_unobservable
@@ -456,6 +456,7 @@ def _by_hand(
     if settings is None:
         refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
     check_type("settings", settings, FilterSettings)
+    check_gammas(settings)
     if isinstance(source, FuzzyController):
         source = FuzzyGain(source)
     elif isinstance(source, Real) and not isinstance(source, bool):

@@ -33,7 +33,7 @@ from posegsa.export.c_text import (
     wrapped,
 )
 from posegsa.judging.result import VERSION, TuneResult
-from posegsa.model.filter import FilterSettings
+from posegsa.model.filter import FilterSettings, check_gammas
 from posegsa.model.schedules import FuzzyGain, GainSchedule, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
@@ -111,6 +111,7 @@ def filter_to_c(
     with jax.enable_x64(True):
         check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
+    check_gammas(settings)
     check_type("signal", signal, SignalSettings)
     check_name(name)
     if signal.signal == "pose":
