@@ -31,7 +31,11 @@ from posegsa.judging.kalman import kalman_scenarios, kalman_tracks, tune_kalman
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.other_filters import OTHER_FILTERS, installed
 from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
+from posegsa.judging.recorded_baselines import (
+    judged_beside_baselines,
+    others_for,
+    run_beside_baselines,
+)
 from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
@@ -55,6 +59,17 @@ def evaluate(
     cost: TrackCost | None = None,
     progress: Callable[[str], object] | None = None,
 ) -> TuneResult: ...
+
+
+@overload
+def evaluate(
+    result: TuneResult,
+    *,
+    recordings: Recording | Iterable[Recording],
+    others: bool | None = None,
+    cost: TrackCost | None = None,
+    progress: Callable[[str], object] | None = None,
+) -> RecordingResult: ...
 
 
 @overload
@@ -87,14 +102,17 @@ def evaluate(
     scenarios that judge are drawn with keys that no search has seen.
 
     On recordings, it is judged beside the best constant gains and the invariant Kalman filter, both
-    tuned on `training`, and on those of an IMU beside VQF, Madgwick's and Mahony's filter, each
-    with the settings of its paper (`judging.other_filters`).
+    tuned on what it was tuned on: on `training`, or, if it was tuned on simulated scenarios, on
+    those. On recordings of an IMU, VQF, Madgwick's and Mahony's filter stand beside it too, each
+    with the settings of its paper (`judging.other_filters`). A recording's sensors have the
+    experiment's weights in order, further ones 1 (`TuneResult.settings_for`).
 
     Args:
         result: A tuned result.
-        recordings: That judge a result that was tuned on others.
-        training: Those that it was tuned on, for the baselines; without them only filters that are
-            not tuned stand beside it.
+        recordings: That judge instead of scenarios: a result that was tuned on others, or on
+            scenarios.
+        training: Those that the result was tuned on, for the baselines; without them only filters
+            that are not tuned stand beside it. Not of one that was tuned on scenarios.
         others: Whether other libraries' filters are tried; by default where the recordings have
             what they read and the libraries are installed.
         scenarios: Number of held-out scenarios, at least 2.
@@ -103,30 +121,28 @@ def evaluate(
         progress: Told in words what is done next.
 
     Returns:
-        The result with its evaluation replaced.
+        The result with its evaluation replaced; of one that was tuned on scenarios, judged on
+        recordings, a `RecordingResult` with these held out.
 
     Raises:
-        ArgumentError: Fewer than 2 scenarios, an argument of another type, or another cost.
+        ArgumentError: Fewer than 2 scenarios, an argument of another type or one that means nothing
+            here, another cost, or a gain that looks at the true pose on recordings.
+        RecordingError: A recording has no truth to be judged by.
         MemoryLimitError: So many scenarios would need more memory than there is.
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_callable("progress", progress)
-    if isinstance(result, RecordingResult):
-        given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None, "cost": bool(cost)}
+    check_callable("cost", cost)
+    if isinstance(result, RecordingResult) or recordings is not None:
+        given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None}
         for name in (name for name, stated in given.items() if stated):
-            refuse(f"{name} with a result on recordings", "recordings, training and others")
-        return _on_recordings(result, recordings, training, others, progress)
+            refuse(f"{name} with recordings", "recordings, training and others")
+        return _on_recordings(result, recordings, training, others, cost, progress)
     if training != () or others is not None:
-        refuse("training, others with a result that was tuned on scenarios", "without them")
-    if recordings is not None:
-        refuse(
-            "recordings with a result that was tuned on scenarios",
-            "one that was tuned on recordings; `replay` runs any result on them",
-        )
+        refuse("training, others without recordings", "both, or neither")
     check_whole("scenarios", scenarios, 2, MAX_COUNT)
     if seed is not None:
         check_whole("seed", seed, 0, MAX_INTEGER)
-    check_callable("cost", cost)
     check_same_cost(cost, result.cost)
     experiment = result.experiment
     memory.check([experiment], held_out=scenarios)
@@ -152,10 +168,11 @@ def evaluate(
 
 
 def _on_recordings(
-    result: RecordingResult,
+    result: TuneResult | RecordingResult,
     recordings: Recording | Iterable[Recording] | None,
     training: Recording | Iterable[Recording],
     others: bool | None,
+    cost: TrackCost | None,
     progress: Callable[[str], object] | None,
 ) -> RecordingResult:
     unseen, seen = (
@@ -164,6 +181,12 @@ def _on_recordings(
     )
     if not unseen:
         refuse("recordings: none", "at least one")
+    simulated = isinstance(result, TuneResult) or result.tuned_on == "scenarios"
+    if seen and simulated:
+        refuse(
+            "training with a result that was tuned on scenarios",
+            "without it: what stands beside it was tuned on these scenarios too",
+        )
     if both := {id(one) for one in unseen} & {id(one) for one in seen}:
         name = next(one.name for one in unseen if id(one) in both)
         refuse(f"recordings: {name} is in training too", "recordings that are not")
@@ -171,6 +194,11 @@ def _on_recordings(
     if others is None:
         names = [name for name in names if installed(name)]
     say = progress if progress is not None else lambda _: None
+    if isinstance(result, TuneResult):
+        check_same_cost(cost, result.cost)
+        return run_beside_baselines(result, unseen, names, say, cost)
+    if cost is not None:
+        refuse("cost with a result on recordings", "recordings, training and others")
     return judged_beside_baselines(result, unseen, seen, names, say)
 
 

@@ -16,7 +16,7 @@ from posegsa.errors import MeasurementError, PosegsaWarning
 from posegsa.judging.known_sensors import KnownSensors, of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, FilterState, checked_state
+from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_unobservable
@@ -98,7 +98,7 @@ class PoseFilter:
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
             `update`; default those of the result's experiment or recordings, or none. If there are
-            more or fewer than in the experiment, each has the weight 1.
+            more than in the experiment, further ones have the weight 1.
         landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
         vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
         landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
@@ -475,6 +475,7 @@ def _by_hand(
     if settings is None:
         refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
     check_type("settings", settings, FilterSettings)
+    check_gammas(settings)
     if isinstance(source, FuzzyController):
         source = FuzzyGain(source)
     elif isinstance(source, Real) and not isinstance(source, bool):

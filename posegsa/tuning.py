@@ -112,6 +112,8 @@ def tune(
         recordings: Tune on these instead of simulated scenarios: any number, of any lengths and
             rates, each over the samples that it judges. The cost of one is its attitude's RMSE
             [deg] plus `position_weight` times its position's. Such a search has no checkpoints.
+            Where the experiment's `objective.simulated_share` is above 0, its simulated scenarios
+            have that share of the cost, each by the same root mean squares (`search.recorded`).
         held_out: Recordings that only judge.
         schedule: On recordings, what is searched: "fuzzy", k1 to k22; "constant", one gain;
             "smooth", K(e) of three numbers; each with `parameters.also`.

@@ -29,8 +29,10 @@ from posegsa.config.scenario import Vector as Vector
 from posegsa.config.schedule import DEFAULT_ALSO as DEFAULT_ALSO
 from posegsa.config.schedule import INPUT_RANGE as INPUT_RANGE
 from posegsa.config.schedule import PARAMETERS as PARAMETERS
+from posegsa.config.schedule import SEARCHED as SEARCHED
 from posegsa.config.schedule import TERMS as TERMS
 from posegsa.config.schedule import FuzzyConfig as FuzzyConfig
 from posegsa.config.schedule import GainConfig as GainConfig
 from posegsa.config.schedule import ParametersConfig as ParametersConfig
+from posegsa.config.schedule import Rules as Rules
 from posegsa.config.schedule import triangles as triangles

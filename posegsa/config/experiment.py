@@ -8,7 +8,13 @@ from pydantic import Field, ValidationError, model_validator
 from posegsa.config.changes import with_values
 from posegsa.config.family import FamilyConfig
 from posegsa.config.scenario import ScenarioConfig
-from posegsa.config.schedule import DEFAULT_ALSO, FuzzyConfig, GainConfig, ParametersConfig
+from posegsa.config.schedule import (
+    DEFAULT_ALSO,
+    SEARCHED,
+    FuzzyConfig,
+    GainConfig,
+    ParametersConfig,
+)
 from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
 from posegsa.model.filter import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
@@ -126,6 +132,9 @@ class ObjectiveConfig(Section):
     """Only for "cvar": the share of scenarios, the best ones, that are left out, no unit."""
     factor: NonNegative = 1.0
     """Only for "mean_std": the multiple of the standard deviation, no unit."""
+    simulated_share: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    """Only where recordings are tuned on: the share of simulated scenarios in what is minimised, no
+    unit. 0 simulates none; 0.5 weighs both groups alike, however many each has."""
 
 
 class CheckpointConfig(Section):
@@ -238,6 +247,12 @@ class Experiment(Section):
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
         wrong = list(also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO))
         yield from wrong or self._conflicts_of_bounds()
+        if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
+            reason = (
+                f"allowed: a table, because search.optimiser = {self.search.optimiser!r} only "
+                "follows gradients, and a choice between terms has none"
+            )
+            yield Violation("fuzzy.rules", reason, SEARCHED)
         if self.fuzzy.ordering:
             yield from (v.under(("parameters",)) for v in self.parameters.disorder())
         if self.fuzzy.coverage:

@@ -95,6 +95,10 @@ PAPER_RULES: Rules = (
 )
 
 
+SEARCHED: Literal["searched"] = "searched"
+"""Instead of a rule table: the search looks for one too."""
+
+
 def _rules(given: object) -> object:
     """The table that a word stands for; anything else as it is."""
     if given == "paper":
@@ -143,10 +147,11 @@ class FuzzyConfig(Section):
     """Minimum overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
     offset: NonNegative = 1.0
     """What is added to the centroid [1/s]: the gain is K = offset + centroid, 1 in the paper."""
-    rules: Annotated[Rules, BeforeValidator(_rules)] = PAPER_RULES
+    rules: Annotated[Rules | Literal["searched"], BeforeValidator(_rules)] = PAPER_RULES
     """The rule table; rows are the rate, VL at the top to VS at the bottom; columns are the error,
     VL at the left to VS at the right. "paper" is the paper's (its V is L), "reversed" the same with
-    the error's axis turned round: a large residual that is a disturbance asks for a low gain."""
+    the error's axis turned round: a large residual that is a disturbance asks for a low gain.
+    "searched" has the search choose the 25 output terms too, beside k1..k22."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if not self.ordering and self.centroid != "sampled":

@@ -7,8 +7,11 @@ k1..k22: the baselines, too, have the filter, signal and weights that suit them.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -26,6 +29,7 @@ from posegsa.judging.evaluation import (
     Kind,
 )
 from posegsa.judging.metrics import error_tracks
+from posegsa.model.fuzzy import Rules
 from posegsa.model.schedules import (
     ConstantGain,
     FuzzyGain,
@@ -35,12 +39,13 @@ from posegsa.model.schedules import (
     SwitchGain,
 )
 from posegsa.optimisers import Optimiser
-from posegsa.search.build import TuningProblem, search_space
+from posegsa.search.build import TuningProblem, parameter_space, rule_table, search_space
 from posegsa.search.candidates import Candidate, SimpleSpace
 from posegsa.search.keys import keys
-from posegsa.search.parameters import ParameterSpace
+from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
 from posegsa.search.run import first_search, run_search, tell_share
+from posegsa.words import text_table
 
 CONSTANT_GAINS = 201
 """Constant gains that `best_constant` tries, evenly spaced over those that a controller may ask
@@ -60,16 +65,24 @@ def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> D
     schedule = candidate.schedule
     kinds: dict[type, Kind] = {type_: kind for kind, type_ in SCHEDULES.items()}
     kind = kinds.get(type(schedule), "fuzzy")
-    arrays = vars(schedule)
+    arrays: dict[str, Any] = vars(schedule)
     if isinstance(schedule, FuzzyGain):
-        arrays = {"k": space.vector(schedule.controller)}
+        arrays = {"k": space.vector(schedule.controller)[: len(config.PARAMETERS)]}
+        if space.rules is None:
+            arrays["rules"] = np.asarray(schedule.controller.rules)
     numbers = {name: np.ravel(np.asarray(a, np.float64)).tolist() for name, a in arrays.items()}
     return Description(kind, numbers, candidate.values_by_key(), evaluations)
 
 
 def candidate_of(found: Description, space: ParameterSpace) -> Candidate:
-    """The candidate that was stored; not of a Kalman filter."""
+    """The candidate that was stored; not of a Kalman filter.
+
+    Raises:
+        ValueError: Its rule table is none, or was not searched in this space.
+    """
     dtype = space.lower.dtype
+    if found.kind == "fuzzy":
+        space = replace(space, rules=_rules_of(found, space))
     numbers = {name: jnp.asarray(values, dtype) for name, values in found.numbers.items()}
     if found.kind == "fuzzy":
         schedule: GainSchedule = space.schedule(numbers["k"])
@@ -79,6 +92,43 @@ def candidate_of(found: Description, space: ParameterSpace) -> Candidate:
         schedule = SCHEDULES[found.kind](**{name: a[0] for name, a in numbers.items()})
     values = tuple(jnp.asarray(value, dtype) for value in found.also.values())
     return Candidate(schedule, values, tuple(found.also))
+
+
+def _rules_of(found: Description, space: ParameterSpace) -> Rules:
+    """The rule table of a controller that was stored: its own if it was searched."""
+    numbers = found.numbers.get("rules", [])
+    if space.rules is not None:
+        if numbers:
+            raise ValueError(f"rules = {numbers}; allowed: none, as the table was not searched")
+        return space.rules
+    if len(numbers) != RULES or not all(n in range(TERM_COUNT) for n in numbers):
+        raise ValueError(
+            f"rules = {numbers}; allowed: {RULES} whole numbers up to {TERM_COUNT - 1}"
+        )
+    whole = [int(n) for n in numbers]
+    return tuple(tuple(whole[i : i + TERM_COUNT]) for i in range(0, RULES, TERM_COUNT))
+
+
+def tuned_experiment(experiment: config.Experiment, found: Description) -> config.Experiment:
+    """An experiment with all in it that was tuned beside k1..k22: numbers, and its rule table.
+
+    Raises:
+        ValueError: The table is none.
+    """
+    tuned = config.with_tuned(experiment, found.also)
+    if found.kind == "fuzzy" and tuned.fuzzy.rules == config.SEARCHED:
+        with jax.enable_x64(experiment.run.dtype == "float64"):
+            rules = rule_table(_rules_of(found, parameter_space(experiment)))
+        tuned = tuned.replace(**{"fuzzy.rules": rules})
+    return tuned
+
+
+def rules_text(rules: Rules) -> str:
+    """A rule table that was searched, as text for a person."""
+    table = zip(reversed(config.TERMS), rule_table(rules), strict=True)
+    rows = [[name, *row] for name, row in table]
+    heads = ["Rules found: rate by rows, error by columns", *reversed(config.TERMS)]
+    return text_table([heads, *rows])
 
 
 def best_constant(problem: TuningProblem) -> Candidate:

@@ -79,7 +79,9 @@ def _of_its_kind(found: Description) -> Description:
     lengths = {name: len(values) for name, values in found.numbers.items()}
     match found.kind:
         case "fuzzy":
-            fits, allowed = lengths == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
+            # A rule table is looked at where one sees whether it was searched (`candidate_of`).
+            own = {name: length for name, length in lengths.items() if name != "rules"}
+            fits, allowed = own == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
         case "open loop":
             time = found.numbers.get("time", [])
             same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))

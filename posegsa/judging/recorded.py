@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -11,29 +11,34 @@ from pydantic import AfterValidator
 
 from posegsa import steps
 from posegsa.arguments import check_type, refuse
-from posegsa.config import Experiment, override, with_tuned
+from posegsa.config import SEARCHED, Experiment, override
 from posegsa.errors import FuzzyError, RecordingError
-from posegsa.judging.baselines import candidate_of, describe
-from posegsa.judging.evaluation import SCHEDULES, StoredFilter
+from posegsa.judging.baselines import candidate_of, describe, rules_text, tuned_experiment
+from posegsa.judging.evaluation import SCHEDULES, TUNED, Description, StoredFilter
 from posegsa.judging.known_sensors import KnownSensors, of_recordings, of_scenario
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
+from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
-from posegsa.recordings.accuracy import Rmse
+from posegsa.recordings.accuracy import AnyNumber, Rmse
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
-from posegsa.search.build import TuningProblem, parameter_space, signal_settings
+from posegsa.search.build import TuningProblem, parameter_space, rule_table, signal_settings
 from posegsa.search.candidates import Candidate
+from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.version import VERSION
 from posegsa.words import counted, text_table
+
+TunedOn = Literal["recordings", "scenarios", "recordings and scenarios", "nothing"]
+"""What a filter was tuned on; on nothing if it was made by hand."""
 
 
 def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
@@ -61,25 +66,48 @@ class RecordingScore(NamedTuple):
     """Root mean squares by phase, "judged" first."""
 
 
+class SimulatedScore(NamedTuple):
+    """A filter that was tuned on recordings and simulated scenarios, on the latter."""
+
+    training: list[AnyNumber]
+    """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
+    held_out: list[AnyNumber]
+    """The same on scenarios that only judge."""
+
+    def text(self, share: float) -> str:
+        """Both for a person, with the share of the scenarios in what was minimised."""
+        rows = [
+            [label, f"{np.mean(costs):.4g}", f"{np.max(costs):.4g}", str(len(costs))]
+            for label, costs in (("tuned on", self.training), ("held out", self.held_out))
+        ]
+        title = f"Simulated scenarios, {share:g} of what was minimised, cost [deg]"
+        return text_table([[title, "mean", "worst", "scenarios"], *rows])
+
+
 @dataclass(frozen=True, kw_only=True)
 class RecordingResult:
-    """A gain schedule tuned on recordings, how it was found, and what it is worth."""
+    """A gain schedule judged on recordings: how it was found, and what it is worth."""
 
     experiment: Experiment
+    tuned_on: TunedOn
+    """What the search saw."""
     filter: StoredFilter
     """The schedule by its kind and its own numbers, and what was tuned beside it."""
     position_weight: NonNegative
-    """Of the position's RMSE in the cost [deg/m]."""
+    """Of the position's RMSE in the cost on recordings [deg/m]; 0 where none were tuned on."""
     best_cost: Cost | None
-    """Least cost on the recordings that were tuned on [deg]; None of a filter made by hand."""
+    """Least cost that the search found: on recordings [deg], on scenarios the configured one; None
+    of a filter made by hand."""
     training: list[RecordingScore]
-    """On each of them."""
+    """On each recording that it was tuned on."""
     held_out: list[RecordingScore]
     """On recordings that only judge; empty if there were none."""
     compile_seconds: NonNegative
     search_seconds: NonNegative
     environment: dict[str, str]
     version: str
+    simulated: SimulatedScore | None = None
+    """On simulated scenarios, if these were tuned on too."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Other filters on the same held-out recordings, by name (`evaluate`)."""
     sensors: KnownSensors | None = None
@@ -99,8 +127,8 @@ class RecordingResult:
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with the numbers in it that were tuned beside the schedule."""
-        return with_tuned(self.experiment, self.filter.also)
+        """The experiment with all in it that was tuned beside the schedule, its rule table too."""
+        return tuned_experiment(self.experiment, self.filter)
 
     @property
     def controller(self) -> FuzzyController:
@@ -167,29 +195,44 @@ class RecordingResult:
 
     def summary(self) -> str:
         """A short text for a person; the held-out recordings always stand in it."""
-        search = self.experiment.search
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
-        head = f"A {self.filter.kind} gain made by hand"
-        if self.best_cost is not None:
-            head = (
-                f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
-                f"{counted(len(self.training), 'recording')}: "
-                f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
-                f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
-            )
+        share = self.experiment.objective.simulated_share
+        schedule, rules = self.schedule, ""
+        if isinstance(schedule, FuzzyGain) and self.experiment.fuzzy.rules == SEARCHED:
+            rules = rules_text(schedule.controller.rules)
         alone = (
             "No recording was held out: these errors say how well the filter fits the recordings "
             "that it was tuned on, not how good it is on others."
         )
         parts = [
-            head,
+            self._head(),
             f"Numbers: {found}" if found else "",
+            rules,
             self.table() if self.training or self.held_out else "",
             "" if self.held_out else alone,
+            "" if self.simulated is None else self.simulated.text(share),
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
+
+    def _head(self) -> str:
+        """How the filter was found."""
+        if self.best_cost is None:
+            return f"A {self.filter.kind} gain made by hand"
+        scenarios = self.experiment.run.training_scenarios
+        seen = {
+            "recordings": counted(len(self.training), "recording"),
+            "scenarios": counted(scenarios, "simulated scenario"),
+        }
+        seen = " and ".join(seen[group] for group in self.tuned_on.split(" and "))
+        search = self.experiment.search
+        return (
+            f"{search.optimiser}: {search.size_in_words()} for a {self.filter.kind} gain on "
+            f"{seen}: "
+            f"{counted(self.filter.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
+            f"(+ {self.compile_seconds:.2f} s to compile), cost {self.best_cost:.4g}"
+        )
 
     def table(self) -> str:
         """Root mean square errors by recording and phase, and those of other filters."""
@@ -262,8 +305,10 @@ def judge_on_recordings(
     """Judge the best candidate that a search on recordings found."""
     experiment, search = problem.experiment, found.search
     tuned = problem.space.candidate(search.best_position)
+    simulated = None if problem.beside is None else _on_scenarios(tuned, problem)
     result = RecordingResult(
         experiment=experiment,
+        tuned_on="recordings" if simulated is None else "recordings and scenarios",
         filter=describe(tuned, parameter_space(experiment), experiment.search.evaluations),
         position_weight=position_weight,
         best_cost=float(search.best_cost),
@@ -273,6 +318,7 @@ def judge_on_recordings(
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
+        simulated=simulated,
         sensors=of_recordings(training),
     )
     both = ((result.training, training), (result.held_out, held_out))
@@ -280,6 +326,37 @@ def judge_on_recordings(
     for scores, one in steps.each("judging", pairs, lambda pair: pair[1].name):
         scores.append(score(one, result.estimate(one)))
     return result
+
+
+def _on_scenarios(tuned: Candidate, problem: TuningProblem) -> SimulatedScore:
+    """The cost on each simulated scenario of a problem."""
+    agent = jax.tree.map(lambda a: a[None], tuned)
+    costs = np.asarray(costs_by_scenario(agent, problem.scenarios)[:, 0], np.float64).tolist()
+    count = problem.experiment.run.training_scenarios
+    return SimulatedScore(costs[:count], costs[count:])
+
+
+def tuned_on_scenarios(result: TuneResult, filter: Description | None = None) -> RecordingResult:
+    """The filter of a run on simulated scenarios, not yet judged on any recording.
+
+    Args:
+        result: The run.
+        filter: Another one that was found on its scenarios, instead of the tuned one.
+    """
+    tuned = result.evaluation.contenders[TUNED].filter
+    return RecordingResult(
+        experiment=result.experiment,
+        tuned_on="scenarios",
+        filter=tuned if filter is None else filter,
+        position_weight=0.0,
+        best_cost=result.best_cost,
+        training=[],
+        held_out=[],
+        compile_seconds=result.compile_seconds,
+        search_seconds=result.search_seconds,
+        environment=result.environment,
+        version=result.version,
+    )
 
 
 def by_hand(
@@ -304,6 +381,8 @@ def by_hand(
     check_type("experiment", chosen, Experiment)
     check_type("schedule", schedule, FuzzyGain, *SCHEDULES.values())
     chosen = override(chosen, ["parameters.also=[]"])  # nothing is searched
+    if isinstance(schedule, FuzzyGain) and chosen.fuzzy.rules == SEARCHED:
+        chosen = chosen.replace(**{"fuzzy.rules": rule_table(schedule.controller.rules)})
     with jax.enable_x64(chosen.run.dtype == "float64"):
         space = parameter_space(chosen)
         if isinstance(schedule, FuzzyGain):
@@ -320,6 +399,7 @@ def by_hand(
         found = describe(Candidate(schedule), space, 0)
     result = RecordingResult(
         experiment=chosen,
+        tuned_on="nothing",
         filter=found,
         position_weight=0.0,
         best_cost=None,

@@ -1,19 +1,35 @@
-"""What a filter on recordings has to beat: constant gains, a Kalman filter, other libraries'."""
+"""What a filter on recordings has to beat: constant gains, a Kalman filter, other libraries'.
+
+All that is tuned has seen what the filter was tuned on: recordings, or a run's own scenarios.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
 
-from posegsa.judging.evaluation import CONSTANT, EKF
+from posegsa import steps
+from posegsa.judging.evaluation import CONSTANT, EKF, Description
+from posegsa.judging.kalman import tune_kalman
 from posegsa.judging.other_filters import OTHER_FILTERS, other_filter, readable
-from posegsa.judging.recorded import RecordingResult, RecordingScore, judge_on_recordings, score
+from posegsa.judging.recorded import (
+    RecordingResult,
+    RecordingScore,
+    judge_on_recordings,
+    score,
+    tuned_on_scenarios,
+)
 from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
+from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
+from posegsa.search.build import scenario
+from posegsa.search.population import TrackCost
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import run_search, tell_share
 
 Say = Callable[[str], object]
+Scores = dict[str, list[RecordingScore]]
+"""Of each filter, by name, on each recording."""
 
 
 def judged_beside_baselines(
@@ -34,18 +50,67 @@ def judged_beside_baselines(
         say: Told in words what is done next.
     """
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        own = [score(one, result.estimate(one)) for one in recordings]
-        baselines: dict[str, list[RecordingScore]] = {}
+        own = _scores(result, recordings)
+        baselines: Scores = {}
         if training:
             if result.filter.kind != "constant":
-                say(f"searching: {CONSTANT}")
+                _begin("searching", CONSTANT, say)
                 baselines[CONSTANT] = _constant(result, recordings, training)
-            say(f"searching: {EKF}")
-            baselines[EKF] = _kalman(result, recordings, training)
-        for name in others:
-            say(f"judging: {name}")
-            baselines[name] = [score(one, other_filter(name, one)) for one in recordings]
+            _begin("searching", EKF, say)
+            noises = tune_recorded_kalman(result.experiment, training, result.position_weight)
+            baselines[EKF] = _kalman_scores(noises, result, recordings)
+        baselines |= _other_scores(others, recordings, say)
     return replace(result, held_out=own, baselines=baselines)
+
+
+def run_beside_baselines(
+    run: TuneResult,
+    recordings: Sequence[Recording],
+    others: Sequence[str],
+    say: Say,
+    cost: TrackCost | None = None,
+) -> RecordingResult:
+    """A run on simulated scenarios, on recordings, beside filters tuned on the same scenarios.
+
+    Args:
+        run: What is judged; its best constant gains are, too.
+        recordings: That judge.
+        others: Of `OTHER_FILTERS`, those that are tried.
+        say: Told in words what is done next.
+        cost: The user's own cost that the run was tuned with, if it was.
+    """
+    experiment = run.experiment
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        known = {name: each.filter for name, each in run.evaluation.contenders.items()}
+        result, constant = tuned_on_scenarios(run), tuned_on_scenarios(run, known[CONSTANT])
+        own = _scores(result, recordings)
+        baselines: Scores = {CONSTANT: _scores(constant, recordings)}
+        if EKF not in known:
+            _begin("searching", EKF, say)
+            known[EKF] = tune_kalman(
+                experiment, scenario(experiment), vector_biases=False, cost=cost
+            )
+        baselines[EKF] = _kalman_scores(known[EKF], result, recordings)
+        baselines |= _other_scores(others, recordings, say)
+    return replace(result, held_out=own, baselines=baselines)
+
+
+def _begin(step: str, name: str, say: Say) -> None:
+    """Say that a filter is searched or judged now."""
+    steps.begin(step, about=name)
+    say(f"{step}: {name}")
+
+
+def _scores(result: RecordingResult, recordings: Sequence[Recording]) -> list[RecordingScore]:
+    return [score(one, result.estimate(one)) for one in recordings]
+
+
+def _other_scores(names: Sequence[str], recordings: Sequence[Recording], say: Say) -> Scores:
+    found: Scores = {}
+    for name in names:
+        _begin("judging", name, say)
+        found[name] = [score(one, other_filter(name, one)) for one in recordings]
+    return found
 
 
 def others_for(recordings: Sequence[Recording]) -> list[str]:
@@ -64,9 +129,8 @@ def _constant(
     return judged.held_out
 
 
-def _kalman(
-    result: RecordingResult, recordings: Sequence[Recording], training: Sequence[Recording]
+def _kalman_scores(
+    noises: Description, result: RecordingResult, recordings: Sequence[Recording]
 ) -> list[RecordingScore]:
-    found = tune_recorded_kalman(result.experiment, training, result.position_weight)
-    every = recorded_kalman_estimates(found, result.experiment, recordings)
+    every = recorded_kalman_estimates(noises, result.experiment, recordings)
     return [score(one, estimates) for one, estimates in zip(recordings, every, strict=True)]

@@ -1,7 +1,7 @@
 """The result of a tuning run, or of many: what was found, how, and what it is worth."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import jax
@@ -11,8 +11,9 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type, refuse
-from posegsa.config import PARAMETERS, Experiment, with_tuned
+from posegsa.config import PARAMETERS, SEARCHED, Experiment
 from posegsa.errors import PosegsaWarning
+from posegsa.judging.baselines import rules_text, tuned_experiment
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
@@ -25,8 +26,9 @@ from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
-from posegsa.search.build import filter_settings, parameter_space, signal_settings
+from posegsa.search.build import parameter_space, signal_settings
 from posegsa.search.candidates import Candidate
+from posegsa.search.recorded import settings_on
 from posegsa.settings.arrays import Cost, Numbers
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
@@ -81,14 +83,15 @@ class TuneResult:
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with the numbers in it that were tuned beside k1..k22."""
-        return with_tuned(self.experiment, self.also)
+        """The experiment with all in it that was tuned beside k1..k22, its rule table too."""
+        found = self.evaluation.contenders[TUNED].filter
+        return tuned_experiment(self.experiment, found._replace(also=self.also))
 
     @property
     def controller(self) -> FuzzyController:
         """The tuned fuzzy controller, at the experiment's precision."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
-            space = parameter_space(self.experiment)
+            space = parameter_space(self.tuned)
             return space.controller(space.checked(self.parameters))
 
     @property
@@ -107,8 +110,7 @@ class TuneResult:
 
         Args:
             measurements: N samples (`Measurements.from_arrays`), or a recording, brought to its
-                precision. If there are as many vectors, or landmarks, as in the experiment, they
-                have the weights of those, else 1 each.
+                precision. Their vectors and landmarks have weights as `settings_for` says.
             rotation: (3, 3) R_est at the first sample, body to inertial; by default that of the
                 recording, with its position and bias.
             position: (3,) P_est there [m], inertial frame.
@@ -151,15 +153,11 @@ class TuneResult:
     def settings_for(self, vectors: int, landmarks: int) -> FilterSettings:
         """The tuned filter's settings for so many sensors.
 
-        If there are as many vectors, or landmarks, as in the experiment, they have the weights of
-        those, else 1 each.
+        Weights go in order: the first vector has that of the experiment's first, and so on;
+        further ones have 1, and so have landmarks. The weights that a recording or measurements
+        have of their own are factors on these.
         """
-        settings, scenario = filter_settings(self.tuned), self.experiment.scenario
-        if vectors != len(scenario.vectors):
-            settings = replace(settings, vectors=replace(settings.vectors, weights=None))
-        if landmarks != len(scenario.landmarks):
-            settings = replace(settings, landmark_weights=None)
-        return settings
+        return settings_on(self.tuned, vectors, landmarks)
 
     def __repr__(self) -> str:
         return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"
@@ -194,6 +192,8 @@ class TuneResult:
         if self.also:
             tuned = ", ".join(f"{key} = {value:.4g}" for key, value in self.also.items())
             parts.append(f"Tuned beside k1 to k{len(PARAMETERS)}: {tuned}")
+        if self.experiment.fuzzy.rules == SEARCHED:
+            parts.append(rules_text(self.controller.rules))
         warned = [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(parts), *warned])
 

@@ -144,9 +144,10 @@ class FilterSettings:
     substeps: int = field(default=2, metadata={"static": True})
     """n, inner steps per sample."""
     gamma_angular: Array | float = 2.5
-    """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
+    """gamma of the angular velocity's bias at K = 10/s [1/s^2]; for `run_filter` also one for each
+    of its samples, (N,)."""
     gamma_linear: Array | float = 2.5
-    """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
+    """gamma of the linear velocity's bias at K = 10/s [1/s^2]; likewise."""
     gain_limit: Array | float = 1.5
     """c; infinite for no limit."""
     vectors: VectorSettings = field(default_factory=VectorSettings)
@@ -316,9 +317,11 @@ def ready(state: FilterState, measurements: Measurements, settings: FilterSettin
     """A state with estimates of the vectors' biases, 0 at first, where the settings learn them.
 
     Raises:
-        ArgumentError: The settings have weights of another number of sensors than there are, or the
-            state has biases of another number of vectors.
+        ArgumentError: The settings have weights of another number of sensors than there are, or
+            gammas of another number of samples; or the state has biases of another number of
+            vectors.
     """
+    check_gammas(settings, np.shape(measurements.time_step))
     vectors, landmarks = (
         np.shape(weights)[-1]
         for weights in (measurements.vector_weights, measurements.landmark_weights)
@@ -338,6 +341,14 @@ def ready(state: FilterState, measurements: Measurements, settings: FilterSettin
     return state._replace(
         vector_biases=(zeros,) * vectors, turning=zeros if vectors else state.turning
     )
+
+
+def check_gammas(settings: FilterSettings, samples: tuple[int, ...] = ()) -> None:
+    """Raise an ArgumentError unless each gamma is a number, or has the shape of the samples."""
+    each = f", or {samples[0]} of them, one for each sample" if samples else ""
+    for name in ("gamma_angular", "gamma_linear"):
+        if (shape := np.shape(getattr(settings, name))) not in ((), samples):
+            refuse(f"settings.{name}: of the shape {shape}", f"one number{each}")
 
 
 def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:

@@ -109,6 +109,31 @@ def firing_heights(
     return tuple(heights)
 
 
+def searched_heights(
+    error: tuple[Array, ...], rate: tuple[Array, ...], targets: tuple[tuple[Array, ...], ...]
+) -> Heights:
+    """The same heights where the rules' output terms are numbers that a search chooses.
+
+    Minima and maxima choose among the same numbers, so that nothing is rounded: the heights are
+    bit for bit those of `firing_heights`, at the price of comparing every rule with every term.
+
+    Args:
+        error: memberships of the error in the n input terms.
+        rate: those of the rate.
+        targets: [rate][error] number of the output term, whole numbers from 0 to n - 1.
+    """
+    fired = [
+        (target, minimum(of_rate, of_error))
+        for of_rate, row in zip(rate, targets, strict=True)
+        for of_error, target in zip(error, row, strict=True)
+    ]
+    nothing = jnp.zeros_like(error[0])
+    return tuple(
+        reduce(maximum, [choose(target == output, height, nothing) for target, height in fired])
+        for output in range(len(error))
+    )
+
+
 def _overlap(bi: Array, ci: Array, aj: Array, bj: Array) -> Overlap:
     """The coefficients for terms i <= j, from the falling edge of i and the rising edge of j.
 

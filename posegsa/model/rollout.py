@@ -5,10 +5,12 @@ alone, which is summed up on the way, so that its memory does not grow with time
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -179,16 +181,23 @@ def _simulate(
         The loop after them, the sum that began as `total`, and what `look` stored, stacked over
         time.
     """
-    prepared = schedule.prepare()
+    prepared, gammas = schedule.prepare(), _gammas_by_sample(settings, samples)
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
-        (loop, total), (now, entry) = carry, inputs
-        after, record = closed_loop_step(loop, now, prepared, settings, signal)
+        (loop, total), (now, entry, gamma) = carry, inputs
+        after, record = closed_loop_step(loop, now, prepared, replace(settings, **gamma), signal)
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
-    (last, total), stored = scan_rows(body, (loop, total), (samples, extra), count)
+    (last, total), stored = scan_rows(body, (loop, total), (samples, extra, gammas), count)
     return last, total, stored
+
+
+def _gammas_by_sample(settings: FilterSettings, samples: Samples) -> dict[str, Array]:
+    """The gammas that are given for each of the N samples, (N,) each, by name."""
+    time = samples.time
+    given = {name: getattr(settings, name) for name in ("gamma_angular", "gamma_linear")}
+    return {name: jnp.asarray(g, time.dtype) for name, g in given.items() if np.ndim(g)}
 
 
 def simulate_cost(

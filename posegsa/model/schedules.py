@@ -15,7 +15,12 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.errors import ArgumentError
-from posegsa.model.fuzzy import FuzzyController, PreparedController
+from posegsa.model.fuzzy import (
+    FuzzyController,
+    PreparedController,
+    membership,
+    searched_heights,
+)
 
 
 class ScheduleInputs(NamedTuple):
@@ -106,6 +111,44 @@ class FuzzyGain:
     def prepare(self) -> _PreparedFuzzyGain:
         """Slopes and overlaps of the terms."""
         return _PreparedFuzzyGain(self.controller, self.controller.prepare())
+
+
+class _PreparedSearchedRules(NamedTuple):
+    controller: FuzzyController
+    prepared: PreparedController
+    targets: tuple[tuple[Array, ...], ...]
+
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        terms = self.prepared.inputs
+        error, rate = (
+            tuple(membership(x, term) for term in terms) for x in (inputs.error, inputs.rate)
+        )
+        heights = searched_heights(error, rate, self.targets)
+        return Gains(self.controller.defuzzify(heights, self.prepared, inputs.last))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SearchedRulesGain:
+    """`FuzzyGain` while its rule table is searched: the table is numbers, not structure.
+
+    With the same table both have the same gains, bit for bit; this one is the dearer.
+    """
+
+    controller: FuzzyController
+    """Its terms and all else; its own rules are not looked at."""
+    targets: Array
+    """(5, 5) [rate, error], from small to large: the output term of each rule, 0 to 4."""
+
+    def initial_gain(self) -> Array:
+        """Mid-range of the controller's output [1/s]."""
+        return self.controller.initial_gain()
+
+    def prepare(self) -> _PreparedSearchedRules:
+        """Slopes and overlaps of the terms, and the table rule by rule."""
+        n = range(self.targets.shape[-1])
+        targets = tuple(tuple(self.targets[..., r, e] for e in n) for r in n)
+        return _PreparedSearchedRules(self.controller, self.controller.prepare(), targets)
 
 
 @jax.tree_util.register_dataclass

@@ -1,5 +1,6 @@
 """A gain schedule run over a recording: in parts, so that memory on the device stays bounded."""
 
+from dataclasses import replace
 from typing import overload
 
 import jax
@@ -110,9 +111,12 @@ def _run_in_parts(
     count, loop, parts = recording.samples, begin(schedule, state), []
     length = min(PART, count)
     for first in range(0, count, length):
-        loop, found = simulate_part(
-            schedule, _part(recording, first, length, settings), loop, settings, signal
-        )
+        # All parts have one length, and are compiled once: the last one is filled up with its last
+        # sample, and what the filter makes of that is cut off.
+        index = np.minimum(np.arange(first, first + length), count - 1)
+        own = _settings_at(settings, index)
+        samples = _part(recording, index, own)
+        loop, found = simulate_part(schedule, samples, loop, own, signal)
         parts.append(jax.device_get(found))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
     if recording.attitude_only:
@@ -120,12 +124,14 @@ def _run_in_parts(
     return joined
 
 
-def _part(recording: Recording, first: int, length: int, settings: FilterSettings) -> Samples:
-    """`length` samples from `first` on: all parts have one length, and are compiled once.
+def _settings_at(settings: FilterSettings, index: np.ndarray) -> FilterSettings:
+    """The settings for some samples: gammas that are given for each sample are those of these."""
+    gammas = settings.gamma_angular, settings.gamma_linear
+    angular, linear = (np.asarray(g)[index] if np.ndim(g) else g for g in gammas)
+    return replace(settings, gamma_angular=angular, gamma_linear=linear)
 
-    The last one is filled up with its last sample; what the filter makes of that is cut off.
-    """
-    index = np.minimum(np.arange(first, first + length), recording.samples - 1)
+
+def _part(recording: Recording, index: np.ndarray, settings: FilterSettings) -> Samples:
     arrays = (jnp.asarray(np.asarray(a)[index]) for a in recording.measurements)
     samples = _prepared(Measurements(*arrays), settings)
     return samples._replace(time=jnp.asarray(recording.time[index]))

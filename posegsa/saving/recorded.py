@@ -1,4 +1,4 @@
-"""The files of a search on recordings: the result, and its table."""
+"""The files of a result on recordings: the result, and its table."""
 
 from pathlib import Path
 
@@ -22,8 +22,13 @@ SCHEMA = 2
 DATA, TABLE = FILES = RECORDED, RECORDED_TABLE
 
 
-def write_recorded(result: RecordingResult, folder: Path) -> None:
+def write_recorded(result: RecordingResult, folder: Path, *, same_run: bool = False) -> None:
     """Write the files of a result at once, to a folder that the caller has locked.
+
+    Args:
+        result: What is written.
+        folder: Where.
+        same_run: Whether what else the folder holds belongs to the same run, and stays.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -32,23 +37,26 @@ def write_recorded(result: RecordingResult, folder: Path) -> None:
     # Of a simulated run that was there nothing may stay: it would be read instead.
     checkpoints = [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
     contents = {name: text.encode() for name, text in files.items()}
-    replace_files(folder, contents, remove=[*RUN_FILES, *checkpoints])
+    replace_files(folder, contents, remove=[] if same_run else [*RUN_FILES, *checkpoints])
 
 
 def holds_recorded(folder: str | Path) -> bool:
-    """Whether a folder holds the result of a search on recordings, and no other."""
+    """Whether a folder holds a result on recordings, and none of a run on scenarios."""
     path = as_path("folder", folder)
     return (path / DATA).exists() and not (path / RESULT).exists()
 
 
 def load_recorded(folder: str | Path) -> RecordingResult:
-    """Read a result back.
+    """Read a result on recordings back.
+
+    It is that of a search on recordings, or that of a run on simulated scenarios which was judged
+    on recordings later (`posegsa evaluate RUN --recording FILE`).
 
     Raises:
         RunFolderError: It is none, is damaged or of another layout; names the file and the field.
     """
     path = as_path("folder", folder)
-    text = read_text(path, DATA, of="result of a search on recordings", limit=MAX_BYTES)
+    text = read_text(path, DATA, of="result on recordings", limit=MAX_BYTES)
     result = from_json(RecordingResult, text, SCHEMA, path / DATA)
     also = sorted(one.key for one in result.experiment.also)
     if sorted(result.filter.also) != also:

@@ -10,6 +10,7 @@ import numpy as np
 
 from posegsa import steps
 from posegsa.arguments import check_type
+from posegsa.config import SEARCHED
 from posegsa.errors import RunFolderError
 from posegsa.figures import result as result_figures
 from posegsa.figures.choice import chosen_figures
@@ -95,10 +96,21 @@ def run_figures(figures: Iterable[str] | None) -> list[str]:
     return chosen_figures(figures, result_figures.NAMES)
 
 
-def write_run(result: TuneResult, folder: Path, figures: Iterable[str] | None = None) -> None:
+def write_run(
+    result: TuneResult,
+    folder: Path,
+    figures: Iterable[str] | None = None,
+    *,
+    same_run: bool = False,
+) -> None:
     """Write all files of a result at once, to a folder that the caller has locked.
 
-    Of its figures those with these names are drawn, by default all; others that are there go.
+    Args:
+        result: What is written.
+        folder: Where.
+        figures: Names of those that are drawn, by default all; others that are there go.
+        same_run: Whether what the folder holds is of the same run: then how that was judged on
+            recordings stays.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -119,7 +131,8 @@ def write_run(result: TuneResult, folder: Path, figures: Iterable[str] | None = 
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     drawn = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.
-    replace_files(folder, files | drawn, remove=[*RUN_FIGURES, RECORDED, RECORDED_TABLE])
+    stale = [*RUN_FIGURES] if same_run else [*RUN_FIGURES, RECORDED, RECORDED_TABLE]
+    replace_files(folder, files | drawn, remove=stale)
 
 
 def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
@@ -133,6 +146,7 @@ def _evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
 def _result_summary(result: TuneResult) -> dict[str, Any]:
     costs = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
     return {
+        "rules": result.tuned.fuzzy.rules,
         "training_mean": {name: np.mean(training) for name, training in costs.items()},
         "held_out_mean": {name: result.evaluation.cost(name).mean for name in costs},
         "held_out_scenarios": result.evaluation.scenarios,
@@ -169,6 +183,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
     last = round(float(evaluation.time[-1]) / experiment.scenario.sampling_time)
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]
+    numbers = evaluation.contenders[TUNED].filter.numbers if TUNED in both else {}
     k, gain = (
         evaluation.contenders[name].filter.numbers.get(value) if name in both else None
         for name, value in ((TUNED, "k"), (CONSTANT, "gain"))
@@ -180,6 +195,7 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         (EVALUATION, "contenders", both, [TUNED, CONSTANT]),
         (EVALUATION, f"contenders.{TUNED}.filter.k", k, result.parameters.tolist()),
         (EVALUATION, f"contenders.{CONSTANT}.filter.gain", gain, [result.constant_gain]),
+        (EVALUATION, "rules in it", "rules" in numbers, experiment.fuzzy.rules == SEARCHED),
         (EVALUATION, "sample of the last time", last, samples - 1),
         (TRAJECTORY, "number of rows", len(result.trajectory.time), samples),
         (RESULT, "number of training_costs", len(result.training_costs), training),
@@ -189,3 +205,9 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         if found != needed:
             found, needed = reprlib.repr(found), reprlib.repr(needed)
             raise RunFolderError(f"{folder / file}: {field} = {found}; in {RESULT}: {needed}")
+    try:
+        _ = result.tuned
+    except ValueError as error:
+        raise RunFolderError(
+            f"{folder / EVALUATION}: contenders.{TUNED}.filter.numbers.{error}"
+        ) from None

@@ -12,7 +12,7 @@ from jax.typing import DTypeLike
 
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type
-from posegsa.errors import PosegsaWarning
+from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.model.cost import CostWeights
 from posegsa.model.family import Family, Occasions, realise
 from posegsa.model.filter import FilterSettings, VectorBias, initial_state
@@ -25,7 +25,7 @@ from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.candidates import Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
-from posegsa.search.parameters import ParameterSpace
+from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
 
 
@@ -40,6 +40,8 @@ class TuningProblem(NamedTuple):
     space: SearchSpace[ParameterSpace]
     cost: TrackCost | None = None
     """A user's own cost of a simulation; None for the configured one."""
+    beside: ScenarioBatch | None = None
+    """Simulated scenarios that a search on recordings sees beside them; None if it sees none."""
 
     @property
     def held_out(self) -> ScenarioBatch:
@@ -52,15 +54,17 @@ def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None)
 
     Raises:
         MemoryLimitError: It would need more memory than there is.
+        ConfigError: It has a share for simulated scenarios, which only a search on recordings has.
     """
     check_type("experiment", experiment, config.Experiment)
+    if experiment.objective.simulated_share:
+        raise ConfigError(
+            f"objective.simulated_share = {experiment.objective.simulated_share}; allowed: 0.0 "
+            "without recordings"
+        )
     memory.check([experiment])
-    run = experiment.run
-    one, seed = scenario(experiment), run.seed
-    keys = jnp.concatenate(
-        [training_keys(seed, run.training_scenarios), held_out_keys(seed, run.held_out_scenarios)]
-    )
-    scenarios = scenario_batch(experiment, one, keys)
+    run, one = experiment.run, scenario(experiment)
+    scenarios = all_scenarios(experiment, one)
     return TuningProblem(
         experiment=experiment,
         scenario=one,
@@ -68,6 +72,21 @@ def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None)
         training=scenarios.select(slice(run.training_scenarios)),
         space=search_space(experiment, parameter_space(experiment)),
         cost=cost,
+    )
+
+
+def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch:
+    """The training scenarios of an experiment, then those held out."""
+    run = experiment.run
+    return scenario_batch(
+        experiment,
+        one,
+        jnp.concatenate(
+            [
+                training_keys(run.seed, run.training_scenarios),
+                held_out_keys(run.seed, run.held_out_scenarios),
+            ]
+        ),
     )
 
 
@@ -316,6 +335,11 @@ def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
     )
 
 
+def rule_table(rules: Rules) -> list[list[str]]:
+    """The table of rules by term index, printed from VL to VS both ways as in a configuration."""
+    return [[config.TERMS[index] for index in reversed(row)] for row in reversed(rules)]
+
+
 def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     """The space that an experiment configures, at its dtype.
 
@@ -325,13 +349,18 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     check_type("experiment", experiment, config.Experiment)
     fuzzy, parameters = experiment.fuzzy, experiment.parameters
     dtype = jnp.dtype(experiment.run.dtype)
+    lower, upper, rules = parameters.lower, parameters.upper, None
+    if fuzzy.rules == config.SEARCHED:
+        lower, upper = (*lower, *(0.0,) * RULES), (*upper, *(float(TERM_COUNT),) * RULES)
+    else:
+        rules = rule_indices(fuzzy.rules)
     return ParameterSpace(
-        lower=jnp.asarray(parameters.lower, dtype),
-        upper=jnp.asarray(parameters.upper, dtype),
+        lower=jnp.asarray(lower, dtype),
+        upper=jnp.asarray(upper, dtype),
         overlap=jnp.asarray(fuzzy.overlap, dtype),
         ordering=fuzzy.ordering,
         coverage=fuzzy.coverage,
-        rules=rule_indices(fuzzy.rules),
+        rules=rules,
         gain_range=parameters.gain_range,
         centroid=fuzzy.centroid,
         sampled_points=fuzzy.sampled_points,

@@ -7,6 +7,10 @@ Inside their boxes the k's need not be in order: 93 % of random draws have a tri
 and 73 % leave gaps in which no rule fires. Two repairs, each of which can be switched off, mend
 that; both keep every value inside its own box and leave a vector that is in order, and covers, as
 it is.
+
+Where the rule table is searched too, 25 further numbers in [0, 5] follow the k's, rate by rate,
+from small to large. The whole part of each is the output term of its rule (of 5 the last), so that
+all terms have the same share of the box.
 """
 
 from dataclasses import dataclass, field
@@ -16,12 +20,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from posegsa.config import INPUT_RANGE, PARAMETERS, triangles
+from posegsa.config import INPUT_RANGE, PARAMETERS, TERMS, triangles
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
-from posegsa.model.schedules import FuzzyGain
+from posegsa.model.schedules import FuzzyGain, SearchedRulesGain
+
+HALF, WHOLE = len(PARAMETERS) // 2, len(PARAMETERS)
+"""How many of the k's shape the input terms, and how many there are."""
+TERM_COUNT = len(TERMS)
+RULES = TERM_COUNT**2
+"""Numbers of a rule table that is searched."""
 
 _SEARCHED = slice(2, 13)
 """Where the searched values stand among the 15 entries of five triangles; the other four are
@@ -34,17 +45,21 @@ _STATIC = {"static": True}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ParameterSpace:
-    """Boxes and repairs of the vector k, and the controller's choices that are not searched."""
+    """Boxes and repairs of a search vector, and the controller's choices that are not searched.
+
+    A vector has d numbers: k1 to k22, and those of the rules if they are searched.
+    """
 
     lower: Array
-    """(22,)"""
+    """(d,)"""
     upper: Array
-    """(22,)"""
+    """(d,)"""
     overlap: Array
     """Minimum overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
     ordering: bool = field(metadata=_STATIC)
     coverage: bool = field(metadata=_STATIC)
-    rules: Rules = field(metadata=_STATIC)
+    rules: Rules | None = field(metadata=_STATIC)
+    """The rule table; None where it is searched."""
     gain_range: tuple[float, float] = field(metadata=_STATIC)
     """Ends of the output universe [1/s]."""
     centroid: Centroid = field(metadata=_STATIC)
@@ -58,7 +73,7 @@ class ParameterSpace:
 
     @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
     def terms(self, k: Array) -> tuple[Array, Array]:
-        """Input and output terms (5, 3) of a vector k (22,), repaired as configured."""
+        """Input and output terms (5, 3) of a vector (d,), repaired as configured."""
         inputs, outputs = self.raw_terms(k)
         if self.ordering:
             inputs, outputs = ordered(inputs), ordered(outputs)
@@ -68,22 +83,24 @@ class ParameterSpace:
         return inputs, outputs
 
     def raw_terms(self, k: Array) -> tuple[Array, Array]:
-        """Input and output terms (5, 3) of a vector k (22,) as it stands, without any repair."""
+        """Input and output terms (5, 3) of a vector (d,) as it stands, without any repair."""
 
         def terms(searched: Array, ends: tuple[float, float]) -> Array:
             low, high = (jnp.asarray(end, k.dtype) for end in ends)
             return jnp.stack([jnp.stack(t) for t in triangles(tuple(searched), low, high)])
 
-        half = len(PARAMETERS) // 2
-        return terms(k[:half], INPUT_RANGE), terms(k[half:], self.gain_range)
+        return terms(k[:HALF], INPUT_RANGE), terms(k[HALF:WHOLE], self.gain_range)
 
     def controller(self, k: Array) -> FuzzyController:
-        """The controller of a vector k (22,)."""
+        """The controller of a vector (d,); outside jit where the rules are searched."""
+        return self._controller(k, self.rules or _table(rule_targets(k)))
+
+    def _controller(self, k: Array, rules: Rules) -> FuzzyController:
         inputs, outputs = self.terms(k)
         return FuzzyController(
             input_terms=inputs,
             output_terms=outputs,
-            rules=self.rules,
+            rules=rules,
             output_range=self.gain_range,
             centroid=self.centroid,
             sampled_points=self.sampled_points,
@@ -93,40 +110,70 @@ class ParameterSpace:
             offset=self.offset,
         )
 
-    def schedule(self, vector: Array) -> FuzzyGain:
-        """The gain schedule of a vector k (22,)."""
+    def schedule(self, vector: Array) -> FuzzyGain | SearchedRulesGain:
+        """The gain schedule of a vector (d,).
+
+        Inside jit, rules that are searched are numbers of the schedule; outside, they are the table
+        that these mean.
+        """
+        if self.rules is None and isinstance(vector, Tracer):
+            return SearchedRulesGain(self._controller(vector, NO_RULES), rule_targets(vector))
         return FuzzyGain(self.controller(vector))
 
     def vector(self, controller: FuzzyController) -> Array:
-        """The vector k (22,) of a controller, the inverse of `controller` on repaired vectors."""
+        """The vector (d,) of a controller, the inverse of `controller` on repaired vectors.
+
+        Of rules that are searched, each is in the middle of its term's share.
+        """
         terms = controller.input_terms, controller.output_terms
-        return jnp.concatenate([jnp.reshape(t, 15)[_SEARCHED] for t in terms])
+        parts = [jnp.reshape(t, 15)[_SEARCHED] for t in terms]
+        if self.rules is None:
+            parts.append(jnp.asarray(controller.rules, self.lower.dtype).reshape(RULES) + 0.5)
+        return jnp.concatenate(parts)
 
     def valid(self, vector: Array) -> Array:
-        """Whether a vector k (22,) has a cost: with ordering off, only if it is in order."""
+        """Whether a vector (d,) has a cost: with ordering off, only if it is in order."""
         if self.ordering:
             return jnp.asarray(True)
         return jnp.all(jnp.stack([in_order(t) for t in self.raw_terms(vector)]))
 
     def checked(self, k: ArrayLike) -> Array:
-        """A vector k from a user, as an array (22,) of the space's dtype.
+        """A vector from a user, as an array (d,) of the space's dtype.
 
         Raises:
             FuzzyError: wrong length, not finite, or outside the boxes.
         """
+        count, what = self.lower.shape[0], "k1 to k22"
+        if self.rules is None:
+            what += f" and {RULES} of the rules"
         try:
             values = np.asarray(k, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise FuzzyError(f"k: must be 22 numbers, k1 to k22 ({error})") from None
-        if values.shape != (22,):
-            raise FuzzyError(f"k: must have the shape (22,), k1 to k22, got {values.shape}")
+            raise FuzzyError(f"k: must be {count} numbers, {what} ({error})") from None
+        if values.shape != (count,):
+            raise FuzzyError(f"k: must have the shape ({count},), {what}, got {values.shape}")
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         slack = 1e-6 * np.maximum(1.0, np.abs(upper))  # rounding of float32 results written as text
         inside = (lower - slack <= values) & (values <= upper + slack)
         for i in np.flatnonzero(~inside):
             allowed = f"[{lower[i]:g}, {upper[i]:g}]"
-            raise FuzzyError(f"{PARAMETERS[i]}: must lie in {allowed}, got {values[i]:g}")
+            name = PARAMETERS[i] if i < WHOLE else f"rule {i - WHOLE + 1}"
+            raise FuzzyError(f"{name}: must lie in {allowed}, got {values[i]:g}")
         return jnp.asarray(np.clip(values, lower, upper), self.lower.dtype)
+
+
+NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
+"""Stands where a controller needs a table that nobody looks at."""
+
+
+def rule_targets(vector: Array) -> Array:
+    """The output term (5, 5) of each rule, [rate, error], of a vector that ends with the rules."""
+    terms = jnp.clip(jnp.floor(vector[WHOLE:]), 0.0, TERM_COUNT - 1.0)
+    return terms.reshape(TERM_COUNT, TERM_COUNT)
+
+
+def _table(targets: Array) -> Rules:
+    return tuple(tuple(int(target) for target in row) for row in np.asarray(targets))
 
 
 def ordered(terms: Array) -> Array:

@@ -237,15 +237,21 @@ def population_costs(
     objective: ObjectiveConfig = MEAN,
     axis: str | None = None,
     cost: TrackCost | None = None,
+    beside: ScenarioBatch | None = None,
 ) -> Array:
     """Cost (A,) of A search vectors (A, d), by default the mean over scenarios (jittable).
 
+    With further scenarios `beside` these, they have the share of the objective, and these the rest.
     An agent that diverges costs infinity or NaN, one that is out of order where that is not
     repaired infinity; the search sees to it that neither is ever best. `axis` and `cost` are
     `agent_costs`'.
     """
     agents = jax.vmap(space.candidate)(vectors)
     costs = over_scenarios(agent_costs(agents, batch, axis, cost), objective)
+    if beside is not None:
+        further = over_scenarios(agent_costs(agents, beside, axis, cost), objective)
+        share = objective.simulated_share
+        costs = (1 - share) * costs + share * further
     return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
 
 

@@ -2,6 +2,9 @@
 
 Shorter recordings are filled up with samples in which nothing is measured and nothing counts;
 sensors that one lacks have the weight 0 there. What counts is each recording's own mask.
+
+Simulated scenarios can be tuned on beside them: each then counts like a recording, by the root mean
+squares of its errors.
 """
 
 from collections.abc import Sequence
@@ -20,19 +23,23 @@ from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import Samples, samples_of
 from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain
+from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import state_of
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search.build import (
     TuningProblem,
+    all_scenarios,
     filter_settings,
     parameter_space,
+    scenario,
     search_space,
     signal_settings,
 )
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.recorded_schedules import RecordedSchedule
+from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
 """Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
@@ -55,7 +62,8 @@ def recorded_problem(
 
     Args:
         experiment: Its filter, signal, fuzzy inference, boxes, objective and optimiser are used;
-            its scenario says the weights of vectors and landmarks, in order.
+            its scenario says the weights of vectors and landmarks, in order. With a
+            `objective.simulated_share` above 0 its scenarios are tuned on too.
         recordings: At least one, each with a truth.
         schedule: What is searched, beside `experiment.also`.
         position_weight: Of the position's RMSE [deg/m].
@@ -63,7 +71,7 @@ def recorded_problem(
 
     Raises:
         ConfigError: The experiment's signal is "pose", or it wants a number tuned that has no
-            effect here.
+            effect here, or its scenarios are to be tuned on too and have other sensors.
         RecordingError: A recording has no judged sample.
     """
     if experiment.gain.signal == "pose":
@@ -72,19 +80,67 @@ def recorded_problem(
         )
     most = _most_sensors(recordings)
     experiment = with_effect_on(experiment, *most, schedule, strict=strict)
-    return TuningProblem(
+    problem = TuningProblem(
         experiment=experiment,
         scenario=None,  # type: ignore[arg-type]  # nothing is simulated
         scenarios=None,  # type: ignore[arg-type]
         training=recorded_batch(experiment, recordings, position_weight),
         space=search_space(experiment, _space(schedule, experiment)),
     )
+    if not experiment.objective.simulated_share:
+        return problem
+    _check_same_sensors(experiment, recordings)
+    one = scenario(experiment)
+    every = as_recordings(all_scenarios(experiment, one), position_weight)
+    beside = every.select(slice(experiment.run.training_scenarios))
+    return problem._replace(scenario=one, scenarios=every, beside=beside)
+
+
+def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Recording]) -> None:
+    """Raise a ConfigError unless recordings have what the simulated scenarios have."""
+    share = experiment.objective.simulated_share
+    needed = len(experiment.scenario.vectors), len(experiment.scenario.landmarks)
+    for one in recordings:
+        found = _most_sensors([one])
+        has = f"{counted(found[0], 'vector')} and {counted(found[1], 'landmark')}"
+        if one.attitude_only:
+            has = "no position (attitude only)"
+        if one.attitude_only or found != needed:
+            raise ConfigError(
+                f"objective.simulated_share = {share}: {one.name} has {has}; allowed beside "
+                f"simulated scenarios: a position, {counted(needed[0], 'vector')} and "
+                f"{counted(needed[1], 'landmark')}, as [scenario] has"
+            )
+
+
+def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch:
+    """Simulated scenarios with the cost of recordings, root mean squares.
+
+    A sample counts as much as the windows of [cost] give it: the weight of the transient's, that of
+    the steady state's, their sum, or nothing.
+    """
+    time, truth = batch.samples.time, batch.samples.truth
+    assert truth is not None
+    each = jax.vmap(batch.weights.until)(time, batch.end) if batch.end is not None else None
+    weights = batch.weights if each is None else each
+    weight = jnp.broadcast_to(weights.transient + weights.steady, time.shape)
+    total = jnp.sum(weight, axis=-1, keepdims=True)
+    weight = jnp.where(total > 0, weight / jnp.where(total > 0, total, 1.0), 0.0)
+    return batch._replace(
+        end=None,
+        recorded=RecordedCost(
+            weight=weight,
+            position=rotate(rows(truth.attitude), truth.origin),
+            position_weight=jnp.full(time.shape[0], position_weight, batch.dtype),
+        ),
+    )
 
 
 def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> FilterSettings:
-    """The filter that an experiment configures, for recordings with so many sensors.
+    """The filter that an experiment configures, for so many sensors of one's own.
 
-    The first of them have the weights of the experiment's, further ones 1.
+    Weights go in order: the first vector has that of the experiment's first, and so on; further
+    ones have 1, and so have landmarks. So a sensor more or less changes no other's weight.
     """
     settings = filter_settings(experiment)
 

@@ -204,7 +204,8 @@ def _run_on_devices(
 ) -> Found:
     """Run one compiled search, or R of them: then the problem's arrays have leaves (R, ...)."""
     optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
-    search, box, *data = spread((search, problem.space.box, problem.training, problem.space), mesh)
+    given = search, problem.space.box, problem.training, problem.space, problem.beside
+    search, box, *data = spread(given, mesh)
     run = runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
     return run_timed(run, search, optimiser.total_iterations, progress, keep)
 
@@ -218,11 +219,13 @@ class _Objective(NamedTuple):
     cost: TrackCost | None
     """A user's own cost of a simulation, instead of the configured one."""
 
-    def __call__(self, training: ScenarioBatch, space: SearchSpace) -> Differentiable:
-        """As a function of vectors (A, 22), on training scenarios."""
+    def __call__(
+        self, training: ScenarioBatch, space: SearchSpace, beside: ScenarioBatch | None
+    ) -> Differentiable:
+        """As a function of vectors (A, d), on training scenarios."""
         return forward_mode(
             lambda vectors: population_costs(
-                vectors, training, space, self.objective, self.axis, self.cost
+                vectors, training, space, self.objective, self.axis, self.cost, beside
             )
         )
 
@@ -238,14 +241,16 @@ def _objective(problem: TuningProblem) -> tuple[_Objective, Mesh | None]:
 def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
     """The objective of a problem by itself: parameter vectors (A, 22) to costs (A,)."""
     objective, mesh = _objective(problem)
-    training, space = spread((problem.training, problem.space), mesh)
+    data = spread((problem.training, problem.space, problem.beside), mesh)
     costs = _costs(objective, mesh)
-    return lambda vectors: collect(costs(spread(vectors, mesh), training, space))
+    return lambda vectors: collect(costs(spread(vectors, mesh), *data))
 
 
 @cache
 def _costs(objective: _Objective, mesh: Mesh | None) -> Callable[..., Array]:
-    def costs(vectors: Array, training: ScenarioBatch, space: SearchSpace) -> Array:
-        return objective(training, space).costs(vectors)
+    def costs(
+        vectors: Array, training: ScenarioBatch, space: SearchSpace, beside: ScenarioBatch | None
+    ) -> Array:
+        return objective(training, space, beside).costs(vectors)
 
     return jax.jit(on_each(mesh)(costs))

@@ -200,7 +200,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
 
     monkeypatch.setattr("posegsa.cli.evaluate.locked_folder", locked_folder)
     monkeypatch.setattr("posegsa.cli.evaluate.load", load)
-    monkeypatch.setattr("posegsa.cli.evaluate.write_run", lambda *_: events.append("written"))
+    monkeypatch.setattr("posegsa.cli.evaluate.write_run", lambda *_, **__: events.append("written"))
     monkeypatch.setattr("posegsa.evaluating.evaluate", evaluate)
     assert main(["evaluate", str(tmp_path)]) == 0
     assert events == ["loaded", "locked", "loaded", "written"]

@@ -128,6 +128,7 @@ def setting_refusal(*texts: str) -> str:
         ("filter.law=gradeint", 'filter.law = "gradeint"', "did you mean 'gradient'?"),
         ("filter.law=Printed", 'filter.law = "Printed"', "did you mean 'printed'?"),
         ("fuzzy.rules.0.3=V", 'fuzzy.rules.0.3 = "V"', "'VS', 'S', 'M', 'L' or 'VL'"),
+        ("fuzzy.rules=best", 'fuzzy.rules = "best"', "an array, or should be 'searched'"),
         # lengths
         ("scenario.velocity_bias=[1, 2]", "scenario.velocity_bias.2", "missing"),
         ("scenario.velocity_bias=[1, 2, 3, 4]", "velocity_bias = [1, 2, 3, 4]", "at most 3 items"),

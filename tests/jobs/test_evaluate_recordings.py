@@ -1,16 +1,23 @@
 """`evaluate` on recordings: the same recordings for every filter."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from experiments import tiny
 from recorded_motion import motion
 
 import posegsa
 from posegsa import config
+from posegsa.cli.command import main
 from posegsa.errors import ArgumentError
-from posegsa.judging.evaluation import CONSTANT, EKF
+from posegsa.judging.evaluation import CONSTANT, EKF, TUNED
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
+from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
+from posegsa.saving.run import write_run
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -67,3 +74,125 @@ def test_what_cannot_be_judged_is_refused(result: RecordingResult) -> None:
         posegsa.evaluate(result, recordings=[])
     with pytest.raises(ArgumentError, match="recordings = 'bench'"):
         posegsa.evaluate(result, recordings="bench")  # type: ignore[call-overload]
+
+
+# A run on simulated scenarios ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run() -> TuneResult:
+    with pytest.warns(posegsa.PosegsaWarning):
+        return posegsa.tune(tiny())
+
+
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Kalman filter's search, cut short; its programs are those of `test_evaluate`."""
+    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 20)
+    monkeypatch.setattr("posegsa.judging.kalman.MOST", 20)
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+@pytest.mark.usefixtures("few_steps", "compile_fast")
+def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
+    run: TuneResult, recordings: list[Recording]
+) -> None:
+    said: list[str] = []
+    judged = posegsa.evaluate(run, recordings=recordings, progress=said.append)
+    assert said == [f"searching: {EKF}"]
+    assert list(judged.baselines) == [CONSTANT, EKF]
+    assert judged.filter == run.evaluation.contenders[TUNED].filter
+    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]
+    by_hand = posegsa.by_hand(constant, run.experiment)
+    for i, recording in enumerate(recordings):
+        for estimates, scores in (
+            (run.estimate(recording), judged.held_out),
+            (by_hand.estimate(recording), judged.baselines[CONSTANT]),
+        ):
+            again = posegsa.recording_errors(estimates, recording).rmse()
+            assert scores[i].errors == again
+        assert judged.baselines[EKF][i].errors["judged"].samples == 200
+    assert "on 2 simulated scenarios" in judged.summary()
+    assert f"{CONSTANT}, held out" in judged.summary()
+    assert "No recording was held out" not in judged.summary()
+    # What the run has been judged beside before is not searched again.
+    noises = {name: [0.1] for name in ("angular_velocity", "landmark", "vector")}
+    own = run.evaluation.contenders
+    known = own[CONSTANT]._replace(
+        filter=own[CONSTANT].filter._replace(kind="Kalman", numbers=noises, also={})
+    )
+    wider = replace(run.evaluation, contenders=own | {EKF: known})
+    said.clear()
+    again = posegsa.evaluate(
+        replace(run, evaluation=wider), recordings=recordings[0], progress=said.append
+    )
+    assert not said
+    (estimates,) = recorded_kalman_estimates(known.filter, run.experiment, recordings[:1])
+    expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
+    assert again.baselines[EKF][0].errors == expected
+
+
+def test_weights_go_in_order_whatever_a_run_was_tuned_on(
+    run: TuneResult, result: RecordingResult, recordings: list[Recording]
+) -> None:
+    two = {"scenario.vectors.0.weight": 0.5, "scenario.landmarks.0.weight": 0.25}
+    run = replace(run, experiment=run.experiment.replace(**two))
+    settings = run.settings_for(vectors=3, landmarks=2)
+    assert [float(w) for w in settings.vectors.weights or ()] == [0.5, 1.0, 1.0]
+    assert [float(w) for w in settings.landmark_weights or ()] == [0.25, 1.0]
+    fewer = run.settings_for(vectors=1, landmarks=0)
+    assert [float(w) for w in fewer.vectors.weights or ()] == [0.5]
+    assert fewer.landmark_weights == ()
+    same, _ = replace(result, experiment=run.experiment).settings(recordings[0])
+    assert same == run.settings_for(vectors=2, landmarks=1)
+
+
+def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
+    run: TuneResult, recordings: list[Recording]
+) -> None:
+    for arguments, words in (
+        ({"training": recordings[:1]}, "training with a result that was tuned on scenarios"),
+        ({"scenarios": 7}, "scenarios with recordings"),
+        ({"seed": 7}, "seed with recordings"),
+        ({"cost": lambda track, time: 0.0}, "cost = .*lambda.*; allowed: configured"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            posegsa.evaluate(run, recordings=recordings[1:], **arguments)  # type: ignore[call-overload]
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+@pytest.mark.usefixtures("few_steps", "compile_fast")
+def test_the_command_judges_runs_of_both_kinds(
+    run: TuneResult,
+    result: RecordingResult,
+    recordings: list[Recording],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    files = [str(tmp_path / name) for name in ("a.npz", "b.npz")]
+    for file, recording in zip(files, recordings, strict=True):
+        recording.save(file)
+    folder = posegsa.save(run, tmp_path / "run")
+    assert main(["evaluate", str(folder), "--recording", files[0], "--recording", files[1]]) == 0
+    said = capsys.readouterr()
+    assert f"searching {EKF}" in said.err
+    assert (folder / "recorded.txt").read_text().strip() in said.out
+    judged = posegsa.load_recorded(folder)
+    assert judged.tuned_on == "scenarios"
+    assert [one.name for one in judged.held_out] == ["bench", "bench"]
+    assert isinstance(posegsa.load(folder), TuneResult), "the run stays"
+    write_run(run, folder, same_run=True)
+    assert posegsa.load_recorded(folder) == judged, "judged anew on scenarios, this stays"
+    posegsa.save(run, folder, overwrite=True)
+    assert not (folder / "recorded.json").exists(), "of another run it would be wrong"
+    assert main(["evaluate", str(folder), "--training", files[0]]) == 2
+    assert "--training; allowed: with --recording" in capsys.readouterr().err
+    assert main(["evaluate", str(folder), "--recording", files[0], "--seed", "1"]) == 2
+    assert "--seed; allowed: without --recording" in capsys.readouterr().err
+    folder = posegsa.save(result, tmp_path / "recorded")
+    assert main(["evaluate", str(folder)]) == 2
+    assert "allowed: with --recording" in capsys.readouterr().err
+    assert main(["evaluate", str(folder), "--recording", files[1], "--window", "0.5:"]) == 0
+    (score,) = posegsa.load_recorded(folder).held_out
+    assert score.samples == 150
+    assert posegsa.load_recorded(folder).baselines == {}

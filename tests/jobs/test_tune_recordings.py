@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from recorded_motion import LANDMARKS, motion
 
 import posegsa
 from posegsa import config
@@ -17,6 +17,7 @@ from posegsa.export import export
 from posegsa.judging.recorded import RecordingResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.folder import CHECKPOINT_SUFFIX
+from posegsa.search.build import rule_indices
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -160,6 +161,69 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
         posegsa.by_hand("fast")  # type: ignore[arg-type]
 
 
+def test_scenarios_are_tuned_on_beside_recordings(
+    recordings: list[Recording], tmp_path: Path
+) -> None:
+    sensors = {"landmarks": [{"position": row} for row in LANDMARKS.tolist()], "duration": 0.5}
+    together = {
+        "scenario": sensors,
+        "cost": {"transient_window": [0, 9], "steady_window": [20, 45]},
+        "run": {"training_scenarios": 2, "held_out_scenarios": 3},
+        "objective": {"simulated_share": 0.5},
+        "search": {"optimiser": "de", "agents": 6, "iterations": 2},
+    }
+    found = posegsa.tune(
+        config.from_dict(TINY | together),
+        recordings=recordings[0],
+        held_out=recordings[1],
+        schedule="constant",
+        out=tmp_path,
+    )
+    assert found.tuned_on == "recordings and scenarios"
+    assert found.simulated is not None
+    assert (len(found.simulated.training), len(found.simulated.held_out)) == (2, 3)
+    judged = found.training[0].errors["judged"]
+    alone = judged.total + 100 * (judged.position or 0)
+    both = 0.5 * alone + 0.5 * float(np.mean(found.simulated.training))
+    assert found.best_cost == pytest.approx(both, rel=0.02)
+    said = found.summary()
+    assert "on 1 recording and 2 simulated scenarios" in said
+    assert f"{np.mean(found.simulated.held_out):.4g}" in said
+    assert vars(posegsa.load_recorded(tmp_path)) == vars(found)
+
+
+def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
+    recordings: list[Recording], tmp_path: Path
+) -> None:
+    search = {"optimiser": "de", "agents": 6, "iterations": 2}
+    searched = config.from_dict(TINY | {"fuzzy": {"rules": "searched"}, "search": search})
+    found = posegsa.tune(searched, recordings=recordings[0], held_out=recordings[1], out=tmp_path)
+    table = found.tuned.fuzzy.rules
+    assert len(found.filter.numbers["rules"]) == 25
+    assert {*map(int, found.filter.numbers["rules"])} > {0}
+    controller = found.schedule.controller  # type: ignore[attr-defined]
+    assert config.from_dict({"fuzzy": {"rules": table}}).fuzzy.rules == table
+    assert rule_indices(table) == controller.rules  # type: ignore[arg-type]
+    for name, row in zip(reversed(config.TERMS), table, strict=True):
+        assert [name, *row] in [line.split() for line in found.summary().splitlines()]
+    exported = json.loads(export(found, "json"))
+    assert exported["controller"]["rules"] == [
+        [config.TERMS[i] for i in row] for row in controller.rules
+    ]
+    # The search's own cost is that of the table that came out.
+    judged = found.training[0].errors["judged"]
+    assert found.best_cost == pytest.approx(judged.total + 100 * (judged.position or 0), rel=0.02)
+    assert posegsa.load_recorded(tmp_path).filter == found.filter
+    path = tmp_path / "recorded.json"
+    whole = path.read_text()
+    for wrong in ([5] * 25, [0.5] * 25, [0] * 24, []):
+        data = json.loads(whole)
+        data["filter"]["numbers"]["rules"] = [float(n) for n in wrong]
+        path.write_text(json.dumps(data))
+        with pytest.raises(RunFolderError, match=r"rules = .*; allowed: 25 whole numbers"):
+            posegsa.load_recorded(tmp_path)
+
+
 def test_nothing_of_a_simulated_run_stays_under_it(result: RecordingResult, tmp_path: Path) -> None:
     stale = tmp_path / "checkpoints" / f"0{CHECKPOINT_SUFFIX}"
     stale.parent.mkdir()
@@ -194,8 +258,8 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
             posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]
     made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]
     for arguments, words in (
-        ({"recordings": recordings, "seed": 3}, "seed with a result on recordings"),
-        ({"recordings": recordings, "scenarios": 7}, "scenarios with a result on recordings"),
+        ({"recordings": recordings, "seed": 3}, "seed with recordings"),
+        ({"recordings": recordings, "scenarios": 7}, "scenarios with recordings"),
         ({"recordings": recordings, "training": recordings}, "bench is in training too"),
     ):
         with pytest.raises(ArgumentError, match=words):

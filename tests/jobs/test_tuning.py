@@ -21,7 +21,13 @@ from posegsa.judging.evaluation import TUNED
 from posegsa.saving import run as run_folder
 from posegsa.saving.folder import read_text
 from posegsa.saving.records import to_csv
-from posegsa.search.build import scenario, scenario_batch, search_space, tuning_problem
+from posegsa.search.build import (
+    rule_indices,
+    scenario,
+    scenario_batch,
+    search_space,
+    tuning_problem,
+)
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import Progress
@@ -383,3 +389,53 @@ def test_a_batch_that_differs_in_structure_is_refused(setting, said):
 def test_an_empty_batch_is_refused():
     with pytest.raises(ConfigError, match="nothing to tune"):
         posegsa.tune_batch(tiny(), seeds=[])
+
+
+# Rules that are searched --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("searched") / "out"
+    return posegsa.tune(tiny("fuzzy.rules=searched"), out=folder), folder
+
+
+def test_a_searched_rule_table_is_that_of_all_that_shows_the_result(searched):
+    result, folder = searched
+    controller, printed = result.controller, result.tuned.fuzzy.rules
+    assert result.experiment.fuzzy.rules == "searched"
+    assert rule_indices(printed) == controller.rules
+    assert len({term for row in controller.rules for term in row}) > 1
+    np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
+    read = posegsa.load(folder)
+    assert read.controller.rules == controller.rules
+    names = [[config.TERMS[i] for i in row] for row in controller.rules]
+    assert json.loads(posegsa.export_json(read))["controller"]["rules"] == names
+    assert json.loads((folder / "result.json").read_text())["summary"]["rules"] == [
+        *map(list, printed)
+    ]
+    shown = [line.split() for line in result.summary().splitlines()]
+    for name, row in zip(reversed(config.TERMS), printed, strict=True):
+        assert [name, *row] in shown
+    (folder / "gain.fis").write_text(posegsa.export_fis(read))
+    assert posegsa.load_controller(folder / "gain.fis").rules == controller.rules
+
+
+def test_a_rule_table_of_a_folder_is_checked(searched):
+    result, folder = searched
+    for wrong, said in (([5.0] * 25, "allowed: 25 whole numbers"), (None, "rules in it = False")):
+        numbers = dict(result.evaluation.contenders[TUNED].filter.numbers)
+        numbers.pop("rules") if wrong is None else numbers.update(rules=wrong)
+        path = folder / "evaluation.json"
+        data = json.loads(path.read_text())
+        data["contenders"][TUNED]["filter"]["numbers"] = numbers
+        path.write_text(json.dumps(data))
+        with pytest.raises(RunFolderError, match=said):
+            posegsa.load(folder)
+
+
+def test_a_search_that_only_descends_cannot_choose_rules():
+    with pytest.raises(ConfigError, match=r'fuzzy.rules = "searched"\s+allowed: a table, because'):
+        tiny("fuzzy.rules=searched", "search.optimiser=adam")
+    polished = ("search.optimiser=gsa+adam", "search.agents=40", "search.iterations=40")
+    assert tiny("fuzzy.rules=searched", *polished).search.optimiser == "gsa+adam"

@@ -1,5 +1,7 @@
 """A filter run over recordings: in parts as in one piece, from the recording's own start."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +52,61 @@ def test_parts_make_the_estimates_of_one_piece(
     alone = rollout.run_filter(GAIN, Measurements(*m), initial, FilterSettings(), SignalSettings())
     np.testing.assert_allclose(alone.rotation, whole.rotation, atol=1e-5)
     np.testing.assert_allclose(alone.position, whole.position, atol=1e-5)
+
+
+def test_a_gamma_for_each_sample_is_that_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = Recording.from_arrays(**motion(60), landmark_weights=0.1).off(40, 0.5)
+    rng = np.random.default_rng(0)
+    angular, linear = rng.uniform(0.5, 40, (2, 60))
+    varied = FilterSettings(gamma_angular=angular, gamma_linear=3.0)
+    monkeypatch.setattr(running, "PART", 25)  # each part has its own gammas
+    estimates = posegsa.run_filter(GAIN, recording, settings=varied)
+    both = replace(varied, gamma_linear=jnp.asarray(linear))
+    measurements = Measurements(*(jnp.asarray(np.asarray(a)) for a in recording.measurements))
+    state = again = running.state_of(recording.initial())
+    whole = posegsa.run_filter(GAIN, measurements, state, both, SignalSettings())
+    for k in range(60):
+        for each, found in ((state, estimates), (again, whole)):
+            np.testing.assert_allclose(found.position[k], each.position, atol=1e-5)
+            np.testing.assert_allclose(found.rotation[k], each.rotation, atol=1e-5)
+            np.testing.assert_allclose(found.bias[k], each.bias, atol=1e-5)
+        now = measurements.at(k)
+        own = FilterSettings(gamma_angular=float(angular[k]), gamma_linear=3.0)
+        state = posegsa.step(state, now, 8.0, own)
+        again = posegsa.step(again, now, 8.0, replace(own, gamma_linear=float(linear[k])))
+    one = posegsa.run_filter(GAIN, recording, settings=FilterSettings(gamma_linear=3.0))
+    assert np.abs(one.bias[-1] - estimates.bias[-1]).max() > 1e-3, "gamma matters here"
+
+
+def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
+    for gamma, words in (
+        (
+            np.ones(399),
+            r"gamma_angular: of the shape \(399,\); allowed: one number, or 400 of them",
+        ),
+        (np.ones((400, 1)), r"gamma_angular: of the shape \(400, 1\)"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            posegsa.run_filter(GAIN, recording, settings=FilterSettings(gamma_angular=gamma))
+    each = FilterSettings(gamma_linear=np.ones(400))
+    state = running.state_of(recording.initial())
+    signal = SignalSettings()
+    known = {"vectors": np.eye(3)[:2], "landmarks": np.eye(3)}
+    for call in (
+        lambda: posegsa.step(state, Measurements(*recording.measurements).at(0), 8.0, each),
+        lambda: posegsa.filter_to_c(GAIN, each, signal, **known),
+        lambda: posegsa.PoseFilter(
+            8.0,
+            rotation=np.eye(3),
+            position=np.zeros(3),
+            vector_references=known["vectors"],
+            landmark_references=known["landmarks"],
+            settings=each,
+            signal=signal,
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(400,\); allowed: one number$"):
+            call()
 
 
 def test_attitude_only_has_no_position() -> None:

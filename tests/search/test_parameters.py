@@ -12,7 +12,8 @@ from setups import PAPER, RULES, corner_vectors, search_vectors, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError
-from posegsa.model.fuzzy import membership, slopes
+from posegsa.model.fuzzy import firing_heights, membership, searched_heights, slopes
+from posegsa.model.schedules import FuzzyGain, ScheduleInputs, SearchedRulesGain
 from posegsa.search.build import rule_indices
 from posegsa.search.parameters import ParameterSpace, in_order
 
@@ -292,3 +293,58 @@ def replaced(i: int, value: float) -> np.ndarray:
 def test_checked_refuses(k: object, message: str) -> None:
     with pytest.raises(FuzzyError, match=message):
         space(dtype="float32").checked(k)
+
+
+# Rules that are searched --------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_whole_part_of_each_further_number_is_the_term_of_a_rule() -> None:
+    made = space("fuzzy.rules=searched")
+    assert made.lower.shape == made.upper.shape == (47,)
+    np.testing.assert_array_equal(made.lower[22:], 0)
+    np.testing.assert_array_equal(made.upper[22:], 5)
+    np.testing.assert_array_equal(made.lower[:22], reference.PAPER_LOWER)
+    cells = np.linspace(0, 5, 25)
+    controller = made.controller(jnp.asarray([*search_vectors(1)[0], *cells]))
+    expected = np.minimum(np.floor(cells), 4).reshape(5, 5)
+    np.testing.assert_array_equal(controller.rules, expected)
+    again = made.controller(made.checked(made.vector(controller)))
+    assert again.rules == controller.rules
+    fixed = space().controller(jnp.asarray(search_vectors(1)[0]))
+    np.testing.assert_array_equal(controller.input_terms, fixed.input_terms)
+    np.testing.assert_array_equal(controller.output_terms, fixed.output_terms)
+    with pytest.raises(FuzzyError, match=r"\(47,\), k1 to k22 and 25 of the rules, got \(22,\)"):
+        made.checked(search_vectors(1)[0])
+    with pytest.raises(FuzzyError, match=r"rule 3: must lie in \[0, 5\], got 6"):
+        made.checked([*search_vectors(1)[0], 0, 0, 6, *[0] * 22])
+
+
+def test_heights_are_those_of_the_table_bit_for_bit() -> None:
+    made = space("fuzzy.rules=searched", dtype="float32")
+    rng = np.random.default_rng(1)
+    cells = rng.uniform(0, 5, (20, 25))
+    cells[0] = 5 * rng.integers(0, 2, 25)  # the ends of the box
+    vectors = jnp.asarray(np.concatenate([search_vectors(20), cells], axis=1), jnp.float32)
+    error, rate = (jnp.asarray(rng.uniform(0, 1, 50), jnp.float32) for _ in range(2))
+    same = jnp.zeros(50, jnp.float32)
+
+    def gain(vector: jax.Array) -> jax.Array:
+        schedule = made.schedule(vector)
+        assert isinstance(schedule, SearchedRulesGain)
+        return schedule.prepare()(ScheduleInputs(error, rate, time=same, last=same)).gain
+
+    gains = jax.jit(jax.vmap(gain))(vectors)
+    memberships = [tuple(rng.uniform(-0.2, 1, (5, 50)).clip(0, 1)) for _ in range(2)]
+    memberships = [tuple(map(jnp.asarray, each)) for each in memberships]
+    for i, vector in enumerate(vectors):
+        schedule = made.schedule(vector)
+        assert isinstance(schedule, FuzzyGain), "outside jit it is the table"
+        rules = schedule.controller.rules
+        targets = tuple(tuple(map(jnp.asarray, row)) for row in rules)
+        expected = firing_heights(*memberships, rules, 5)
+        for a, b in zip(searched_heights(*memberships, targets), expected, strict=True):
+            np.testing.assert_array_equal(a, b)
+        fires = np.max(schedule.controller.heights(error, rate), axis=0) > 0
+        expected = np.where(fires, schedule.controller(error, rate), 0.0)
+        np.testing.assert_allclose(gains[i], expected, rtol=1e-5)

@@ -6,15 +6,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from recorded_motion import motion
+from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
 from posegsa.errors import ConfigError
+from posegsa.model.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
+from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
+from posegsa.search.run import on_all_devices
 
 BASE: dict[str, Any] = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -122,3 +126,84 @@ def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -
     oracle = config.override(config.Experiment(), ["gain.signal=pose"])
     with pytest.raises(ConfigError, match="looks at the true pose"):
         recorded_problem(oracle, recordings, "constant", 1.0)
+
+
+# Simulated scenarios beside recordings ------------------------------------------------------------
+
+
+def mixed(*settings: str, share: float = 0.25) -> config.Experiment:
+    """Half a second of the recommended scenarios, with a share of the cost on recordings."""
+    data = BASE | {
+        "scenario": {"duration": 0.5},
+        "cost": {"transient_window": [0, 9], "steady_window": [20, 45]},
+        "run": {"training_scenarios": 2, "held_out_scenarios": 3},
+        "objective": {"simulated_share": share},
+    }
+    return config.override(config.from_dict(data), settings)
+
+
+@pytest.fixture(scope="module")
+def one_landmark() -> Recording:
+    """With the sensors of the recommended scenario."""
+    given = motion(100)
+    for name, part in (("landmarks", np.s_[:, :1]), ("landmark_references", np.s_[:1])):
+        given[name] = given[name][part]
+    return Recording.from_arrays(name="one", **given).off(40, 0.5)
+
+
+def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Recording) -> None:
+    problem = recorded_problem(mixed(), [one_landmark], "constant", 100.0)
+    assert problem.scenarios.bias.shape[0] == 5
+    assert problem.beside is not None
+    costs = np.asarray(costs_by_scenario(GAINS, problem.beside))
+    assert costs.shape == (2, 2)
+    weight = np.zeros(50)
+    weight[:10], weight[20:46] = 0.3, 1.0
+    for i in range(2):
+        one = problem.beside.select(np.array(i))
+        est = simulate(
+            ConstantGain(jnp.float32(9)), one.samples, one.initial, one.settings, one.signal
+        )
+        assert one.samples.truth is not None
+        w, x, y, z = one.samples.truth.attitude
+        true = Rotation.from_quat(np.stack([x, y, z, w], axis=1))
+        P = true.apply(np.stack(one.samples.truth.origin, axis=1))
+        angle = (Rotation.from_matrix(np.asarray(est.rotation)) * true.inv()).magnitude()
+        chord = np.degrees(2 * np.sin(angle / 2))
+        off = np.linalg.norm(np.asarray(est.position) - P, axis=1)
+        attitude, position = (np.sqrt(np.average(e**2, weights=weight)) for e in (chord, off))
+        np.testing.assert_allclose(costs[i, 1], attitude + 100 * position, rtol=1e-3)
+
+
+def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) -> None:
+    problem = recorded_problem(mixed(share=0.25), [one_landmark], "constant", 100.0)
+    assert problem.beside is not None
+    vectors = jnp.log(jnp.array([[4.0], [9.0]], jnp.float32))
+    apart = [
+        np.asarray(costs_by_scenario(GAINS, each)) for each in (problem.training, problem.beside)
+    ]
+    expected = 0.75 * apart[0].mean(axis=0) + 0.25 * apart[1].mean(axis=0)
+    np.testing.assert_allclose(on_all_devices(problem)(vectors), expected, rtol=1e-5)
+
+
+def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recording) -> None:
+    short = mixed("family.duration=[0.05, 0.05]", "cost.transient_weight=0.0")
+    problem = recorded_problem(short, [one_landmark], "constant", 100.0)
+    assert problem.beside is not None
+    np.testing.assert_array_equal(costs_by_scenario(GAINS, problem.beside), 0.0)
+
+
+@pytest.mark.quick
+def test_recordings_with_other_sensors_are_refused_beside_scenarios(
+    recordings: list[Recording],
+) -> None:
+    for one, words in (
+        (recordings[0], "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
+        (recordings[1], r"attitude has no position \(attitude only\)"),
+    ):
+        with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
+            recorded_problem(mixed(), [one], "constant", 1.0)
+    with pytest.raises(
+        ConfigError, match=r"simulated_share = 0.25; allowed: 0.0 without recordings"
+    ):
+        tuning_problem(mixed())
