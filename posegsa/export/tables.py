@@ -13,7 +13,7 @@ from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import TuneResult
-from posegsa.settings.plain import json_text, plain
+from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
 
 SCHEMA = 1
@@ -88,7 +88,7 @@ def export_csv(result: TuneResult, resolution: int = RESOLUTION) -> str:
     """
     check_type("result", result, TuneResult)
     check_whole("resolution", resolution, 2, 10_000)
-    errors, rates, gains = (a.tolist() for a in _surface(result, resolution))
+    errors, rates, gains = (decimal(a).tolist() for a in _surface(result, resolution))
     lines = ["error,rate,gain_1_s"]
     for rate, row in zip(rates, gains, strict=True):
         lines += [f"{error!r},{rate!r},{gain!r}" for error, gain in zip(errors, row, strict=True)]
