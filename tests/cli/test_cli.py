@@ -5,6 +5,7 @@ Where a process of its own is the point, in one: a whole run, a signal, the inst
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -140,8 +141,13 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     process.terminate()
     _, said = process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGTERM, said
-    done = max(int(path.stem) for path in checkpoints.iterdir())
-    assert f"interrupted after iteration {done} of 100000" in said
+    kept = max(int(path.stem) for path in checkpoints.glob("*.checkpoint"))
+    # On a busy machine the last chunk may take longer than the process waits for it.
+    told = re.search(
+        r"interrupted after iteration (\d+) of 100000(?: \(saved: (\d+)\))?, best", said
+    )
+    assert told is not None, said
+    assert int(told[2] or told[1]) == kept
     assert "go on with: posegsa tune --resume run" in said
     assert "Traceback" not in said
     monkeypatch.chdir(tmp_path)
