@@ -51,16 +51,15 @@ def listening(listener: Listener) -> Iterator[None]:
 
 def begin(name: str, done: int = 0, parts: int = 1, about: str = "") -> None:
     """Say that a step begins, or the next part of it."""
-    _tell(Step(name, done, parts, about))
+    _PRESENT.set(Step(name, done, parts, about))
+    share(0.0)
 
 
 def share(part: float) -> None:
     """Say how much of the present part is done, in [0, 1]."""
-    present = _PRESENT.get()
-    if present is not None:
-        listener = _LISTENER.get()
-        if listener is not None:
-            listener(present._replace(done=present.done + part))
+    present, listener = _PRESENT.get(), _LISTENER.get()
+    if present is not None and listener is not None:
+        listener(present._replace(done=present.done + part))
 
 
 def each(
@@ -70,10 +69,3 @@ def each(
     for done, item in enumerate(items):
         begin(name, done, len(items), about(item))
         yield item
-
-
-def _tell(step: Step) -> None:
-    _PRESENT.set(step)
-    listener = _LISTENER.get()
-    if listener is not None:
-        listener(step)

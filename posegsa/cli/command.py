@@ -1,7 +1,9 @@
 """The command line: a command a file of this folder."""
 
 import argparse
+import contextlib
 import logging
+import os
 import signal
 import sys
 import warnings
@@ -9,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from posegsa.cli.parsers import compare, configs, evaluate, export, replay, sweep, tune
-from posegsa.cli.parsers.lazy_help import Parser
+from posegsa.cli.parsers.parser import Parser
 from posegsa.cli.progress import say
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
 from posegsa.saving import interrupt
@@ -22,6 +24,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done, 1 done but not written, 2 refused, 128 + n stopped by signal n: 130 Ctrl-C, 143 SIGTERM,
     138 SIGUSR1.
     """
+    if sys.stdout is None:  # closed before Python began
+        print("posegsa: standard output is closed", file=sys.stderr)
+        return 1
+    try:
+        try:
+            return _main(arguments)
+        finally:
+            sys.stdout.flush()  # now, while what fails can still be said
+    except OSError as error:
+        if error.filename is not None:  # a file, not standard output
+            raise
+        _abandon_stdout()
+        print(f"posegsa: standard output: {error.strerror or error}", file=sys.stderr)
+        return 1
+
+
+def _abandon_stdout() -> None:
+    """Have what is left to be written go nowhere; Python would try once more as it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
+    """Parse the arguments and run the command; what it refuses is a line on standard error."""
     options = _parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.

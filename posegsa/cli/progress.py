@@ -5,6 +5,7 @@ long the rest will take. Elsewhere, as in a file or on a terminal that can't go 
 (TERM=dumb), a line is written now and then. Neither has colours (NO_COLOR).
 """
 
+import io
 import math
 import os
 import shutil
@@ -46,7 +47,8 @@ class Display:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Show steps on a stream, by default standard error, unless it is to be quiet."""
-        self.stream = sys.stderr if stream is None else stream
+        given = sys.stderr if stream is None else stream
+        self.stream = io.StringIO() if given is None else given  # standard error may be closed
         self.quiet, self.clock = quiet, clock
         self.drawn = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.present: Step | None = None
@@ -154,7 +156,7 @@ def say(text: str) -> None:
     if _SHOWN:
         _SHOWN[-1].say(text)
     else:
-        print(text, file=sys.stderr, flush=True)
+        print(text, file=sys.stderr or io.StringIO(), flush=True)
 
 
 class TuneDisplay(Display):

@@ -15,7 +15,7 @@ from posegsa.export.recorded import INFERENCE, recorded_json
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.settings.plain import json_text, plain
+from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
 
 SCHEMA = 1
@@ -90,7 +90,7 @@ def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTIO
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_whole("resolution", resolution, 2, 10_000)
-    errors, rates, gains = (a.tolist() for a in _surface(result, resolution))
+    errors, rates, gains = (decimal(a).tolist() for a in _surface(result, resolution))
     lines = ["error,rate,gain_1_s"]
     for rate, row in zip(rates, gains, strict=True):
         lines += [f"{error!r},{rate!r},{gain!r}" for error, gain in zip(errors, row, strict=True)]

@@ -25,6 +25,7 @@ from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
+from posegsa.settings.plain import decimal
 
 _column = partial(Columns, allow="any")
 """Columns of a filter that may have diverged."""
@@ -97,7 +98,9 @@ def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Tra
 
 
 def _in_float64(values: dict[str, Array]) -> Trajectory:
-    return Trajectory(**{name: np.asarray(value, np.float64) for name, value in values.items()})
+    return Trajectory(
+        **{name: decimal(np.asarray(value)).astype(np.float64) for name, value in values.items()}
+    )
 
 
 @jax.jit

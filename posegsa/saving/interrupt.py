@@ -21,7 +21,7 @@ TERMINATING = tuple(
 )
 """Those that would end the process without a word; Windows has no SIGUSR1."""
 SIGNALS = (signal.SIGINT, *TERMINATING)
-PATIENCE = 3.0
+PATIENCE = 5.0
 """Time after which a process ends that a signal has asked to stop and compiled code keeps busy [s]:
 longer than a chunk of a search takes, unless it is a single iteration."""
 

@@ -29,7 +29,7 @@ from pydantic import AfterValidator, BaseModel, Strict
 
 from posegsa.errors import RunFolderError
 from posegsa.settings.arrays import Columns
-from posegsa.settings.plain import json_text, plain
+from posegsa.settings.plain import decimal, json_text, plain
 
 Record = TypeVar("Record")
 
@@ -166,7 +166,7 @@ def to_csv(record: object, counted: str = "") -> str:
     """
     header, columns = [], []
     for field, said in _columns(type(record)).items():
-        array = np.asarray(getattr(record, field))
+        array = decimal(np.asarray(getattr(record, field)))
         table = array.reshape(len(array), array[:1].size)
         header += said.of(table.shape[1] // len(said.names))
         columns += table.T.tolist()

@@ -171,11 +171,18 @@ def load(folder: str | Path) -> TuneResult:
     result = TuneResult(
         **vars(stored),
         evaluation=from_json(Evaluation, text(EVALUATION), SCHEMA, folder / EVALUATION),
-        history=from_csv(History, text(HISTORY), folder / HISTORY, counted="iteration"),
+        history=_history(text(HISTORY), folder / HISTORY, stored.experiment.run.dtype),
         trajectory=from_csv(Trajectory, text(TRAJECTORY, longest), folder / TRAJECTORY),
     )
     _refuse_disagreement(folder, result)
     return result
+
+
+def _history(text: str, source: Path, dtype: str) -> History:
+    """A history at the run's precision, as the search had it."""
+    columns = from_csv(History, text, source, counted="iteration")
+    with np.errstate(over="ignore"):  # of a damaged one, which is refused below
+        return History(*(a.astype(dtype) if a.dtype == np.float64 else a for a in columns))
 
 
 def _refuse_disagreement(folder: Path, result: TuneResult) -> None:

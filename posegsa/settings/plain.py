@@ -35,6 +35,14 @@ def plain(value: Any) -> Any:
     return value
 
 
+def decimal(array: np.ndarray) -> np.ndarray:
+    """Numbers of 32 bits as the shortest decimals that mean them, in float64; others as they are.
+
+    So 0.01 is 0.01, and not 0.009999999776482582; at 32 bits they are, bit for bit, the same.
+    """
+    return array.astype(str).astype(np.float64) if array.dtype == np.float32 else array
+
+
 def json_text(value: Any, indent: str = "") -> str:
     """Plain data as JSON, an object's keys on lines of their own, a list of numbers on one line."""
     inner = indent + "  "

@@ -5,6 +5,7 @@ Where a process of its own is the point, in one: a whole run, a signal, the inst
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -70,7 +71,7 @@ def test_it_shows_progress_and_notes_in_plain_words(finished):
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
         assert f"\n{step}: done after" in done.stderr
     assert "best cost" in done.stderr
-    assert done.stderr.count("note: scenario.initial_rotation_estimate") == 1
+    assert "note:" not in done.stderr, "of the default there is nothing to note"
     assert "Traceback" not in done.stderr
     assert "Warning" not in done.stderr
 
@@ -140,8 +141,13 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     process.terminate()
     _, said = process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGTERM, said
-    done = max(int(path.stem) for path in checkpoints.iterdir())
-    assert f"interrupted after iteration {done} of 100000" in said
+    kept = max(int(path.stem) for path in checkpoints.glob("*.checkpoint"))
+    # On a busy machine the last chunk may take longer than the process waits for it.
+    told = re.search(
+        r"interrupted after iteration (\d+) of 100000(?: \(saved: (\d+)\))?, best", said
+    )
+    assert told is not None, said
+    assert int(told[2] or told[1]) == kept
     assert "go on with: posegsa tune --resume run" in said
     assert "Traceback" not in said
     monkeypatch.chdir(tmp_path)
@@ -300,3 +306,64 @@ def test_a_comparison_without_figures(tmp_path, capsys):
     assert main([*command, "--no-figures"]) == 0
     assert "comparison.png" not in capsys.readouterr().out
     assert not (out / "comparison.png").exists()
+
+
+FULL = Path("/dev/full")
+WRITES = [["configs"], ["config", "show", "quick"], ["--help"], ["--version"], ["tune", "--help"]]
+
+
+@pytest.mark.quick
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("arguments", WRITES, ids=" ".join)
+def test_output_that_can_not_be_written_is_one_line(arguments):
+    with FULL.open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "posegsa", *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.stderr == "posegsa: standard output: No space left on device\n"
+    assert done.returncode == 1
+
+
+@pytest.mark.quick
+def test_output_that_nobody_reads_is_one_line():
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "posegsa", "config", "show", "recommended"],
+            stdout=write,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    finally:
+        os.close(write)
+    assert done.stderr == "posegsa: standard output: Broken pipe\n"
+    assert done.returncode == 1
+
+
+@pytest.mark.quick
+def test_closed_output_is_one_line():
+    code = "import os, sys; os.close(1); os.execv(sys.executable, sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, sys.executable, "-m", "posegsa", "configs"],
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == "posegsa: standard output is closed\n"
+    assert done.returncode == 1
+
+
+@pytest.mark.quick
+def test_other_files_errors_are_not_taken_for_those_of_the_output(monkeypatch):
+    def fail(_):
+        raise FileNotFoundError(2, "No such file or directory", "somewhere")
+
+    monkeypatch.setattr("posegsa.config.shipped.find", fail)
+    with pytest.raises(FileNotFoundError, match="somewhere"):
+        main(["config", "show", "quick"])

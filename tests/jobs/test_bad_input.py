@@ -214,8 +214,7 @@ def test_measurements_made_by_hand_are_checked_too(result):
 
 
 def test_memory_is_estimated_by_what_takes_it():
-    with pytest.warns(posegsa.PosegsaWarning):
-        task = tuning_problem(tiny())
+    task = tuning_problem(tiny())
     held = sum(leaf.nbytes for leaf in jax.tree.leaves(task.scenarios.samples))
     shares = memory.needs(tiny())
     estimated = shares["run.held_out_scenarios"] + shares["run.training_scenarios"]

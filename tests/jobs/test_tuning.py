@@ -150,6 +150,8 @@ def test_load_gives_the_same_from_the_folder(run):
         np.testing.assert_array_equal(getattr(loaded.trajectory, name), values)
     for name, values in result.history._asdict().items():
         np.testing.assert_array_equal(getattr(loaded.history, name), values)
+    second = (folder / "trajectory.csv").read_text().splitlines()[2]
+    assert second.startswith("0.01,"), "and not 0.009999999776482582"
     error, rate = np.float32([0.1, 0.5]), np.float32([0.0, 0.3])
     assert (loaded.controller(error, rate) == result.controller(error, rate)).all()
 

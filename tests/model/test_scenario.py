@@ -370,12 +370,22 @@ def test_the_velocities_biases_drift_as_random_walks_and_change_no_other_noise()
 # Structure ---------------------------------------------------------------------------------------
 
 
-def test_the_papers_initial_attitude_estimate_is_projected_with_a_warning() -> None:
+def test_the_papers_initial_attitude_estimate_is_projected_in_silence() -> None:
     e = experiment("float32")
-    with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate.*determinant 0\.943"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         s = scenario(e)
     U, stretch, Vt = np.linalg.svd(e.scenario.initial_rotation_estimate)
     assert stretch.min() < 0.95
+    np.testing.assert_allclose(s.rotation_estimate, U @ Vt, atol=1e-7)
+
+
+def test_another_that_is_no_rotation_is_projected_with_a_warning() -> None:
+    rounded = "[[-0.83, 0.29, 0.34], [0.4, 0.16, 0.9], [0.21, 0.94, -0.26]]"
+    e = experiment("float32", f"scenario.initial_rotation_estimate={rounded}")
+    with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate.*determinant 0\.9"):
+        s = scenario(e)
+    U, _, Vt = np.linalg.svd(e.scenario.initial_rotation_estimate)
     np.testing.assert_allclose(s.rotation_estimate, U @ Vt, atol=1e-7)
 
 

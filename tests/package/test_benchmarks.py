@@ -23,8 +23,7 @@ AGENTS = 20  # more than a block of 16, so that the last one has empty lanes
 def posed_scene() -> tuple[Scene, np.ndarray]:
     """A short scene with smoothing and two scenarios, and posegsa's costs of it."""
     settings = ("gain.smoothing=0.1", "filter.gamma=[5.0, 3.0]", "run.training_scenarios=2")
-    with pytest.warns(UserWarning, match="projected"):
-        task = tuning_problem(paper(*lasting(1.5), *settings, dtype="float32"))
+    task = tuning_problem(paper(*lasting(1.5), *settings, dtype="float32"))
     vectors = parameter_vectors(task, AGENTS)
     return scene_of(task, vectors), np.asarray(
         evaluate_population(vectors, task.training, task.space)

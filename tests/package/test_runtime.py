@@ -60,7 +60,7 @@ import os, jax
 def settings():
     return {k: v for k, v in jax.config.values.items()}
 before = dict(os.environ), settings()
-import posegsa
+from posegsa import *  # all that `import posegsa` loads when it is used
 assert (dict(os.environ), settings()) == before
 from jax._src import xla_bridge
 assert not xla_bridge.backends_are_initialized(), "importing posegsa started JAX"

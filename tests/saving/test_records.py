@@ -227,7 +227,12 @@ def test_whole_numbers_and_single_precision_come_back_too(dtype):
     back = from_csv(History, to_csv(seen), FILE)
     assert back.non_finite.dtype == np.int64
     for ours, found in zip(seen, back, strict=True):
-        np.testing.assert_array_equal(found, ours)
+        np.testing.assert_array_equal(found.astype(ours.dtype), ours)
+
+
+def test_single_precision_is_written_with_the_digits_that_it_has():
+    seen = History(*(np.asarray([0.01, np.nan], np.float32),) * 3, np.arange(2))
+    assert to_csv(seen).splitlines()[1:] == ["0.01,0.01,0.01,0", "nan,nan,nan,1"]
 
 
 def test_a_table_may_count_its_rows():

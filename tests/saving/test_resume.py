@@ -27,15 +27,12 @@ from posegsa.saving.resume import experiment_to_resume
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import first_search, run_search
 
-pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
-
 LONG = tiny("search.iterations=8", "checkpoint.iterations=3")
 
 
 @pytest.fixture(scope="module")
 def task():
-    with pytest.warns(PosegsaWarning, match="not a rotation"):
-        return tuning_problem(LONG)
+    return tuning_problem(LONG)
 
 
 @pytest.fixture(scope="module")
