@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
 from typing import Annotated
 
@@ -87,14 +88,14 @@ class TuneResult:
         """The experiment with the numbers in it that were tuned beside k1..k22."""
         return with_tuned(self.experiment, self.also)
 
-    @property
+    @cached_property
     def controller(self) -> FuzzyController:
         """The tuned fuzzy controller, at the experiment's precision."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
             space = parameter_space(self.experiment)
             return space.controller(space.checked(self.parameters))
 
-    @property
+    @cached_property
     def schedule(self) -> FuzzyGain:
         """The tuned gain schedule, ready for `run_filter` or `simulate`."""
         return FuzzyGain(self.controller)
