@@ -6,7 +6,7 @@ value may then be anything, NaN included). Vectors are as their sensor has them:
 normalised, and joined by their cross product, is for the filter to say (`vectors`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,8 @@ class Measurements(NamedTuple):
         """
         if any(isinstance(a, Tracer) for a in (*self, k)):
             return jax.tree.map(lambda a: a[k], self)
-        return Measurements(*(np.asarray(a)[k, ...] for a in self))
+        views: Any = [np.asarray(a)[k, ...] for a in self]
+        return Measurements(*views)
 
     @classmethod
     def from_arrays(

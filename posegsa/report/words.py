@@ -74,7 +74,7 @@ def worse_words(evaluation: Evaluation) -> str:
     tuned, constant = (evaluation.contenders[name].metrics for name in (TUNED, CONSTANT))
     worse = []
     for head, form, of in BEHAVIOUR:
-        own, other = (float(np.mean(of(metrics))) for metrics in (tuned, constant))
+        own, other = (float(np.mean(np.asarray(of(metrics)))) for metrics in (tuned, constant))
         if own > other:
             name, _, unit = head.replace("\n", " ").partition(" [")
             unit = f" {unit.rstrip(']')}" if unit else ""
