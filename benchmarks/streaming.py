@@ -1,4 +1,4 @@
-"""What one sample costs on-line: `PoseFilter.update`, beside the compiled call that it wraps.
+"""What one sample costs on-line: each call for one sample beside the compiled call that it wraps.
 
 The recommended filter with the controller in the middle of its boxes, which costs what any other
 does: two vectors, one landmark. Times are of single calls, one after the other, in a process of its
@@ -15,6 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,6 +25,8 @@ from readme import write_block
 import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaWarning
+from posegsa.model.fuzzy import _compiled_gain
+from posegsa.model.rollout import _scheduled_step
 
 PAGE = "docs/streaming.md"
 
@@ -58,7 +61,7 @@ def microseconds(call: Callable[[], object], count: int) -> np.ndarray:
     return 1e6 * times
 
 
-def measured(dtype: str, updates: int) -> dict[str, float]:
+def measured(dtype: str, updates: int) -> dict[str, Any]:
     """Seconds to make the filter, the first and the second time, and microseconds of its calls."""
     make, seconds = made(dtype), []
     for _ in range(2):
@@ -86,13 +89,66 @@ def measured(dtype: str, updates: int) -> dict[str, float]:
         microseconds(update, updates),
         microseconds(lambda: loop(record, sample), updates),
     )
-    return {
+    return helpers(dtype, updates // 10) | {
         "first": seconds[0],
         "second": seconds[1],
         "update": float(np.median(whole)),
         "update 99 %": float(np.quantile(whole, 0.99)),
         "compiled call": float(np.median(inner)),
     }
+
+
+def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
+    """Medians of other calls for one sample, and of the compiled calls in them [us]."""
+    experiment = config.override(config.Experiment(), [f"run.dtype={dtype}"])
+    rng = np.random.default_rng(0)
+    with jax.enable_x64(dtype == "float64"):
+        space = posegsa.parameter_space(experiment)
+        controller = space.controller(0.5 * (space.lower + space.upper))
+        schedule = posegsa.FuzzyGain(controller)
+        settings = posegsa.filter_settings(experiment)
+        signal = posegsa.signal_settings(experiment.gain, dtype)
+        measured = posegsa.Measurements.from_arrays(
+            time_step=0.01,
+            angular_velocity=rng.normal(size=(100, 3)),
+            velocity=rng.normal(size=(100, 3)),
+            vectors=rng.normal(size=(100, 2, 3)),
+            vector_references=rng.normal(size=(2, 3)),
+            landmarks=rng.normal(size=(100, 1, 3)),
+            landmark_references=rng.normal(size=(1, 3)),
+            dtype=np.dtype(dtype),
+        )
+        loop = posegsa.begin(schedule, posegsa.initial_state(np.eye(3), np.zeros(3)))
+        sample = measured.at(5)
+        fixed = schedule, settings, signal
+        loop, _ = posegsa.scheduled_step(loop, sample, *fixed)  # with states of the biases
+        step = _scheduled_step.lower(loop, sample, *fixed, 0.0).compile()
+        gain = _compiled_gain.lower(controller, np.asarray(0.2), np.asarray(0.01), None).compile()
+
+        inputs = np.asarray(0.2), np.asarray(0.01)
+        pairs: dict[str, list[Callable[[], object]]] = {
+            "scheduled_step": [
+                lambda: posegsa.scheduled_step(loop, sample, *fixed),
+                lambda: step(loop, sample, *fixed, 0.0),
+            ],
+            "controller(error, rate)": [
+                lambda: controller(0.2, 0.01),
+                lambda: gain(controller, *inputs, None),
+            ],
+            "Measurements.at": [lambda: measured.at(5), lambda: None],
+        }
+        return {name: medians(pair, calls) for name, pair in pairs.items()}
+
+
+def medians(pair: list[Callable[[], object]], calls: int) -> list[float]:
+    """Median time of each of two calls [us], made in turn: what else runs meets both of them."""
+    times = np.empty((calls + 1, len(pair)))
+    for row in times:
+        for i, call in enumerate(pair):
+            begin = time.perf_counter()
+            jax.block_until_ready(call())
+            row[i] = 1e6 * (time.perf_counter() - begin)
+    return np.median(times[1:], axis=0).tolist()  # without the first, which compiles
 
 
 def main() -> None:
@@ -110,6 +166,7 @@ def main() -> None:
         "| precision | one update, median | 99 % | of it compiled | made first | made again |",
         "| --- | --: | --: | --: | --: | --: |",
     ]
+    others = ["| call | precision | median | of it compiled |", "| --- | --- | --: | --: |"]
     for dtype in ("float32", "float64"):
         words = [sys.executable, __file__, "--dtype", dtype, "--updates", str(options.updates)]
         found = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
@@ -117,9 +174,15 @@ def main() -> None:
             f"| {dtype} | {found['update']:.0f} us | {found['update 99 %']:.0f} us | "
             f"{found['compiled call']:.0f} us | {found['first']:.1f} s | {found['second']:.2f} s |"
         )
+        for name in ("scheduled_step", "controller(error, rate)", "Measurements.at"):
+            whole, inner = found[name]
+            compiled = f"{inner:.0f} us" if name != "Measurements.at" else "nothing"
+            others.append(f"| `{name}` | {dtype} | {whole:.0f} us | {compiled} |")
     load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
     where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
-    table = "\n".join([*rows, "", f"By `python benchmarks/streaming.py --write` ({where})."])
+    table = "\n".join(
+        [*rows, "", *others, "", f"By `python benchmarks/streaming.py --write` ({where})."]
+    )
     print(table)
     if options.write:
         write_block("streaming", table, PAGE)

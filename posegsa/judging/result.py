@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import jax
@@ -87,14 +88,14 @@ class TuneResult:
         found = self.evaluation.contenders[TUNED].filter
         return tuned_experiment(self.experiment, found._replace(also=self.also))
 
-    @property
+    @cached_property
     def controller(self) -> FuzzyController:
         """The tuned fuzzy controller, at the experiment's precision."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
             space = parameter_space(self.tuned)
             return space.controller(space.checked(self.parameters))
 
-    @property
+    @cached_property
     def schedule(self) -> FuzzyGain:
         """The tuned gain schedule, ready for `run_filter` or `simulate`."""
         return FuzzyGain(self.controller)

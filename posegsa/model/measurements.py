@@ -6,7 +6,7 @@ value may then be anything, NaN included). Vectors are as their sensor has them:
 normalised, and joined by their cross product, is for the filter to say (`vectors`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,8 +45,18 @@ class Measurements(NamedTuple):
     """(N, m) factor on the filter's weight s_i^L, 0 where the landmark is missing."""
 
     def at(self, k: int | slice) -> "Measurements":
-        """Sample k, without the time axis, or a range of samples with it."""
-        return jax.tree.map(lambda a: a[k], self)
+        """Sample k, without the time axis, or a range of samples with it.
+
+        Outside of a compiled program its arrays are NumPy's, views of these: indexing JAX's takes
+        some forty times as long.
+
+        Raises:
+            IndexError: There is no sample k, outside of a compiled program.
+        """
+        if any(isinstance(a, Tracer) for a in (*self, k)):
+            return jax.tree.map(lambda a: a[k], self)
+        views: Any = [np.asarray(a)[k, ...] for a in self]
+        return Measurements(*views)
 
     @classmethod
     def from_arrays(

@@ -55,6 +55,7 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
     surface = data["control_surface"]
     with jax.enable_x64(dtype == "float64"):
         again, own = rebuilt(data), result.controller
+        assert result.controller is own, "it is made once"
         for field in dataclasses.fields(FuzzyController):
             if field.name == "reach":  # saves time, changes nothing
                 continue

@@ -24,7 +24,7 @@ from setups import (
 )
 
 from posegsa.errors import FuzzyError
-from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.fuzzy import FuzzyController, _compiled_gain
 from posegsa.search.build import rule_indices
 
 DTYPES = ("float32", "float64")
@@ -177,6 +177,11 @@ def test_inputs_are_clipped_and_broadcast() -> None:
     np.testing.assert_array_equal(evaluated(controller, [-3.0, 1.5], [7.0, -0.1]), ends)
     assert evaluated(controller, np.zeros((3, 2)), 0.5).shape == (3, 2)
     assert controller(0.3, 0.2).shape == ()
+    # Outside of a compiled program a call is one, found again for other numbers and controllers.
+    before = _compiled_gain._cache_size()
+    other = dataclasses.replace(controller, output_terms=0.5 * controller.output_terms)
+    assert controller(0.4, 0.1) != other(0.4, 0.1)
+    assert _compiled_gain._cache_size() == before
 
 
 def test_the_surfaces_rows_are_the_rate() -> None:

@@ -138,6 +138,14 @@ def test_at_gives_one_sample_or_a_range_of_them() -> None:
     for whole, single, part in zip(m, one, some, strict=True):
         np.testing.assert_array_equal(single, whole[2])
         np.testing.assert_array_equal(part, whole[1:3])
+        # Views, not programs of JAX: on-line, a sample after the other is taken out.
+        assert type(single) is type(part) is np.ndarray
+        assert (single.dtype, single.shape) == (whole.dtype, whole.shape[1:])
+    traced = jax.jit(lambda all_of_them, k: all_of_them.at(k))(m, 2)
+    for single, again in zip(one, traced, strict=True):
+        np.testing.assert_array_equal(single, again)
+    with pytest.raises(IndexError):
+        m.at(10**6)
 
 
 ones = np.ones
