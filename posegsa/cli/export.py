@@ -2,12 +2,23 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, export
 from posegsa.saving.loading import load
+
+FORMATS_IN_WORDS = {
+    "json": "the schedule, its settings and what it is worth, for other programs",
+    "csv": "the control surface as a table: error, rate, gain",
+    "c": "the whole filter, sensors in, pose out: one header of C99",
+    "c-gain": "the gain's controller alone, for a filter of your own: one file of C99",
+    "fis": "the gain's controller for MATLAB's Fuzzy Logic Toolbox",
+    "fll": "the gain's controller for fuzzylite",
+    "fcl": "the gain's controller in IEC 61131-7's Fuzzy Control Language",
+    "fml": "the gain's controller in IEEE 1855's Fuzzy Markup Language",
+}
+"""What each format is."""
 
 
 def add(commands) -> None:
@@ -15,8 +26,9 @@ def add(commands) -> None:
     parser = commands.add_parser(
         "export",
         help=f"write a tuned filter or its schedule as {', '.join(FORMATS)}",
-        description="Writes the filter of a finished run, or its schedule. "
-        + " ".join(f"{name}: {first_line(write)}" for name, write in FORMATS.items()),
+        description="Writes the filter of a finished run, or the controller of its gain.\n\n"
+        + "\n".join(f"  {name:7}{words}" for name, words in FORMATS_IN_WORDS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
@@ -24,11 +36,6 @@ def add(commands) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
     parser.add_argument("--name", help="what names in C begin with; default posegsa")
     parser.set_defaults(command=_export)
-
-
-def first_line(function: Callable[..., str]) -> str:
-    """What the docstring of a function begins with."""
-    return (function.__doc__ or "").partition("\n")[0]
 
 
 def _export(options: argparse.Namespace) -> int:

@@ -301,6 +301,10 @@ class FuzzyController:
             error: scaled error, any shape; clipped to [0, 1].
             rate: scaled rate of the error per sample, same shape; clipped to [0, 1].
             last: last gain [1/s], used where no rule fires under "hold"; default mid-range.
+
+        Returns:
+            The gains; NaN where an input is NaN (inside jit the one of no rule that fires: there
+            the filter's estimate, of which the inputs are made, is NaN already).
         """
         with fitting("FuzzyController: error, rate, last"):
             dtype = self.output_terms.dtype
@@ -308,9 +312,12 @@ class FuzzyController:
             e, r = jnp.broadcast_arrays(e, r)
             held = self.initial_gain() if last is None else jnp.asarray(last, dtype)
             prepared = self.prepare()
-            return self.defuzzify(
+            gain = self.defuzzify(
                 self.heights(e, r, prepared), prepared, jnp.broadcast_to(held, e.shape)
             )
+            if not (_is_concrete(e) and _is_concrete(r)):
+                return gain
+            return jnp.where(jnp.isnan(e) | jnp.isnan(r), jnp.asarray(jnp.nan, dtype), gain)
 
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""

@@ -11,6 +11,7 @@ from posegsa.errors import RunFolderError
 from posegsa.figures.replay import draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replay import Replay, replay_table
+from posegsa.recordings.recording import Recording
 from posegsa.recordings.tum import tum_text
 from posegsa.saving.folder import as_path, lock, replace_files, write_errors
 from posegsa.settings.plain import json_text, plain
@@ -26,7 +27,8 @@ def write_replays(
     """Write replays to a folder, made if missing.
 
     These are replay.txt and replay.json, and for each recording a folder with estimated.tum,
-    true.tum (what is judged of the truth) and figures.
+    true.tum (wherever the truth is known), judged.tum (the part of it that is judged, where that is
+    not all) and figures.
 
     Raises:
         RunFolderError: It holds replays already, or can't be written.
@@ -47,8 +49,12 @@ def write_replays(
     described = [each.recording.describe() for each in replays]
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
     files[DATA] = (json_text(plain(data)) + "\n").encode()
+    # What another recording, or filter, had and this one has not.
+    optional = "true.tum", "judged.tum", "attitude_errors.png", "position.png", "gain.png"
     with lock(folder):
-        replace_files(folder, files, remove=())
+        replace_files(
+            folder, files, remove=[f"{name}/{file}" for name in names for file in optional]
+        )
     return folder
 
 
@@ -69,15 +75,19 @@ def _files(replay: Replay) -> dict[str, bytes]:
     position = None if recording.attitude_only else estimates.position
     files = {"estimated.tum": tum_text(recording.time, estimates.rotation, position).encode()}
     if (truth := recording.truth) is not None:
-        judged = recording.judged
-        true = tum_text(
-            recording.time[judged],
-            truth.rotation[judged],
-            None if truth.position is None else truth.position[judged],
-        )
-        files["true.tum"] = true.encode()
+        files["true.tum"] = _truth(recording, truth.known)
+        if (recording.judged != truth.known).any():
+            files["judged.tum"] = _truth(recording, recording.judged)
     figures = {f"{name}.png": png(figure) for name, figure in draw_replay(replay).items()}
     return files | figures
+
+
+def _truth(recording: Recording, which: np.ndarray) -> bytes:
+    """The truth at some samples, as a TUM file."""
+    truth = recording.truth
+    assert truth is not None
+    position = None if truth.position is None else truth.position[which]
+    return tum_text(recording.time[which], truth.rotation[which], position).encode()
 
 
 def _summary(replay: Replay) -> dict[str, Any]:
