@@ -27,34 +27,43 @@ class Format(NamedTuple):
 
 FORMATS = {
     "json": Format(
-        "posegsa.export.tables:export_json", "the schedule, what it is worth, its control surface"
+        "posegsa.export.tables:export_json",
+        "the schedule, its settings and what it is worth, for other programs",
     ),
     "csv": Format(
-        "posegsa.export.tables:export_csv", "the control surface, a row a point", controller=True
+        "posegsa.export.tables:export_csv",
+        "the control surface as a table: error, rate, gain",
+        controller=True,
     ),
-    "c": Format("posegsa.export.c:export_c", "the whole filter as a header of C99", named=True),
+    "c": Format(
+        "posegsa.export.c:export_c",
+        "the whole filter, sensors in, pose out: one header of C99",
+        named=True,
+    ),
     "c-gain": Format(
         "posegsa.export.c_gain:export_c_gain",
-        "the gain's controller in C99",
+        "the gain's controller alone, for a filter of your own: one file of C99",
         named=True,
         controller=True,
     ),
     "fis": Format(
         "posegsa.export.controllers:export_fis",
-        "the same for MATLAB's Fuzzy Logic Toolbox",
+        "the gain's controller for MATLAB's Fuzzy Logic Toolbox",
         controller=True,
     ),
     "fll": Format(
-        "posegsa.export.controllers:export_fll", "the same for fuzzylite", controller=True
+        "posegsa.export.controllers:export_fll",
+        "the gain's controller for fuzzylite",
+        controller=True,
     ),
     "fcl": Format(
         "posegsa.export.controllers:export_fcl",
-        "the same as IEC 61131-7's Fuzzy Control Language",
+        "the gain's controller in IEC 61131-7's Fuzzy Control Language",
         controller=True,
     ),
     "fml": Format(
         "posegsa.export.controllers:export_fml",
-        "the same as IEEE 1855's Fuzzy Markup Language",
+        "the gain's controller in IEEE 1855's Fuzzy Markup Language",
         controller=True,
     ),
 }

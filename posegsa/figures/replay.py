@@ -13,6 +13,7 @@ from posegsa.figures.trajectory import ASKED, USED
 from posegsa.judging.replay import Replay
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST = 4000
@@ -56,7 +57,7 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
         _, counted = _largest(errors.time, np.where(judged, known, np.nan))
         ax.plot(time, all_of_it, color="0.75", linewidth=0.8)
         ax.plot(time, counted, color=style.BLUE, linewidth=1.0)
-        style.scale_errors(ax, finite(all_of_it))
+        style.scale_errors(ax, _without_zeros(ax, finite(all_of_it)))
         ax.set_ylabel(f"{name} {unit}")
         ax.grid(axis="y", color="0.88", linewidth=0.6)
     style.finish_time(axes, errors.time)
@@ -89,19 +90,46 @@ def plot_position(replay: Replay) -> Figure | None:
 
 
 @styled
-def plot_gain(replay: Replay) -> Figure:
-    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s]."""
+def plot_gain(replay: Replay) -> Figure | None:
+    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
+
+    The latter where a vector or landmark is seen: the limit is that of a step towards them. None
+    where the gain is one number all the time, which a line says no better.
+    """
+    recording, estimates = replay.recording, replay.estimates
+    m = recording.measurements
+    weights = np.concatenate([m.vector_weights, m.landmark_weights], axis=1)
+    seen = (np.asarray(weights) > 0).any(axis=1)
+    asked, used = finite(estimates.gain), finite(estimates.gain_used[seen])
+    both = np.concatenate([asked, used])
+    both = both[np.isfinite(both)]
+    if both.size == 0 or np.ptp(both) <= 1e-5 * both.max():  # up to rounding
+        return None
     figure, (ax,) = style.panels(1, 3.0)
-    for name, gain, look in (
-        ("asked for", replay.estimates.gain, ASKED),
-        ("used, after the limit", replay.estimates.gain_used, USED),
+    for name, time, gain, look in (
+        ("asked for", recording.time, asked, ASKED),
+        ("used, after the limit", recording.time[seen], used, USED),
     ):
-        ax.plot(*_largest(replay.recording.time, finite(gain)), label=name, **look)
+        if gain.size:
+            ax.plot(*_largest(time, gain), label=name, **look)
     ax.set_ylabel("Gain $K$ [1/s]")
     ax.set_ylim(bottom=0)
     style.finish_time([ax], replay.recording.time)
     style.legend_above(figure, ax)
     return figure
+
+
+def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
+    """Errors without the smallest hundredth, where they pass through 0, which the axes leave out.
+
+    On a logarithmic axis a single sample at 1e-4 would take half of it.
+    """
+    positive = errors[errors > 0]
+    if positive.size < 2:
+        return errors
+    least, most = np.quantile(positive, 0.01), positive.max()
+    ax.set_ylim(least / 1.3, 1.3 * most)
+    return positive[positive >= least]
 
 
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from posegsa.model.fuzzy import FuzzyController
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
@@ -57,9 +58,9 @@ def plot_surface(controller: FuzzyController) -> Figure:
         scale("function", functions=_SQUARE_ROOT)
     ax.set(xlim=(0, 1), ylim=(0, 1))
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
-    style.colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
+    bar = style.colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
     if gain.count():
-        _plot_contours(ax, axis, gain)
+        _plot_contours(ax, axis, gain, bar)
     low, high = controller.output_range
     middle = f"$K$ = {controller.offset + 0.5 * (low + high):g} 1/s"
     meaning = "the last gain is held" if controller.no_rule == "hold" else middle
@@ -215,14 +216,15 @@ def _hatch(
         style.legend_above(figure, ax)
 
 
-def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray) -> None:
-    """Contour lines of a surface (y, x), each labelled with its level."""
+def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray, bar: Colorbar) -> None:
+    """Contour lines of a surface (y, x); their levels are the ticks and lines of its colour bar.
+
+    Labels on the lines would hide them: where a rule takes over from another, many are close.
+    """
     low, high = gain.min(), gain.max()
     levels = [level for level in style.ticks(7).tick_values(low, high) if low < level < high]
     if levels:
         colours = ["white" if level < 0.5 * (low + high) else "black" for level in levels]
         lines = ax.contour(axis, axis, gain, levels=levels, colors=colours, linewidths=0.8)
-        labels = ax.clabel(lines, fmt="%g", fontsize=style.TICK_SIZE, colors="black", inline=False)
-        for label in labels:
-            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.8})
-            label.set_rotation(0)
+        bar.add_lines(lines)
+        bar.set_ticks(levels)

@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
+    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
@@ -120,11 +121,12 @@ def legend_above(figure: Figure, ax: Axes) -> None:
     figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
 
 
-def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> None:
+def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
     """The scale of a panel's colours, beside it."""
     bar = figure.colorbar(drawn, ax=ax, pad=0.02)
     bar.set_label(label)
     style_ticks(bar.ax)
+    return bar
 
 
 def plot_band(
@@ -153,7 +155,15 @@ def scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
 def scale_errors(ax: Axes, errors: np.ndarray) -> None:
     """A logarithmic y axis for errors (...), unless none is above 0."""
     if (errors > 0).any():
+        from matplotlib.ticker import FuncFormatter, LogLocator
+
         ax.set_yscale("log", nonpositive="mask")
+        # Plain numbers, 0.1 and not 10^-1; at 2 and 5 too where few powers of ten are shown.
+        positive = errors[errors > 0]
+        few = positive.max() < 300 * positive.min()
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
 
 
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:

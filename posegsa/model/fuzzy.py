@@ -326,10 +326,13 @@ class FuzzyController:
             error: scaled error, any shape; clipped to [0, 1].
             rate: scaled rate of the error per sample, same shape; clipped to [0, 1].
             last: last gain [1/s], used where no rule fires under "hold"; default mid-range.
+
+        Returns:
+            The gains; NaN where an input is NaN (inside jit the one of no rule that fires: there
+            the filter's estimate, of which the inputs are made, is NaN already).
         """
         with fitting("FuzzyController: error, rate, last"):
-            traced = any(isinstance(a, Tracer) for a in (*jax.tree.leaves(self), error, rate, last))
-            if traced:
+            if any(isinstance(a, Tracer) for a in (*jax.tree.leaves(self), error, rate, last)):
                 return self._gain(error, rate, last)
             given = (
                 a if a is None or isinstance(a, Array) else np.asarray(a)
@@ -356,8 +359,14 @@ class FuzzyController:
         return axis, axis, gains
 
 
-_compiled_gain = jax.jit(FuzzyController._gain)
-"""A call from outside a compiled program is one itself: operation by operation it takes 35 ms."""
+@jax.jit
+def _compiled_gain(
+    controller: FuzzyController, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None
+) -> Array:
+    """A call from outside a compiled program: operation by operation it would take 35 ms."""
+    gain = controller._gain(error, rate, last)
+    unknown = jnp.isnan(jnp.asarray(error)) | jnp.isnan(jnp.asarray(rate))
+    return jnp.where(unknown, jnp.asarray(jnp.nan, gain.dtype), gain)
 
 
 def _is_concrete(a: object) -> bool:

@@ -108,7 +108,10 @@ def _find(folder: Path, names: tuple[str, ...]) -> Path:
         raise RecordingError(f"{folder}: there is no such folder")
     found = [path for name in names for path in sorted(folder.glob(name))]
     if not found:
-        raise RecordingError(f"{folder}: holds none of {', '.join(names)}")
+        raise RecordingError(
+            f"{folder}: is no EuRoC sequence: it holds none of {', '.join(names)}; allowed: the "
+            "folder of a sequence, or a .csv, .npz or .mat file"
+        )
     return found[0]
 
 

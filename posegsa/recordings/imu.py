@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type
 from posegsa.config.imu import ImuVectorsConfig
 from posegsa.errors import RecordingError
+from posegsa.model.measurements import finite_array
 from posegsa.recordings.frames import EAST, UP, Frame
 from posegsa.recordings.inertial_frame import held, low_passed, strapdown
 from posegsa.recordings.magnetic_field import field_parts, field_weights, mean_so_far
@@ -41,7 +42,7 @@ STARTUP = 20.0
 [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImuRecording(Recording):
     """A recording of an inertial sensor; made by `imu` or `as_imu`.
 
@@ -99,11 +100,18 @@ def imu(
     if rate is not None:
         check_number("rate", rate, 1e-3, 1e6)
         more |= {"time_step": 1 / float(rate)}
+    gyr = finite_array("gyr", gyr, (None, 3), finite=False)
+    acc = finite_array("acc", acc, (len(gyr), 3), finite=False)
+    if mag is not None:
+        mag = finite_array("mag", mag, (len(gyr), 3), finite=False)
     sensors = {"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag})
     sources = {"angular velocity": "measured (gyroscope)"} | more.pop("sources", {})
-    recording = Recording.from_arrays(
-        time=time, angular_velocity=gyr, sensors=sensors, sources=sources, **more
-    )
+    try:
+        recording = Recording.from_arrays(
+            time=time, angular_velocity=gyr, sensors=sensors, sources=sources, **more
+        )
+    except RecordingError as error:
+        raise RecordingError(str(error).replace("angular_velocity, velocity", "gyr")) from None
     return as_imu(recording, frame=frame, rest=rest, settings=settings)
 
 
@@ -283,7 +291,8 @@ def prepared(
         reference = field_parts(usual[None], gravity[None])[0]
         if not reference[0] > 1e-3 * np.linalg.norm(reference):
             raise RecordingError(
-                "mag: is parallel to acc at first, so that there is no heading in it; allowed: None"
+                "mag: is parallel to acc at first, so that there is no heading in it; allowed: a "
+                "field that is not, or mag=None"
             )
         east = np.cross(signals.mag, up) / reference[0]
         vectors.append(np.where(known[:, None], east, math.nan))

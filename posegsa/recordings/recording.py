@@ -348,7 +348,8 @@ class Recording:
         readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
         if path.suffix.lower() not in readers:
             kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
-            raise RecordingError(f"{path}: no recording is read from it; allowed: {kinds}")
+            what = "is no recording" if path.exists() else "there is no such file or folder"
+            raise RecordingError(f"{path}: {what}; allowed: {kinds}")
         return readers[path.suffix.lower()](path, **more)
 
     def save(self, path: str | Path) -> None:
@@ -497,7 +498,7 @@ class Recording:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"<Recording {self.describe().splitlines()[0]}>"
+        return f"<{type(self).__name__} {self.describe().splitlines()[0]}>"
 
     def _rest(self) -> slice:
         """The samples at rest that the recording begins with."""

@@ -48,7 +48,10 @@ def read_csv(
         head = [name.strip().lstrip("#").strip() for name in next(rows, [])]
         cells = [row for row in rows if row]
     if not cells:
-        raise RecordingError(f"{path}: holds no sample")
+        raise RecordingError(
+            f"{path}: {'holds no sample below its head line' if head else 'is empty'}; allowed: a "
+            "line with the names of columns, such as time,wx,wy,wz,ax,ay,az, and a line a sample"
+        )
     if wrong := [k for k, row in enumerate(cells) if len(row) != len(head)]:
         raise RecordingError(
             f"{path}: sample {wrong[0]} has {len(cells[wrong[0]])} cells, the head {len(head)}"
@@ -121,8 +124,10 @@ def _usual_columns(path: Path, head: list[str]) -> dict[str, Any]:
     if "time_ns" in head:
         found["time"] = "time_ns"
     if missing := {"time", "angular_velocity"} - set(found):
-        usual = ", ".join(str(COLUMNS[name]) for name in sorted(missing))
+        names = (COLUMNS[name] for name in COLUMNS if name in missing)
+        usual = " ".join(each if isinstance(each, str) else " ".join(each) for each in names)
         raise RecordingError(
-            f"{path}: has no columns {usual}; it has: {', '.join(head)}; give columns="
+            f"{path}: has no columns {usual}; it has: {', '.join(head)}; allowed: these columns "
+            "(time in s, or time_ns; wx wy wz in rad/s), or in Python others by columns="
         )
     return found

@@ -11,6 +11,7 @@ from posegsa.errors import RunFolderError
 from posegsa.figures.replay import REPLAY_FIGURES, draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replay import Replay, replay_table
+from posegsa.recordings.recording import Recording
 from posegsa.recordings.tum import tum_text
 from posegsa.saving.folder import as_path, lock, replace_files, write_errors
 from posegsa.settings.plain import json_text, plain
@@ -30,7 +31,8 @@ def write_replays(
     """Write replays to a folder, made if missing.
 
     These are replay.txt and replay.json, and for each recording a folder with estimated.tum,
-    true.tum (what is judged of the truth) and those figures that are named.
+    true.tum (wherever the truth is known), judged.tum (the part of it that is judged, where that is
+    not all) and those figures that are named.
 
     Raises:
         RunFolderError: It holds replays already, or can't be written.
@@ -51,8 +53,12 @@ def write_replays(
     described = [each.recording.describe() for each in replays]
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
     files[DATA] = (json_text(plain(data)) + "\n").encode()
+    # What another recording, or filter, had and this one has not.
+    optional = "true.tum", "judged.tum", *(f"{name}.png" for name in REPLAY_FIGURES)
     with lock(folder):
-        replace_files(folder, files, remove=())
+        replace_files(
+            folder, files, remove=[f"{name}/{file}" for name in names for file in optional]
+        )
     return folder
 
 
@@ -73,15 +79,19 @@ def _files(replay: Replay, figures: Sequence[str]) -> dict[str, bytes]:
     position = None if recording.attitude_only else estimates.position
     files = {"estimated.tum": tum_text(recording.time, estimates.rotation, position).encode()}
     if (truth := recording.truth) is not None:
-        judged = recording.judged
-        true = tum_text(
-            recording.time[judged],
-            truth.rotation[judged],
-            None if truth.position is None else truth.position[judged],
-        )
-        files["true.tum"] = true.encode()
+        files["true.tum"] = _truth(recording, truth.known)
+        if (recording.judged != truth.known).any():
+            files["judged.tum"] = _truth(recording, recording.judged)
     drawn = draw_replay(replay, figures).items()
     return files | {f"{name}.png": png(figure) for name, figure in drawn}
+
+
+def _truth(recording: Recording, which: np.ndarray) -> bytes:
+    """The truth at some samples, as a TUM file."""
+    truth = recording.truth
+    assert truth is not None
+    position = None if truth.position is None else truth.position[which]
+    return tum_text(recording.time[which], truth.rotation[which], position).encode()
 
 
 def _summary(replay: Replay) -> dict[str, Any]:

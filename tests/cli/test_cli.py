@@ -273,6 +273,16 @@ def test_bad_numbers_are_refused_by_name(capsys, arguments):
     assert arguments[0] in capsys.readouterr().err
 
 
+def test_help_of_export_is_a_line_a_format(capsys):
+    with pytest.raises(SystemExit):
+        main(["export", "--help"])
+    lines = capsys.readouterr().out.splitlines()
+    first = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
+    assert [word for word in first if word in FORMATS] == list(FORMATS)
+    assert not any("docstring" in line or "arguments as" in line for line in lines)
+    assert max(map(len, lines)) < 100
+
+
 def test_the_command_is_installed_and_helps():
     done = posegsa("--help", as_module=False)
     assert done.returncode == 0

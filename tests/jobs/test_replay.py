@@ -1,6 +1,8 @@
 """`posegsa replay`: a tuned filter on recordings, its table, trajectories and figures."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +13,17 @@ from recorded_motion import motion
 import posegsa
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RunFolderError
-from posegsa.judging.replay import replay_table
+from posegsa.figures.replay import draw_replay
+from posegsa.figures.style import png
+from posegsa.judging.replay import Replay, replay_table
 from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay import folder_names
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+SEEN = "vector_weights", "landmark_weights"
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +88,7 @@ def test_the_command_writes_what_it_found(
     folder = out / "bench_0.5_3"
     assert {path.name for path in folder.iterdir()} == {
         "attitude_errors.png",
-        "position.png",
-        "gain.png",
+        "position.png",  # and no gain, which is one number all the time
         "estimated.tum",
         "true.tum",
     }
@@ -136,6 +142,85 @@ def test_what_a_file_lacks_is_bridged_by_name(
         assert note.startswith(words)
         assert note in said
         assert note in table
+
+
+def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
+    (found,) = posegsa.replay(result, recording)
+    errors = np.geomspace(50, 0.2, 400)
+    errors[[100, 101]] = 1e-7, 0.0  # passes through 0
+    assert found.errors is not None
+    attitude = found.errors.attitude._replace(heading=errors)
+    shown = found._replace(errors=found.errors._replace(attitude=attitude))
+    figure = draw_replay(shown)["attitude_errors"]
+    png(figure)
+    for ax in figure.axes:
+        low, high = ax.get_ylim()
+        texts = [
+            text.get_text()
+            for text, at in zip(ax.get_yticklabels(), ax.get_yticks(), strict=True)
+            if low <= at <= high
+        ]
+        assert len(texts) >= 2
+        assert all(float(text) > 0 and "10^" not in text for text in texts)
+    low, high = figure.axes[1].get_ylim()
+    assert 0.1 < low < 0.2
+    assert high > 50
+    # A gain that never changes is no figure, and one that is limited where something is seen is.
+    gains = found.estimates._replace(gain=np.full(400, 8.0), gain_used=np.full(400, 8.0))
+    assert "gain" not in draw_replay(found._replace(estimates=gains))
+    weights = recording.measurements
+    nothing = weights._replace(**{k: 0 * weights._asdict()[k] for k in SEEN})
+    nothing.vector_weights[::10] = 1.0
+    limited = np.where(np.arange(400) % 10 == 0, 2.0, 8.0)
+    sparse = replace(recording, measurements=nothing)
+    gains = gains._replace(gain_used=limited)
+    figure = draw_replay(Replay(sparse, gains, None))["gain"]
+    asked, used = figure.axes[0].lines
+    assert set(asked.get_ydata()) == {8.0}
+    assert set(used.get_ydata()) == {2.0}
+    assert len(used.get_xdata()) == 40
+
+
+def test_the_true_trajectory_is_all_that_is_known(
+    result: TuneResult, recording: Recording, tmp_path: Path
+) -> None:
+    moving = replace(recording, judged=recording.phases["motion"])
+    posegsa.replay(result, [moving], out=tmp_path)
+    lengths = {
+        name: len(np.loadtxt(tmp_path / "bench" / name)) for name in ("true.tum", "judged.tum")
+    }
+    assert lengths == {"true.tum": 400, "judged.tum": 300}
+    posegsa.replay(result, [recording], out=tmp_path, overwrite=True)
+    assert not (tmp_path / "bench" / "judged.tum").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.png", "x", r"a\.png: is no recording; allowed: \.csv, \.npz, \.mat or the folder"),
+        ("none", None, "none: there is no such file or folder; allowed: "),
+        ("none.csv", None, r"none\.csv: there is no such file"),
+        ("folder", "", "is no EuRoC sequence: it holds none of .*; allowed: the folder of"),
+        ("empty.csv", "", r"empty\.csv: is empty; allowed: a line with the names of columns"),
+        ("head.csv", "time,wx\n", "holds no sample below its head line; allowed: a line with"),
+        ("a.csv", "a,b\n1,2\n", r"has no columns time wx wy wz; it has: a, b; allowed: these"),
+        ("t.csv", "time\n1\n", r"has no columns wx wy wz; it has: time; allowed: these columns"),
+    ],
+)
+def test_what_is_no_recording_is_named_with_what_is_allowed(
+    name: str,
+    content: str | None,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / name
+    if name == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_text(content)
+    assert main(["replay", "imu", str(path)]) == 2
+    assert re.search(words, capsys.readouterr().err)
 
 
 def test_folders_have_names_of_their_own() -> None:

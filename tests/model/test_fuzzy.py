@@ -265,3 +265,12 @@ def test_changing_an_option_of_a_controller_checks_it_again() -> None:
     controller = fuzzy(INPUTS, OUTPUTS[::-1], "float32", centroid="sampled")
     with pytest.raises(FuzzyError, match="output_terms: the a's"):
         dataclasses.replace(controller, centroid="exact")
+
+
+def test_what_is_not_a_number_makes_a_gain_that_is_none() -> None:
+    controller = fuzzy(INPUTS, OUTPUTS, "float32")
+    assert np.isnan(controller(np.nan, 0.1))
+    assert np.isnan(controller(error=0.1, rate=np.nan, last=3.0))
+    gains = controller(np.array([0.1, np.nan, 0.3]), np.array([0.1, 0.1, 0.1]))
+    np.testing.assert_array_equal(np.isnan(gains), [False, True, False])
+    np.testing.assert_array_equal(gains[0], controller(0.1, 0.1))

@@ -189,8 +189,8 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
         ({"rate": 0.0}, "rate = 0.0; allowed:"),
         ({"time": np.arange(900)}, "rate, time: give one of both"),
         ({"rate": None}, "rate, time: give one of both"),
-        ({"acc": np.zeros((5, 3))}, "accelerometer"),
-        ({"gyr": np.full((900, 3), np.nan)}, "angular_velocity"),
+        ({"acc": np.zeros((5, 3))}, "acc: must have"),
+        ({"gyr": np.full((900, 3), np.nan)}, "gyr: 900 samples"),
         ({"mag": np.zeros((900, 3))}, "mag: no sample"),
         ({"mag": np.full((900, 3), np.nan)}, "mag: no sample"),
         ({"settings": 3}, "settings: a int"),
@@ -211,3 +211,27 @@ def test_a_recording_without_an_accelerometer_is_refused() -> None:
     recording = Recording.from_arrays(time_step=0.01, angular_velocity=np.zeros((10, 3)))
     with pytest.raises(RecordingError, match="has no accelerometer"):
         posegsa.as_imu(recording)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"gyr": np.zeros((50, 2))}, r"^gyr: must have the shape \(N, 3\)"),
+        ({"gyr": "fast"}, "^gyr: must be an array of numbers"),
+        ({"gyr": np.full((50, 3), np.inf)}, "^gyr: must not be infinite"),
+        ({"gyr": np.full((50, 3), np.nan)}, "^gyr: 50 samples without velocities"),
+        ({"acc": np.zeros((40, 3))}, r"^acc: must have the shape \(50, 3\), got \(40, 3\)"),
+        ({"acc": None}, r"^acc: must have the shape \(50, 3\)"),
+        ({"mag": np.zeros((50, 1))}, r"^mag: must have the shape \(50, 3\), got \(50, 1\)"),
+    ],
+)
+def test_errors_name_the_arguments(changes: dict[str, Any], words: str) -> None:
+    given = {"gyr": np.zeros((50, 3)), "acc": np.tile([0.0, 0, 9.81], (50, 1))}
+    with pytest.raises(MeasurementError, match=words):
+        posegsa.imu(**given | changes, rate=100.0)
+
+
+def test_it_is_shown_in_a_line() -> None:
+    recording = posegsa.imu(np.zeros((50, 3)), np.tile([0.0, 0, 9.81], (50, 1)), rate=100.0)
+    assert repr(recording).startswith("<ImuRecording recording: 50 samples, 0.5 s at 100 Hz, 1 ve")
+    assert len(repr(recording)) < 200

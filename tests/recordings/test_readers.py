@@ -70,9 +70,9 @@ def test_a_mapping_names_the_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "holds no sample"),
+        ("", "is empty"),
         ("time,wx,wy,wz\n", "holds no sample"),
-        ("time,wx,wy\n1,2,3\n", r"has no columns \('wx', 'wy', 'wz'\)"),
+        ("time,wx,wy\n1,2,3\n", "has no columns wx wy wz; it has: time, wx, wy"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2\n", "sample 1 has 2 cells, the head 4"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2,x,3\n", "'x' in column 'wy' of sample 1 is no number"),
         ("time,wx,wy,wz\n0,1,2,3\n", "a recording has 1 sample"),
@@ -87,7 +87,7 @@ def test_what_no_csv_file_can_be_is_refused(tmp_path: Path, text: str, words: st
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
-    for name, words in (("no.csv", "no such file"), ("a.txt", "no recording is read from it")):
+    for name, words in (("no.csv", "no such file"), ("a.txt", "no such file or folder")):
         with pytest.raises(RecordingError, match=words):
             Recording.read(tmp_path / name)
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")

@@ -1,5 +1,7 @@
 """What can be typed after `posegsa export`."""
 
+import argparse
+
 from posegsa.export.formats import FORMATS
 
 
@@ -8,8 +10,9 @@ def add(commands) -> None:
     parser = commands.add_parser(
         "export",
         help=f"write a tuned filter or its schedule as {', '.join(FORMATS)}",
-        description="Writes the filter of a finished run, or its schedule: "
-        + "; ".join(f"{name}: {format.about}" for name, format in FORMATS.items()),
+        description="Writes the filter of a finished run, or the controller of its gain.\n\n"
+        + "\n".join(f"  {name:7}{format.about}" for name, format in FORMATS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
