@@ -9,6 +9,7 @@ from importlib.metadata import version
 
 from posegsa.cli import compare, configs, evaluate, export, replay, tune
 from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
+from posegsa.judging.result import TuneResult
 from posegsa.runtime import enable_compilation_cache, enable_fast_path
 from posegsa.saving import interrupt
 
@@ -30,7 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
             print(error.result.summary())
-            print(f"\nk = {error.result.parameters.tolist()}")
+            if isinstance(error.result, TuneResult):
+                print(f"\nk = {error.result.parameters.tolist()}")
+            else:
+                print(f"\n{error.result.filter}")
             print(f"posegsa: {error}", file=sys.stderr)
             return 1
         except PosegsaError as error:

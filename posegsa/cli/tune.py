@@ -13,7 +13,7 @@ from posegsa.cli.progress import TuneBar
 from posegsa.cli.replay import RECORDING, add_window, read, window
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving import recorded
-from posegsa.saving.checkpointing import newest_checkpoint
+from posegsa.saving.checkpointing import CheckpointedRun, newest_checkpoint
 from posegsa.search.devices import join_processes
 from posegsa.search.recorded import RecordedSchedule
 
@@ -39,7 +39,7 @@ def add(commands) -> None:
     )
     resume = (
         "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
-        "more iterations"
+        "more iterations, and so must recordings"
     )
     parser.add_argument("--resume", metavar="DIR", help=resume)
     parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
@@ -90,9 +90,13 @@ def _tune(options: argparse.Namespace) -> int:
 
 
 def _tune_on_recordings(options: argparse.Namespace) -> int:
-    if options.resume is not None or options.distributed:
-        raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
-    experiment, out = _experiment(options), options.out or OUT
+    if options.distributed:
+        raise ArgumentError("--recording with --distributed; allowed: one of them")
+    experiment, schedule = _experiment(options), options.schedule
+    out = OUT if options.out is None and options.resume is None else options.out
+    if schedule is None and options.resume is not None:
+        task = _run_to_resume(options).recorded
+        schedule = None if task is None else task.schedule
     recordings = read(options.recording, options.window)
     held_out = read(options.held_out or [], options.held_out_window)
     for one in (*recordings, *held_out):
@@ -102,13 +106,14 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
             experiment,
             recordings=recordings,
             held_out=held_out,
-            schedule=options.schedule or "fuzzy",
+            schedule=schedule or "fuzzy",
             out=out,
             overwrite=options.overwrite,
+            resume=options.resume,
             progress=show,
         )
     print(f"\n{result.summary()}")
-    print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
+    print(f"\nWritten to {out or options.resume}: {', '.join(recorded.FILES)}")
     return 0
 
 
@@ -124,12 +129,16 @@ def _join(options: argparse.Namespace) -> bool:
     return True
 
 
+def _run_to_resume(options: argparse.Namespace) -> CheckpointedRun:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
+        return newest_checkpoint(Path(options.resume))
+
+
 def _experiment(options: argparse.Namespace) -> config.Experiment:
     """What is to be searched: CONFIG, or that of the run to resume, with all settings."""
     if options.config is None and options.resume is not None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
-            experiment = newest_checkpoint(Path(options.resume)).about.experiment
+        experiment = _run_to_resume(options).about.experiment
     else:
         experiment = config.as_experiment(options.config)
     replaced = {"run.seed": options.seed, "search.iterations": options.iterations}
