@@ -14,24 +14,33 @@ from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolder
 from posegsa.judging.judge import judge
 from posegsa.judging.recorded import RecordingResult, judge_on_recordings
 from posegsa.judging.result import TuneBatch, TuneResult
+from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
+    RecordedTask,
     checkpoint_paths,
+    how_to_resume,
     newest_checkpoint,
     search_with_checkpoints,
 )
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.interrupt import resumable
 from posegsa.saving.recorded import write_recorded
-from posegsa.saving.resume import experiment_to_resume, finished_result, folder_to_resume
+from posegsa.saving.resume import (
+    check_same_recordings,
+    experiment_to_resume,
+    finished_on_recordings,
+    finished_result,
+    folder_to_resume,
+)
 from posegsa.saving.run import run_figures, write_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
-from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
+from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
 from posegsa.search.recorded_schedules import RecordedSchedule
-from posegsa.search.run import Progress, run_search, search_batch
+from posegsa.search.run import Found, Progress, run_search, search_batch
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
@@ -73,7 +82,7 @@ def tune(
     iterations: int | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
-    resume: None = None,
+    resume: str | Path | None = None,
     figures: None = None,
     cost: None = None,
     progress: Tell = None,
@@ -111,7 +120,7 @@ def tune(
             vectors and landmarks, in order.
         recordings: Tune on these instead of simulated scenarios: any number, of any lengths and
             rates, each over the samples that it judges. The cost of one is its attitude's RMSE
-            [deg] plus `position_weight` times its position's. Such a search has no checkpoints.
+            [deg] plus `position_weight` times its position's.
             Where the experiment's `objective.simulated_share` is above 0, its simulated scenarios
             have that share of the cost, each by the same root mean squares (`search.recorded`).
         held_out: Recordings that only judge.
@@ -125,7 +134,8 @@ def tune(
         overwrite: Replace another run in that folder.
         resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
             of the same experiment (`saving.resume.experiment_to_resume`), but for more iterations:
-            past those that it began with, G and K_best hold their final values.
+            past those that it began with, G and K_best hold their final values. A run on recordings
+            is given the same ones again: a folder holds no recordings.
         figures: With a folder, names of the figures to draw; by default all. Not on recordings.
         cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
             its errors (`ErrorTrack`) and the times (N,) [s].
@@ -136,6 +146,8 @@ def tune(
         `RecordingResult`, which shows the errors on those held out, or says that there are none.
 
     Raises:
+        ArgumentError: An argument is of another type, or means nothing beside the others; or the
+            run to resume was tuned on other recordings.
         ConfigError: The configuration is not valid, would need more memory than there is, or is not
             that of the run to resume.
         RunFolderError: `out` holds a run already, or can't be written, found before the search; or
@@ -149,11 +161,17 @@ def tune(
     if figures is not None and (recordings is not None or (out is None and resume is None)):
         refuse("figures with recordings, or without a folder", "with out or resume")
     if recordings is not None:
-        if resume is not None or cost is not None:
-            refuse("recordings with resume or cost", "one of them")
-        chosen = _chosen(experiment, seed, iterations)
+        if cost is not None:
+            refuse("recordings with cost", "one of them")
         task = _recorded_task(recordings, held_out, schedule, position_weight)
-        return _tune_on_recordings(chosen, task, out, overwrite, progress)
+        if resume is not None:
+            folder = folder_to_resume(resume, out, overwrite)
+            return _resume_on_recordings(folder, experiment, seed, iterations, task, progress)
+        chosen = _chosen(experiment, seed, iterations)
+        if out is not None:
+            with locked_folder(out, overwrite=overwrite) as folder:
+                return _tune_on_recordings(chosen, task, folder, None, progress)
+        return _tune_on_recordings(chosen, task, None, None, progress)
     given = {
         "held_out": held_out is not None,
         "schedule": schedule != "fuzzy",
@@ -180,6 +198,15 @@ class _RecordedTask(NamedTuple):
     held_out: list[Recording]
     schedule: RecordedSchedule
     position_weight: float
+
+    def stored(self) -> RecordedTask:
+        """The same as checkpoints keep it."""
+        return RecordedTask(
+            schedule=self.schedule,
+            position_weight=float(self.position_weight),
+            training=list(map(fingerprint, self.training)),
+            held_out=list(map(fingerprint, self.held_out)),
+        )
 
 
 def _recorded_task(
@@ -210,26 +237,56 @@ def _recorded_task(
 def _tune_on_recordings(
     experiment: config.Experiment,
     task: _RecordedTask,
-    out: str | Path | None,
-    overwrite: bool,
+    folder: Path | None,
+    run: CheckpointedRun | None,
     progress: Tell,
 ) -> RecordingResult:
-    if out is not None:
-        with locked_folder(out, overwrite=overwrite) as folder:
-            result = _tune_on_recordings(experiment, task, None, overwrite, progress)
-            try:
-                write_recorded(result, folder)
-            except RunFolderError as error:
-                raise SaveError(str(error), result) from error
-            return result
+    """Tune, in a locked folder with checkpoints and on from a run if there is one."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         steps.begin("preparing")
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
         steps.begin("compiling")
-        found = run_search(problem, progress)
-        return judge_on_recordings(
-            problem, found, task.position_weight, task.training, task.held_out
-        )
+        if folder is None:
+            found = run_search(problem, progress)
+            return _judged_on_recordings(problem, found, task)
+        stored = task.stored()
+        found = search_with_checkpoints(problem, folder, run, progress, stored)
+        with _resumable(folder, stored):
+            result = _judged_on_recordings(problem, found, task)
+    try:
+        with _resumable(folder, stored):
+            write_recorded(result, folder, own_checkpoints=True)
+    except RunFolderError as error:
+        raise SaveError(str(error), result) from error
+    return result
+
+
+def _judged_on_recordings(
+    problem: TuningProblem, found: Found, task: _RecordedTask
+) -> RecordingResult:
+    weight = task.position_weight
+    return judge_on_recordings(problem, found, weight, task.training, task.held_out)
+
+
+def _resume_on_recordings(
+    folder: Path,
+    experiment: Given,
+    seed: int | None,
+    iterations: int | None,
+    task: _RecordedTask,
+    progress: Tell,
+) -> RecordingResult:
+    """Go on with the run on recordings in a folder, or read its result if it is finished."""
+    with locked_folder(folder, overwrite=True):
+        run = newest_checkpoint(folder)
+        asked_for = task.stored()
+        check_same_recordings(run.recorded, asked_for, folder)
+        stored = run.about.experiment
+        asked = _chosen(stored if experiment is None else experiment, seed, iterations)
+        asked = tuned_on_recordings(asked, task.training, task.schedule)
+        agreed = experiment_to_resume(stored, asked)
+        finished = finished_on_recordings(folder, agreed, asked_for)
+        return finished or _tune_on_recordings(agreed, task, folder, run, progress)
 
 
 def tune_batch(
@@ -287,11 +344,11 @@ def _tune_in_folder(
     return result
 
 
-def _resumable(folder: Path) -> AbstractContextManager[None]:
+def _resumable(folder: Path, recorded: RecordedTask | None = None) -> AbstractContextManager[None]:
     """After the search, a context for what is done with what it found."""
     if not checkpoint_paths(folder):
         return nullcontext()
-    how = f"go on with: posegsa tune --resume {folder}"
+    how = how_to_resume(folder, recorded)
     return resumable(lambda: f"interrupted; all iterations are done and saved, {how}")
 
 
@@ -320,6 +377,12 @@ def _resume(
         )
     with locked_folder(folder, overwrite=True):
         run = newest_checkpoint(folder)
+        if run.recorded is not None:
+            refuse(
+                f"resume = {folder} without recordings",
+                "with those that it is tuned on and those held out (recordings=, held_out=; "
+                "--recording, --held-out)",
+            )
         check_same_cost(cost, run.about.cost)
         stored = run.about.experiment
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)

@@ -60,7 +60,7 @@ def _main(arguments: Sequence[str] | None) -> int:
         except SaveError as error:
             # A finished search is worth more than its folder: all that one needs of it is shown.
             print(error.result.summary())
-            print(f"\nk = {error.result.parameters.tolist()}")
+            print(f"\n{_numbers(error.result)}")
             print(f"posegsa: {error}", file=sys.stderr)
             return 1
         except PosegsaError as error:
@@ -72,6 +72,15 @@ def _main(arguments: Sequence[str] | None) -> int:
         except KeyboardInterrupt:
             print("posegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
+
+
+def _numbers(result) -> str:
+    """What a search found, with all its digits."""
+    from posegsa.judging.recorded import RecordingResult  # heavy, but it is imported already
+
+    if isinstance(result, RecordingResult):
+        return str(result.filter)
+    return f"k = {result.parameters.tolist()}"
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ from posegsa.cli.replay import read, refuse_imu_options
 from posegsa.config.imu import names_imu
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving import imu, recorded
-from posegsa.saving.checkpointing import newest_checkpoint
+from posegsa.saving.checkpointing import CheckpointedRun, newest_checkpoint
 from posegsa.saving.interrupt import resumable
 from posegsa.search.devices import join_processes
 
@@ -47,10 +47,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _tune_on_recordings(options: argparse.Namespace) -> int:
-    if options.resume is not None or options.distributed:
-        raise ArgumentError("--recording with --resume or --distributed; allowed: one of them")
+    if options.distributed:
+        raise ArgumentError("--recording with --distributed; allowed: one of them")
     _refuse_figures(options)
-    experiment, out = _experiment(options), options.out or OUT
+    experiment, schedule = _experiment(options), options.schedule
+    out = OUT if options.out is None and options.resume is None else options.out
+    if schedule is None and options.resume is not None:
+        task = _run_to_resume(options).recorded
+        schedule = None if task is None else task.schedule
     bridge = options.bridge, options.longest_gap
     recordings = read(options.recording, options.window, *bridge)
     held_out = read(options.held_out or [], options.held_out_window, *bridge)
@@ -61,13 +65,14 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
             experiment,
             recordings=recordings,
             held_out=held_out,
-            schedule=options.schedule or "fuzzy",
+            schedule=schedule or "fuzzy",
             out=out,
             overwrite=options.overwrite,
+            resume=options.resume,
             progress=show,
         )
     print(f"\n{result.summary()}")
-    print(f"\nWritten to {out}: {', '.join(recorded.FILES)}")
+    print(f"\nWritten to {out or options.resume}: {', '.join(recorded.FILES)}")
     return 0
 
 
@@ -129,12 +134,16 @@ def _join(options: argparse.Namespace) -> bool:
     return True
 
 
+def _run_to_resume(options: argparse.Namespace) -> CheckpointedRun:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
+        return newest_checkpoint(Path(options.resume))
+
+
 def _experiment(options: argparse.Namespace) -> config.Experiment:
     """What is to be searched: CONFIG, or that of the run to resume, with all settings."""
     if options.config is None and options.resume is not None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
-            experiment = newest_checkpoint(Path(options.resume)).about.experiment
+        experiment = _run_to_resume(options).about.experiment
     else:
         experiment = config.as_experiment(options.config)
     replaced = {"run.seed": options.seed, "search.iterations": options.iterations}

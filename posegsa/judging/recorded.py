@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 import jax
 import numpy as np
 from jax import Array
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from posegsa import steps
 from posegsa.arguments import check_type, refuse
@@ -24,6 +24,7 @@ from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings.accuracy import AnyNumber, Rmse
+from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
@@ -64,6 +65,8 @@ class RecordingScore(NamedTuple):
     """What was bridged, dropped or left out."""
     errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
     """Root mean squares by phase, "judged" first."""
+    fingerprint: str
+    """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
 
 
 class SimulatedScore(NamedTuple):
@@ -106,6 +109,8 @@ class RecordingResult:
     search_seconds: NonNegative
     environment: dict[str, str]
     version: str
+    non_finite: Annotated[int, Field(ge=0)] = 0
+    """Number of agents whose cost was not finite."""
     simulated: SimulatedScore | None = None
     """On simulated scenarios, if these were tuned on too."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
@@ -214,7 +219,19 @@ class RecordingResult:
             "" if self.simulated is None else self.simulated.text(share),
             self.origins(),
         ]
-        return "\n\n".join(part for part in parts if part)
+        warned = "\n".join(f"  warning: {warning}" for warning in self.warnings())
+        return "\n\n".join(part for part in (*parts, warned) if part)
+
+    def warnings(self) -> list[str]:
+        """What a reader of the result must know before trusting it."""
+        found = []
+        if self.best_cost is not None and not np.isfinite(self.best_cost):
+            found.append(
+                "no agent had a finite cost: the numbers are the middle of the boxes, no result"
+            )
+        if self.non_finite:
+            found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
+        return found
 
     def _head(self) -> str:
         """How the filter was found."""
@@ -292,6 +309,7 @@ def score(recording: Recording, estimates: Estimates) -> RecordingScore:
         sources=recording.sources,
         notes=list(recording.notes),
         errors=errors.rmse(),
+        fingerprint=fingerprint(recording),
     )
 
 
@@ -318,6 +336,7 @@ def judge_on_recordings(
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
+        non_finite=int(search.non_finite),
         simulated=simulated,
         sensors=of_recordings(training),
     )
@@ -356,6 +375,7 @@ def tuned_on_scenarios(result: TuneResult, filter: Description | None = None) ->
         search_seconds=result.search_seconds,
         environment=result.environment,
         version=result.version,
+        non_finite=result.non_finite,
     )
 
 

@@ -86,6 +86,8 @@ def attitude_errors(estimated: ArrayLike, true: ArrayLike) -> AttitudeErrors:
     """
     est = finite_array("estimated", estimated, (None, 3, 3), finite=False)
     ref = finite_array("true", true, (len(est), 3, 3), finite=False)
+    # A filter that diverged may end in infinities, whose differences NumPy warns of.
+    est = np.where(np.isfinite(est).all(axis=(1, 2), keepdims=True), est, np.nan)
     w, x, y, z = product(quaternions(est), quaternions(ref) * [1, -1, -1, -1]).T
     # Arc cosines of numbers near 1, written so that they lose no digits there.
     total = np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w))

@@ -8,6 +8,7 @@ from posegsa import config
 from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import PERTURBATION
 from posegsa.report.numbers import number
+from posegsa.search.build import rule_indices
 
 Noted = tuple[str, list[tuple[str, str]]]
 """A row: its head, and the text of each cell with a note on it."""
@@ -35,7 +36,9 @@ def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[N
 
 def rules(result: TuneResult) -> list[Noted]:
     """The output term of each rule with its weight; a row is a rate, a column an error."""
-    targets, rows = result.controller.rules, []
+    table = result.tuned.fuzzy.rules
+    assert table != config.SEARCHED  # it is the one that was found
+    targets, rows = rule_indices(table), []
     for rate, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
         outputs = [config.TERMS[i] for i in row]
         shown = [number(weight, ".2g") for weight in weights]

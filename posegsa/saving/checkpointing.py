@@ -29,6 +29,7 @@ from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import CONFIGURED, cost_name
+from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.search.run import LONGEST_CHUNK, Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
@@ -50,11 +51,38 @@ class About(NamedTuple):
     """The name of the cost that is minimised (`search.population.cost_name`)."""
 
 
+class RecordedTask(NamedTuple):
+    """What a run on recordings is tuned on, and for what; it does not hold the recordings."""
+
+    schedule: RecordedSchedule
+    position_weight: NonNegative
+    training: list[str]
+    """The fingerprint of each recording that is tuned on."""
+    held_out: list[str]
+    """And of each that only judges."""
+
+
+class AboutRecorded(NamedTuple):
+    """What a checkpoint of a run on recordings says beside the search: `About`, and its task."""
+
+    experiment: config.Experiment
+    search_seconds: NonNegative
+    compile_seconds: NonNegative
+    environment: dict[str, str]
+    cost: str
+    recorded: RecordedTask
+
+
 class CheckpointedRun(NamedTuple):
     """A run as a checkpoint has it."""
 
     checkpoint: Checkpoint
-    about: About
+    about: About | AboutRecorded
+
+    @property
+    def recorded(self) -> RecordedTask | None:
+        """What it is tuned on; None for simulated scenarios alone."""
+        return self.about.recorded if isinstance(self.about, AboutRecorded) else None
 
 
 def search_with_checkpoints(
@@ -62,11 +90,13 @@ def search_with_checkpoints(
     folder: Path,
     run: CheckpointedRun | None,
     progress: Callable[[Progress], object] | None,
+    recorded: RecordedTask | None = None,
 ) -> Found:
     """Search to the end, or until a signal asks to stop where the search can be resumed.
 
     It goes on with a run, or begins one in place of any whose checkpoints the locked folder holds.
-    The times of what was found are those of all processes together.
+    The times of what was found are those of all processes together. `recorded` is what is tuned
+    on, if that is recordings.
 
     Raises:
         SearchInterrupted: Ctrl-C or SIGTERM.
@@ -92,7 +122,8 @@ def search_with_checkpoints(
         )
         return run_search(problem, progress, search=search)
     with deferred_signals() as request:
-        writer = CheckpointWriter(folder, experiment, request, before, cost_name(problem.cost))
+        cost = cost_name(problem.cost)
+        writer = CheckpointWriter(folder, experiment, request, before, cost, recorded)
         with resumable(lambda: f"interrupted {writer.where()}"), writer:
             found = run_search(problem, progress, search=search, keep=writer)
     return found._replace(
@@ -127,8 +158,9 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
 
 def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
     """The run that a checkpoint is of; warns if it was made where numbers may round differently."""
+    kind = AboutRecorded if "recorded" in checkpoint.about else About
     try:
-        about = from_plain(About, checkpoint.about, checkpoint.path)
+        about = from_plain(kind, checkpoint.about, checkpoint.path)
     except RunFolderError as error:
         raise CheckpointError(f"{error}; needed: the checkpoint of a tuning run") from None
     here = environment()
@@ -161,6 +193,8 @@ class CheckpointWriter:
     """Seconds that earlier processes have searched and compiled."""
     cost: str = CONFIGURED
     """The name of the cost that is minimised."""
+    recorded: RecordedTask | None = None
+    """What is tuned on, if that is recordings."""
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -229,6 +263,8 @@ class CheckpointWriter:
             environment=environment(),
             cost=self.cost,
         )
+        if self.recorded is not None:
+            about = AboutRecorded(**about._asdict(), recorded=self.recorded)
         path = self.folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
         try:
             save_search(path, search, plain(about))
@@ -262,8 +298,14 @@ class CheckpointWriter:
         iterations = self.experiment.search.total_iterations
         return (
             f"after iteration {self._iteration} of {iterations}{saved}, "
-            f"best cost {self._best:.4g}; go on with: posegsa tune --resume {self.folder}"
+            f"best cost {self._best:.4g}; {how_to_resume(self.folder, self.recorded)}"
         )
+
+
+def how_to_resume(folder: Path, recorded: RecordedTask | None) -> str:
+    """How to go on with the run in a folder, in words."""
+    again = " --recording ... (the same)" if recorded is not None else ""
+    return f"go on with: posegsa tune --resume {folder}{again}"
 
 
 def checkpoint_paths(folder: Path) -> list[Path]:

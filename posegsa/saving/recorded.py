@@ -22,22 +22,31 @@ SCHEMA = 2
 DATA, TABLE = FILES = RECORDED, RECORDED_TABLE
 
 
-def write_recorded(result: RecordingResult, folder: Path, *, same_run: bool = False) -> None:
+def write_recorded(
+    result: RecordingResult,
+    folder: Path,
+    *,
+    same_run: bool = False,
+    own_checkpoints: bool = False,
+) -> None:
     """Write the files of a result at once, to a folder that the caller has locked.
 
     Args:
         result: What is written.
         folder: Where.
         same_run: Whether what else the folder holds belongs to the same run, and stays.
+        own_checkpoints: Whether the checkpoints do, at least.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
     files = {DATA: to_json(result, SCHEMA), TABLE: result.summary() + "\n"}
-    # Of a simulated run that was there nothing may stay: it would be read instead.
-    checkpoints = [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
+    # Of another run that was there nothing may stay: it would be read instead.
+    stale = [] if same_run else [*RUN_FILES]
+    if not (same_run or own_checkpoints):
+        stale += [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
     contents = {name: text.encode() for name, text in files.items()}
-    replace_files(folder, contents, remove=[] if same_run else [*RUN_FILES, *checkpoints])
+    replace_files(folder, contents, remove=stale)
 
 
 def holds_recorded(folder: str | Path) -> bool:

@@ -6,9 +6,13 @@ from typing import Any
 import jax
 
 from posegsa import config
+from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError, RunFolderError
+from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
+from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import as_path
+from posegsa.saving.recorded import load_recorded
 from posegsa.saving.run import load
 from posegsa.settings.violations import Refused, Violation, violations_error
 
@@ -38,6 +42,39 @@ def finished_result(folder: Path, experiment: config.Experiment) -> TuneResult |
         return None
     same = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
     return result if same == experiment else None
+
+
+def check_same_recordings(stored: RecordedTask | None, asked: RecordedTask, folder: Path) -> None:
+    """Raise an ArgumentError unless a run was tuned on these recordings, and for the same."""
+    if stored is None:
+        refuse(f"recordings with resume = {folder}", "none: the run is on simulated scenarios")
+    for name in ("schedule", "position_weight"):
+        if (given := getattr(asked, name)) != (kept := getattr(stored, name)):
+            refuse(f"{name} = {given!r}", f"{kept!r}, as in the run to go on with")
+    for name, own, kept in (
+        ("recordings", asked.training, stored.training),
+        ("held_out", asked.held_out, stored.held_out),
+    ):
+        if len(own) != len(kept):
+            refuse(f"{name}: {len(own)} of them", f"the {len(kept)} of the run to go on with")
+        for i, (one, other) in enumerate(zip(own, kept, strict=True)):
+            if one != other:
+                refuse(f"{name}[{i}]: holds other numbers", "that of the run to go on with")
+
+
+def finished_on_recordings(
+    folder: Path, experiment: config.Experiment, task: RecordedTask
+) -> RecordingResult | None:
+    """The result of this experiment on these recordings, if the folder has it."""
+    try:
+        result = load_recorded(folder)
+    except RunFolderError:
+        return None
+    own = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
+    trained = [one.fingerprint for one in result.training]
+    asked = (experiment, task.training, task.schedule, task.position_weight)
+    found = (own, trained, result.filter.kind, result.position_weight)
+    return result if found == asked else None
 
 
 def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) -> config.Experiment:

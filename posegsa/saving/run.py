@@ -212,9 +212,9 @@ def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
         if found != needed:
             found, needed = reprlib.repr(found), reprlib.repr(needed)
             raise RunFolderError(f"{folder / file}: {field} = {found}; in {RESULT}: {needed}")
-    try:
-        _ = result.tuned
-    except ValueError as error:
-        raise RunFolderError(
-            f"{folder / EVALUATION}: contenders.{TUNED}.filter.numbers.{error}"
-        ) from None
+    if experiment.fuzzy.rules == SEARCHED:
+        try:
+            _ = result.tuned
+        except ValueError as error:
+            where = f"{folder / EVALUATION}: contenders.{TUNED}.filter.numbers"
+            raise RunFolderError(f"{where}.{error}") from None

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -15,6 +16,8 @@ from posegsa.settings.violations import Violation, violations_error
 
 COMPILER = 2**29
 """What JAX and its compiler take, whatever the experiment [bytes]."""
+RECORDINGS = "recordings"
+"""What the share of recordings is called."""
 PER_AGENT = 100
 """Numbers that one agent's simulation keeps on one scenario; measured: 92."""
 
@@ -22,8 +25,30 @@ _MEMORY = Path("/proc/meminfo")
 _GROUP = Path("/sys/fs/cgroup")
 
 
-def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[str, int]:
-    """Estimated bytes, by the values that cause them; `held_out` replaces its own scenarios."""
+class RecordedSize(NamedTuple):
+    """How much of recordings is simulated at once: all are as long as the longest."""
+
+    count: int
+    samples: int
+    """Of the longest."""
+    vectors: int
+    """The most that one of them has."""
+    landmarks: int
+    """Likewise."""
+
+
+def needs(
+    experiment: config.Experiment,
+    held_out: int | None = None,
+    recorded: RecordedSize | None = None,
+) -> dict[str, int]:
+    """Estimated bytes, by the values that cause them.
+
+    `held_out` replaces its own scenarios. With recordings these are simulated, and its scenarios
+    only beside them.
+    """
+    if recorded is not None:
+        return _needs_recorded(experiment, recorded)
     run, scenario, search = experiment.run, experiment.scenario, experiment.search
     size = np.dtype(run.dtype).itemsize
     held_out = run.held_out_scenarios if held_out is None else held_out
@@ -49,7 +74,26 @@ def needs(experiment: config.Experiment, held_out: int | None = None) -> dict[st
     }
 
 
-def check(experiments: Iterable[config.Experiment], held_out: int | None = None) -> None:
+def _needs_recorded(experiment: config.Experiment, recorded: RecordedSize) -> dict[str, int]:
+    shares = needs(experiment)
+    for name in ("run.training_scenarios", "run.endurance_scenarios", "run.held_out_scenarios"):
+        if name == "run.endurance_scenarios" or not experiment.objective.simulated_share:
+            del shares[name]
+    size = np.dtype(experiment.run.dtype).itemsize
+    vectors = recorded.vectors + experiment.filter.cross_vector
+    # What is measured, the truth and what counts, filled up and joined in NumPy's float64; the same
+    # at the run's precision, and what the loop reads of it.
+    given = 20 + 7 * recorded.vectors + 7 * recorded.landmarks
+    read = 25 + 7 * (vectors + recorded.landmarks) + 8 * recorded.landmarks
+    per_sample = 2 * 8 * given + size * (given + 2 * read)
+    return shares | {RECORDINGS: recorded.count * recorded.samples * per_sample}
+
+
+def check(
+    experiments: Iterable[config.Experiment],
+    held_out: int | None = None,
+    recorded: RecordedSize | None = None,
+) -> None:
     """Refuse experiments, all held at once, that would need more memory than there is.
 
     Raises:
@@ -58,13 +102,19 @@ def check(experiments: Iterable[config.Experiment], held_out: int | None = None)
     many = list(experiments)
     shares = Counter[str]()
     for one in many:
-        shares.update(needs(one, held_out))
+        shares.update(needs(one, held_out, recorded))
     total, there = COMPILER + sum(shares.values()), available()
     if there is None or total <= there:
         return
     violations = []
     for key, share in shares.most_common():
-        if share > total / 20:
+        if share > total / 20 and recorded is not None and key == RECORDINGS:
+            reason = (
+                f"takes {_gib(share)}, as each is filled up to the {recorded.samples} samples of "
+                "the longest; allowed: fewer, or windows of them"
+            )
+            violations.append(Violation(key, reason, recorded.count))
+        elif share > total / 20:
             section, name = key.split(".")
             value = getattr(getattr(many[0], section), name)
             if key == "run.held_out_scenarios" and held_out is not None:

@@ -27,6 +27,7 @@ from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import state_of
 from posegsa.recordings.start import with_numpy_arrays
+from posegsa.search import memory
 from posegsa.search.build import (
     TuningProblem,
     all_scenarios,
@@ -72,14 +73,15 @@ def recorded_problem(
     Raises:
         ConfigError: The experiment's signal is "pose", or it wants a number tuned that has no
             effect here, or its scenarios are to be tuned on too and have other sensors.
+        MemoryLimitError: It would need more memory than there is.
         RecordingError: A recording has no judged sample.
     """
     if experiment.gain.signal == "pose":
         raise ConfigError(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
-    most = _most_sensors(recordings)
-    experiment = with_effect_on(experiment, *most, schedule, strict=strict)
+    experiment = tuned_on_recordings(experiment, recordings, schedule, strict=strict)
+    memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
         scenario=None,  # type: ignore[arg-type]  # nothing is simulated
@@ -94,6 +96,28 @@ def recorded_problem(
     every = as_recordings(all_scenarios(experiment, one), position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
     return problem._replace(scenario=one, scenarios=every, beside=beside)
+
+
+def tuned_on_recordings(
+    experiment: config.Experiment,
+    recordings: Sequence[Recording],
+    schedule: RecordedSchedule,
+    *,
+    strict: bool = True,
+) -> config.Experiment:
+    """`with_effect_on` these recordings."""
+    return with_effect_on(experiment, *_most_sensors(recordings), schedule, strict=strict)
+
+
+def _size(recordings: Sequence[Recording]) -> memory.RecordedSize:
+    """How much of recordings is simulated at once."""
+    vectors, landmarks = _most_sensors(recordings)
+    return memory.RecordedSize(
+        count=len(recordings),
+        samples=max(one.samples for one in recordings),
+        vectors=vectors,
+        landmarks=landmarks,
+    )
 
 
 def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Recording]) -> None:

@@ -1,6 +1,7 @@
 """`tune` on recordings: what it finds, says, saves, and what it refuses."""
 
 import json
+import signal
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,22 @@ from recorded_motion import LANDMARKS, motion
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main
-from posegsa.errors import ArgumentError, FuzzyError, RecordingError, RunFolderError
+from posegsa.errors import (
+    ArgumentError,
+    ConfigError,
+    FuzzyError,
+    RecordingError,
+    RunFolderError,
+    SearchInterrupted,
+)
 from posegsa.export import export
 from posegsa.judging.recorded import RecordingResult
 from posegsa.recordings.recording import Recording
+from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import CHECKPOINT_SUFFIX
+from posegsa.saving.resume import check_same_recordings
 from posegsa.search.build import rule_indices
+from posegsa.search.run import Progress
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False},
@@ -69,6 +80,22 @@ def test_the_summary_shows_the_held_out_or_says_that_there_are_none(
     assert "synthetic: R^T v" in result.summary()
     alone = RecordingResult(**{**vars(result), "held_out": []})
     assert "No recording was held out" in alone.summary()
+
+
+def test_a_search_without_a_finite_cost_is_no_result(recordings: list[Recording]) -> None:
+    wild = {"gain_limit": "off", "gamma": 5.0, "gamma_law": "fixed"} | TINY["filter"]
+    box = {"also": [{"key": "filter.gamma", "lower": 1e8, "upper": 1e9}]}
+    found = posegsa.tune(
+        config.from_dict(TINY | {"filter": wild, "parameters": box}),
+        recordings=recordings[0],
+        held_out=recordings[1],
+        schedule="constant",
+    )
+    assert found.best_cost == np.inf
+    assert found.non_finite == 24
+    assert "no agent had a finite cost" in found.summary()
+    assert "24 agents of the search had no finite cost" in found.summary()
+    assert found.held_out[0].errors["judged"].total == np.inf
 
 
 def test_a_result_is_saved_and_read_back(
@@ -126,6 +153,13 @@ def test_the_command_tunes_on_files(
     assert "Written to" in said
     assert (tmp_path / "run" / "recorded.txt").read_text().strip() in said
     assert main(["replay", str(tmp_path / "run"), str(tmp_path / "b.npz")]) == 0
+    again = ["tune", "--resume", str(tmp_path / "run"), "--quiet"]
+    assert main([*again, *files, "--window", "0:4"]) == 0
+    assert (tmp_path / "run" / "recorded.txt").read_text().strip() in capsys.readouterr().out
+    assert main([*again, *files, "--window", "0:3"]) == 2
+    assert "recordings[0]: holds other numbers" in capsys.readouterr().err
+    assert main(again) == 2
+    assert "without recordings; allowed: with those" in capsys.readouterr().err
     assert main([*command, "--schedule", "constant"]) == 2
     assert "--schedule; allowed: with --recording" in capsys.readouterr().err
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
@@ -161,6 +195,49 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
         posegsa.by_hand("fast")  # type: ignore[arg-type]
 
 
+def test_an_interrupted_search_goes_on_to_the_same_bits(
+    result: RecordingResult, recordings: list[Recording], tmp_path: Path
+) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.iteration == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    given = {"recordings": recordings[0], "held_out": recordings[1], "schedule": "constant"}
+    with pytest.raises(SearchInterrupted, match=r"iteration 2 of 3, .* --recording \.\.\. "):
+        posegsa.tune(config.from_dict(TINY), out=tmp_path, progress=stop, **given)
+    with pytest.raises(RunFolderError, match="holds an unfinished run"):
+        posegsa.tune(config.from_dict(TINY), out=tmp_path, **given)
+    for changes, words in (
+        ({"recordings": None, "held_out": None, "schedule": "fuzzy"}, "without recordings"),
+        ({"recordings": recordings[1], "held_out": recordings[0]}, r"recordings\[0\]: holds other"),
+        ({"held_out": None}, "held_out: 0 of them; allowed: the 1 of"),
+        ({"schedule": "smooth"}, "schedule = 'smooth'; allowed: 'constant'"),
+        ({"position_weight": 1.0}, "position_weight = 1.0; allowed: 100.0"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            posegsa.tune(resume=tmp_path, **(given | changes))
+    with pytest.raises(ConfigError, match=r"filter.substeps"):
+        posegsa.tune(
+            config.from_dict(TINY).replace(**{"filter.substeps": 3}), resume=tmp_path, **given
+        )
+    found = posegsa.tune(resume=tmp_path, **given)
+    for name in ("filter", "best_cost", "training", "held_out", "experiment"):
+        assert getattr(found, name) == getattr(result, name), name
+    assert vars(posegsa.tune(resume=tmp_path, **given)) == vars(found), "it is finished"
+    more = posegsa.tune(resume=tmp_path, iterations=5, **given)
+    assert more.filter.evaluations == 40
+    assert more.best_cost <= found.best_cost  # type: ignore[operator]
+
+
+@pytest.mark.quick
+def test_a_scenario_run_is_not_resumed_with_recordings(tmp_path: Path) -> None:
+    task = RecordedTask(schedule="fuzzy", position_weight=1.0, training=["a"], held_out=[])
+    with pytest.raises(ArgumentError, match="allowed: none: the run is on simulated scenarios"):
+        check_same_recordings(None, task, tmp_path)
+    check_same_recordings(task, task, tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
 def test_scenarios_are_tuned_on_beside_recordings(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
@@ -248,7 +325,7 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
         ({"recordings": recordings, "held_out": recordings[1]}, "held_out: bench is tuned on"),
         ({"recordings": recordings, "schedule": "best"}, "schedule = 'best'"),
         ({"recordings": recordings, "position_weight": -1.0}, "position_weight = -1.0"),
-        ({"recordings": recordings, "resume": "run"}, "recordings with resume or cost"),
+        ({"recordings": recordings, "cost": len}, "recordings with cost"),
         ({"held_out": recordings}, "held_out without recordings"),
         ({"schedule": "constant"}, "schedule without recordings"),
         ({"position_weight": 3.0}, "position_weight without recordings"),

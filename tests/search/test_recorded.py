@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
-from posegsa.errors import ConfigError
+from posegsa.errors import ConfigError, MemoryLimitError
 from posegsa.model.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
+from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
@@ -24,6 +25,7 @@ BASE: dict[str, Any] = {
     "filter": {"vector_bias": "off", "cross_vector": False},
     "parameters": {"also": []},
 }
+PROJECTED = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
 GAINS = Candidate(ConstantGain(jnp.array([4.0, 9.0], jnp.float32)))
 
 
@@ -122,6 +124,21 @@ def test_weights_are_those_of_the_first_sensors() -> None:
 
 
 @pytest.mark.quick
+def test_recordings_too_large_for_the_memory_are_refused(
+    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = config.from_dict(BASE)
+    own = memory.needs(experiment, recorded=memory.RecordedSize(2, 400, 2, 3))
+    assert set(own) == {"recordings", "search.agents", "search.iterations"}
+    much = memory.needs(experiment, recorded=memory.RecordedSize(2, 4_000_000, 2, 3))
+    assert much["recordings"] == 10_000 * own["recordings"]
+    monkeypatch.setattr(memory, "COMPILER", 0)
+    monkeypatch.setattr(memory, "available", lambda: own["recordings"])
+    with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* filled up to the 400 samples"):
+        recorded_problem(experiment, recordings, "constant", 1.0)
+
+
+@pytest.mark.quick
 def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -> None:
     oracle = config.override(config.Experiment(), ["gain.signal=pose"])
     with pytest.raises(ConfigError, match="looks at the true pose"):
@@ -151,6 +168,7 @@ def one_landmark() -> Recording:
     return Recording.from_arrays(name="one", **given).off(40, 0.5)
 
 
+@PROJECTED
 def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Recording) -> None:
     problem = recorded_problem(mixed(), [one_landmark], "constant", 100.0)
     assert problem.scenarios.bias.shape[0] == 5
@@ -175,6 +193,7 @@ def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Reco
         np.testing.assert_allclose(costs[i, 1], attitude + 100 * position, rtol=1e-3)
 
 
+@PROJECTED
 def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) -> None:
     problem = recorded_problem(mixed(share=0.25), [one_landmark], "constant", 100.0)
     assert problem.beside is not None
@@ -186,6 +205,7 @@ def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) 
     np.testing.assert_allclose(on_all_devices(problem)(vectors), expected, rtol=1e-5)
 
 
+@PROJECTED
 def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recording) -> None:
     short = mixed("family.duration=[0.05, 0.05]", "cost.transient_weight=0.0")
     problem = recorded_problem(short, [one_landmark], "constant", 100.0)

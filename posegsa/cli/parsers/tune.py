@@ -36,7 +36,7 @@ def add(commands) -> None:
     add_figures(parser)
     resume = (
         "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
-        "more iterations"
+        "more iterations, and so must recordings"
     )
     parser.add_argument("--resume", metavar="DIR", help=resume)
     parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
