@@ -117,7 +117,7 @@ class Display:
         left = self._left(now)
         tail = [about] * bool(about) + [f"{span(left)} left"] * (left is not None)
         if not self.drawn:
-            return f"{name} {done:.0f}/{parts}{''.join(f', {word}' for word in tail)}"
+            return f"{name} {int(done)}/{parts}{''.join(f', {word}' for word in tail)}"
         filled = int(BAR * min(done / parts, 1))
         bar = "#" * filled + "." * (BAR - filled)
         return f"{name} [{bar}] {int(done)}/{parts}{''.join(f', {word}' for word in tail)}"

@@ -71,7 +71,7 @@ def test_it_shows_progress_and_notes_in_plain_words(finished):
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
         assert f"\n{step}: done after" in done.stderr
     assert "best cost" in done.stderr
-    assert "note:" not in done.stderr, "of the default there is nothing to note"
+    assert "initial_rotation" not in done.stderr, "of the default there is nothing to note"
     assert "Traceback" not in done.stderr
     assert "Warning" not in done.stderr
 
