@@ -87,6 +87,8 @@ class SquaredErrors(NamedTuple):
     """[m^2]."""
 
     def cost(self, position_weight: Array) -> Array:
-        """C [deg]."""
+        """C [deg]; infinite where the filter diverged: `safe_sqrt` makes 0 of NaN."""
         attitude = jnp.degrees(2 * safe_sqrt(self.attitude))
-        return attitude + position_weight * safe_sqrt(self.position)
+        cost = attitude + position_weight * safe_sqrt(self.position)
+        known = jnp.isfinite(self.attitude) & jnp.isfinite(self.position)
+        return jnp.where(known, cost, jnp.inf)

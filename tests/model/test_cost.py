@@ -18,7 +18,7 @@ from setups import (
 )
 
 from posegsa.config import CostConfig, ObjectiveConfig
-from posegsa.model.cost import sample_error, trajectory_cost
+from posegsa.model.cost import SquaredErrors, sample_error, trajectory_cost
 from posegsa.model.rollout import simulate, simulate_cost
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
@@ -107,3 +107,12 @@ def test_objectives_over_scenarios_by_hand():
 def test_no_objective_forgives_a_scenario_that_diverges(name, bad):
     costs = jnp.float32([[1], [2], [3], [4], [bad]])
     assert not np.isfinite(over_scenarios(costs, ObjectiveConfig(name=name)))[0]
+
+
+@pytest.mark.quick
+def test_on_recordings_a_filter_that_diverged_costs_infinity() -> None:
+    one, bad = jnp.float32(0.01), [jnp.float32(np.nan), jnp.float32(np.inf)]
+    for squares in [(b, one) for b in bad] + [(one, b) for b in bad]:
+        assert SquaredErrors(*squares).cost(jnp.float32(100)) == np.inf
+    expected = np.degrees(2 * 0.1) + 100 * 0.1
+    assert SquaredErrors(one, one).cost(jnp.float32(100)) == pytest.approx(expected, rel=1e-6)
