@@ -3,6 +3,7 @@
 import argparse
 
 from posegsa import comparing, config
+from posegsa.cli.parsers.arguments import drawn
 from posegsa.cli.progress import CompareDisplay
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.saving.interrupt import resumable
@@ -40,6 +41,6 @@ def run(options: argparse.Namespace) -> int:
         )
     print(comparison.table(options.levels))
     if options.out is not None:
-        drawn = "" if options.figures == [] else ", comparison.png"
-        print(f"\nWritten to {options.out}: comparison.json, comparison.txt{drawn}")
+        figure = drawn(options, "comparison.png")
+        print(f"\nWritten to {options.out}: comparison.json, comparison.txt{figure}")
     return 0

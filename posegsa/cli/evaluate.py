@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from posegsa import evaluating
+from posegsa.cli.parsers.arguments import drawn
 from posegsa.cli.progress import Display
 from posegsa.cli.replay import read
 from posegsa.errors import ArgumentError
@@ -57,7 +58,8 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
     print(f"\n{result.endurance.table(CONSTANT)}")
     for warning in result.warnings():
         print(f"  warning: {warning}")
-    print(f"\nWritten to {options.run}: report.html, evaluation.json, evaluation.txt, figures/")
+    files = f"report.html, evaluation.json, evaluation.txt{drawn(options)}"
+    print(f"\nWritten to {options.run}: {files}")
     return 0
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 
 from posegsa import config, imu_tuning, tuning
+from posegsa.cli.parsers.arguments import drawn
 from posegsa.cli.parsers.tune import FILES, OUT
 from posegsa.cli.progress import TuneDisplay
 from posegsa.cli.replay import read, refuse_imu_options
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
     if first:
         print(result.summary())
-        print(f"\nWritten to {out or options.resume}: {FILES}")
+        print(f"\nWritten to {out or options.resume}: {FILES}{drawn(options)}")
     return 0
 
 

@@ -1,15 +1,17 @@
 """What is shown of long work: on a terminal, elsewhere, and when it stops."""
 
 import io
+import math
 
 import pytest
 
 from posegsa import steps
 from posegsa.cli import progress
-from posegsa.cli.progress import CompareDisplay, Display, TuneDisplay, span
+from posegsa.cli.progress import CompareDisplay, Display, SweepDisplay, TuneDisplay, span
 from posegsa.comparing import Status
 from posegsa.search.run import Progress
 from posegsa.steps import Step
+from posegsa.sweeping import SweepStatus
 
 pytestmark = pytest.mark.quick
 
@@ -154,6 +156,16 @@ def test_what_a_folder_held_of_a_comparison_counts_as_done(capsys):
         assert show.present is not None
         assert (show.present.done, show.present.parts) == (3.5, 4)
     assert "de 2/2" in capsys.readouterr().err
+
+
+def test_what_a_folder_held_of_a_sweep_counts_as_done(capsys):
+    with SweepDisplay() as show:
+        show(SweepStatus(done=2, runs=6, running=0.0, best_cost=math.inf))
+        show(SweepStatus(done=2, runs=6, running=1.5, best_cost=0.25))
+        assert show.present == Step("sweeping", 3.5, 6, best_cost=0.25)
+        show(SweepStatus(done=6, runs=6, running=0.0, best_cost=math.inf))
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["sweeping 2/6", "sweeping: done after under 1 s"]
 
 
 @pytest.mark.parametrize(

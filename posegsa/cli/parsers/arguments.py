@@ -53,6 +53,11 @@ def add_figures(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-figures", action="store_const", const=[], dest="figures", help=words)
 
 
+def drawn(options: argparse.Namespace, files: str = "figures/") -> str:
+    """What is said of figures at the end of a list of files that were written."""
+    return "" if options.figures == [] else f", {files}"
+
+
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
 

@@ -15,7 +15,7 @@ from posegsa.search.recorded_schedules import RecordedSchedule
 
 OUT = "posegsa-run"
 """Folder that is written to where none is given."""
-FILES = "report.html, result.json, evaluation.json, .txt, history.csv, trajectory.csv, figures/"
+FILES = "report.html, result.json, evaluation.json, .txt, history.csv, trajectory.csv"
 
 
 def add(commands) -> None:
@@ -24,7 +24,7 @@ def add(commands) -> None:
         "tune",
         help="tune a gain schedule and judge it on unseen scenarios",
         description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
-        f"{FILES} to a folder.",
+        f"{FILES}, figures/ to a folder.",
     )
     add_search_arguments(
         parser,
