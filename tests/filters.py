@@ -81,6 +81,7 @@ def settings(
     landmark_weights: Sequence[float] | None = None,
     learnt: VectorBias | None = None,
     length: float | None = None,
+    bias_bounds: tuple[float, float] | None = None,
 ) -> FilterSettings:
     """The filter's settings; by default it takes measurements, and their weights, as they are."""
     return FilterSettings(
@@ -97,6 +98,8 @@ def settings(
         and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
         vector_bias=learnt,
         length=None if length is None else jnp.asarray(length, dtype),
+        per_angular_bias_bound=bias_bounds and jnp.asarray(bias_bounds[0] ** -2, dtype),
+        per_linear_bias_bound=bias_bounds and jnp.asarray(bias_bounds[1] ** -2, dtype),
     )
 
 

@@ -211,11 +211,13 @@ def learn_vector_biases(
     for i in np.flatnonzero(sample.sR):
         residual = sample.vB[i] - c_est[i] - R.T @ sample.vI[i]
         c_new[i] = c_est[i] + dt * (share * residual - law.leak * c_est[i])
-    for i in range(len(c_new)):
-        x = np.linalg.norm(c_new[i]) / law.bound
-        if x > 1:
-            c_new[i] *= max(0.0, (3 - x**2) / 2)
-    return c_new, turning
+    return np.array([within(c, law.bound) for c in c_new]).reshape(c_new.shape), turning
+
+
+def within(b: Array, bound: float) -> Array:
+    """A bias that is x > 1 times as long as its bound, brought back by max(0, (3 - x^2) / 2)."""
+    x = np.linalg.norm(b) / bound
+    return b * max(0.0, (3 - x**2) / 2) if x > 1 else b
 
 
 def filter_step(
@@ -229,13 +231,15 @@ def filter_step(
     gamma_law: GammaLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = None,
+    bias_bounds: tuple[float, float] | None = None,
     gains_used: list[float] | None = None,
 ) -> tuple[Array, Array]:
     """Estimate (4, 4) and bias (6,) at t_{k+1} from those at t_k (Eq. 9).
 
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
     and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of
-    omega, y the farthest landmark.  gain_limit is c of K_used = min(K, c / (dt/n L)).  Each
+    omega, y the farthest landmark.  gain_limit is c of K_used = min(K, c / (dt/n L)).  bias_bounds
+    are the largest lengths of the biases of omega and v.  Each
     of the n inner steps evaluates everything at its own start, the measurement held; the velocity
     (Y_m - b_est) dt enters with the last one only.  The sample's vectors are those that are used.
     """
@@ -266,6 +270,10 @@ def filter_step(
             move = move + (np.concatenate([s.omega, s.v]) - b_est) * s.dt
         T_est = T_est @ se3_exp(move)
         b_est = b_est + b_dot * h
+        if bias_bounds is not None:
+            b_est = np.concatenate(
+                [within(b, m) for b, m in zip(np.split(b_est, 2), bias_bounds, strict=True)]
+            )
     return T_est, b_est
 
 

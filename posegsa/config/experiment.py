@@ -73,6 +73,10 @@ class FilterConfig(Section):
     gamma_law: GainLaw = "quadratic"
     """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
     what it is at K = 10/s."""
+    bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
+    """Largest lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
+    data sheets give, or "off" for none. They keep an estimate from running away where measurements
+    stop before it has converged."""
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
     """Unit of length [m] in which attitude and position share the gain: about the distance of the
     landmarks from the origin, for both to converge alike."""

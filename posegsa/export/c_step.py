@@ -40,6 +40,8 @@ _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
     "gamma_linear": ("", "gain of the bias law of the velocity at K = 10/s [1/s^2]"),
     "length": ("", "l [m], unit of length in which attitude and position share the gain"),
+    "per_angular_bias_bound": ("", "1 / bound^2 of the angular velocity's bias [s^2/rad^2]"),
+    "per_linear_bias_bound": ("", "1 / bound^2 of the velocity's bias [s^2/m^2]"),
     "gain_limit": ("", "largest step of the innovation, K h L"),
     "vectors.cross_weight": ("cross_vector_weight", "s of v_1 x v_2"),
     "vector_bias.gain": ("", "gamma_c, gain of the vectors' bias law at K = 10/s [1/s]"),

@@ -55,6 +55,11 @@ gamma) never rises (without noise). With a changing gamma that function serves w
 gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
 which a gain that settles has.
 
+The biases' bounds. While an estimate is far off, the bias laws learn what is not there: with the
+high gain that a start of 100 degrees asks for, b_est comes to many times any real bias, and is
+right again when the pose is. Measurements that stop in between leave it at that, and the estimate
+runs away. Where bounds are given, |b_est| is kept within them, as |c_i| below.
+
 The vectors' biases. The sensor model has them (Eq. 2); while they are ignored they make nearly all
 of the steady error. With c_i the estimated bias, d_i = v_i^B - c_i,
     dc_i/dt = gamma_c (d_i - R_est^T v_i^I) - leak c_i,   |c_i| <= bound,
@@ -156,6 +161,11 @@ class FilterSettings:
     """s_i^L of each landmark [1/m^2]; None is 1 for all."""
     vector_bias: VectorBias | None = None
     """How the vectors' biases are learnt; None where they are not."""
+    per_angular_bias_bound: Array | None = None
+    """1 / bound^2 [s^2/rad^2], bound the largest length of the estimated bias of the angular
+    velocity; None for no bound."""
+    per_linear_bias_bound: Array | None = None
+    """The same of the linear velocity's [s^2/m^2]."""
     length: Array | None = None
     """l, the unit of length [m] in which the observer's equations are those of the module's head;
     None is 1 m, with law "printed" always."""
@@ -487,10 +497,24 @@ def learnt_biases(
     gamma_angular, gamma_linear = bias_gains(used, sample, settings)
     if share is not None:
         gamma_angular, gamma_linear = share * gamma_angular, share * gamma_linear
+    angular = add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular)))
+    linear = add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear)))
     return (
-        add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular))),
-        add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear))),
+        bounded(angular, settings.per_angular_bias_bound),
+        bounded(linear, settings.per_linear_bias_bound),
     )
+
+
+def bounded(c: Vec3, per_bound: Array | None) -> Vec3:
+    """A vector brought back to its bound where it is longer, with `per_bound` = 1 / bound^2.
+
+    With x = |c| / bound, x (3 - x^2) / 2 <= 1: a Newton step back to the bound, with neither a
+    square root nor a division.
+    """
+    if per_bound is None:
+        return c
+    excess = per_bound * dot(c, c)
+    return scale(choose(excess > 1, maximum(1.5 - 0.5 * excess, 0.0), 1.0), c)
 
 
 def observe(
@@ -562,10 +586,7 @@ def learnt_vector_biases(
         measured = vector.factor > 0
         now = choose(measured, share, jnp.zeros_like(share))
         c = add(scale(choose(measured, kept, 1.0), c), scale(now, residual))
-        # With x = |c| / bound, x (3 - x^2) / 2 <= 1: a Newton step back to the bound, with neither
-        # a square root nor a division.
-        excess = law.per_bound * dot(c, c)
-        biases.append(scale(choose(excess > 1, maximum(1.5 - 0.5 * excess, 0.0), 1.0), c))
+        biases.append(bounded(c, law.per_bound))
     return tuple(biases), turning
 
 

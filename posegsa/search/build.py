@@ -265,6 +265,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
 
     angular, linear = section.gamma if isinstance(section.gamma, tuple) else (section.gamma,) * 2
     learnt = section.vector_bias == "estimated"
+    bounds = None if section.bias_bound == "off" else section.bias_bound
     return FilterSettings(
         law=section.law,
         gamma_law=section.gamma_law,
@@ -291,6 +292,8 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         )
         if learnt
         else None,
+        per_angular_bias_bound=None if bounds is None else 1 / number(bounds[0]) ** 2,
+        per_linear_bias_bound=None if bounds is None else 1 / number(bounds[1]) ** 2,
         # A length of 1 m is none, whose program multiplies less.
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)

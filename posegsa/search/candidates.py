@@ -54,6 +54,10 @@ def _with_value(
             return replace(settings, gamma_angular=value), signal
         case ["filter", "gamma", "1"]:
             return replace(settings, gamma_linear=value), signal
+        case ["filter", "bias_bound", "0"]:
+            return replace(settings, per_angular_bias_bound=1 / value**2), signal
+        case ["filter", "bias_bound", "1"]:
+            return replace(settings, per_linear_bias_bound=1 / value**2), signal
         case ["filter", "length"]:
             return replace(settings, length=value), signal
         case ["filter", "gain_limit"]:

@@ -221,7 +221,7 @@ def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:
             return vectors >= 2
         case ["filter", name] if name.startswith(("vector_bias", "excitation")):
             return vectors > 0
-        case ["filter", "gamma", "1"] | ["filter", "length"]:
+        case ["filter", "gamma" | "bias_bound", "1"] | ["filter", "length"]:
             return landmarks > 0
     return True
 

@@ -48,6 +48,10 @@ def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
         ([], ALWAYS | CROSS),
         (["filter.vector_bias=estimated"], ALWAYS | CROSS | LEARNT),
         (["filter.cross_vector=false"], ALWAYS),
+        (
+            ["filter.bias_bound=[0.5, 1.5]"],
+            ALWAYS | CROSS | {"filter.bias_bound.0", "filter.bias_bound.1"},
+        ),
         (["filter.gain_limit=off"], (ALWAYS | CROSS) - {"filter.gain_limit"}),
         (
             ["filter.gamma=3.0"],

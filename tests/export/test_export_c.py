@@ -184,7 +184,13 @@ def landmarks_alone() -> Case:
     numbers = {"before": 12.0, "after": 4.0, "time": 12.3456, "learning_time": 5.4321}
     return Case(
         schedule=SwitchGain(**{k: jnp.asarray(v, np.float64) for k, v in numbers.items()}),
-        settings=settings(gamma_law="linear", substeps=2, gamma=(1.0, 3.0), length=2.5),
+        settings=settings(
+            gamma_law="linear",
+            substeps=2,
+            gamma=(1.0, 3.0),
+            length=2.5,
+            bias_bounds=(0.05, 0.1),
+        ),
         signal=signal(),
         vectors=VECTORS[:0],
         landmarks=LANDMARKS,

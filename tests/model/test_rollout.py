@@ -115,6 +115,7 @@ def reference_run(
         gamma_law=f.gamma_law,
         substeps=f.substeps,
         gain_limit=None if f.gain_limit == "off" else f.gain_limit,
+        bias_bounds=None if f.bias_bound == "off" else f.bias_bound,
     )
 
 
@@ -235,6 +236,7 @@ CHAINS = {
             "filter.substeps=2",
             "filter.gamma_law=quadratic",
             "filter.vector_bias_law=quadratic",
+            "filter.bias_bound=[0.5, 1.5]",
             "gain.smoothing=0.02",
         ),
         missing=0.3,
@@ -299,6 +301,10 @@ def test_the_chain_against_the_reference(chain: Chain) -> None:
         assert np.abs(expected.c_est[-1]).max() > 0.05
         length = np.linalg.norm(estimates.vector_bias, axis=-1).max()
         assert length <= experiment.filter.vector_bias_bound * (1 + 1e-12)
+    if isinstance(bounds := experiment.filter.bias_bound, tuple):
+        longest = np.linalg.norm(estimates.bias.reshape(200, 2, 3), axis=-1).max(axis=0)
+        assert (longest <= np.array(bounds) * (1 + 1e-12)).all()
+        assert (longest > 0.9 * np.array(bounds)).all(), "reached"
     # In sub-steps too, a gain well under the limit is used as it is.
     if experiment.filter.gain_limit == "off":
         free = np.full(200, True)

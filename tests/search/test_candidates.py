@@ -33,7 +33,10 @@ pytestmark = [
 ]
 
 LEARNING = paper("filter.vector_bias=estimated", *lasting(0.3))
-PAIR = config.override(LEARNING, ["filter.gamma=[5.0, 10.0]", "filter.length=2.0"])
+PAIR = config.override(
+    LEARNING,
+    ["filter.gamma=[5.0, 10.0]", "filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"],
+)
 SCALAR = config.override(LEARNING, ["filter.gamma=5.0"])
 KEYS = [
     *((PAIR, key) for key in tunable(PAIR)),
