@@ -76,7 +76,7 @@ class FilterConfig(Section):
     bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
     """Largest lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
     data sheets give, or "off" for none. They keep an estimate from running away where measurements
-    stop before it has converged."""
+    stop before it has converged; one that is far beyond begins again from 0."""
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
     """Unit of length [m] in which attitude and position share the gain: about the distance of the
     landmarks from the origin, for both to converge alike."""
