@@ -7,7 +7,7 @@ from typing import Literal
 from posegsa import steps
 from posegsa.arguments import check_callable, check_whole, refuse, several
 from posegsa.config.imu import ImuConfig, load_imu
-from posegsa.errors import RecordingError
+from posegsa.errors import RecordingError, RunFolderError, SaveError
 from posegsa.judging.imu import ImuResult, judge_imu
 from posegsa.recordings.imu import Frame, ImuRecording, as_imu
 from posegsa.recordings.recording import Recording
@@ -45,14 +45,16 @@ def tune_imu(
         rest: Likewise.
         seed: Of the search.
         out: Folder to write imu.toml, which `posegsa replay` takes, and imu.txt to.
-        overwrite: Replace the filter that it holds.
+        overwrite: Replace the filter that it holds; a run there is never replaced.
         progress: Called before the search, and after each iteration.
 
     Raises:
         ArgumentError: An argument is of another type, or there is no recording.
         ConfigError: The file is no such filter, or it tunes nothing.
         RecordingError: A recording has no accelerometer, or no sample of it is judged.
-        RunFolderError: `out` holds a run or a filter already, or can't be written.
+        RunFolderError: `out` holds a run or a filter already, or can't be written, found before the
+            search.
+        SaveError: The result can't be written, only now; the error has it as `result`.
     """
     check_callable("progress", progress)
     check_whole("seed", seed, 0)
@@ -74,7 +76,10 @@ def tune_imu(
     steps.begin("judging")
     result = judge_imu(found, chosen, training, unseen)
     if folder is not None:
-        write_imu(result, folder)
+        try:
+            write_imu(result, folder)
+        except RunFolderError as error:
+            raise SaveError(str(error), result) from error
     return result
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from posegsa import config, steps
 from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole, refuse, several
 from posegsa.errors import MemoryLimitError
-from posegsa.judging.baselines import describe
+from posegsa.judging.baselines import describe, tuned_experiment
 from posegsa.judging.sweep import SEED, Sweep, SweepRun, Values, run_name, with_values
 from posegsa.runtime import environment
 from posegsa.saving.folder import as_path
@@ -267,7 +267,8 @@ def _judged(
     costs = np.asarray(costs_by_scenario(alone, problem.scenarios)[:, 0], np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     count = one.experiment.run.training_scenarios
-    found_filter = describe(candidate, problem.space.schedules, one.experiment.search.evaluations)
+    space = problem.space.schedules
+    found_filter = describe(candidate, space, one.experiment.search.evaluations)
     return SweepRun(
         base=base,
         values=one.values,
@@ -282,4 +283,7 @@ def _judged(
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
+        rules=[]
+        if space.rules
+        else plain(tuned_experiment(one.experiment, found_filter).fuzzy.rules),
     )

@@ -76,8 +76,11 @@ def _main(arguments: Sequence[str] | None) -> int:
 
 def _numbers(result) -> str:
     """What a search found, with all its digits."""
-    from posegsa.judging.recorded import RecordingResult  # heavy, but it is imported already
+    from posegsa.judging.imu import ImuResult  # heavy, but they are imported already
+    from posegsa.judging.recorded import RecordingResult
 
+    if isinstance(result, ImuResult):
+        return result.config.to_toml()
     if isinstance(result, RecordingResult):
         return str(result.filter)
     return f"k = {result.parameters.tolist()}"

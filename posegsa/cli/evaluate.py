@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace, result: TuneResult | RecordingResult) -> None:
     """Refuse options that mean nothing together, or for this run."""
     on_recordings = options.recording is not None
-    others = ("window", "training", "training_window")
+    others = ("window", "bridge", "longest_gap", "training", "training_window")
     if on_recordings:
         others = ("scenarios", "seed", "figures")
     for name in (name for name in others if getattr(options, name) is not None):
@@ -64,8 +64,9 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
 
 
 def _on_recordings(options: argparse.Namespace, result, folder: Path) -> int:
-    recordings = read(options.recording, options.window)
-    training = read(options.training or [], options.training_window)
+    bridge = options.bridge, options.longest_gap
+    recordings = read(options.recording, options.window, *bridge)
+    training = read(options.training or [], options.training_window, *bridge)
     for one in (*training, *recordings):
         print(one.describe())
     with Display(quiet=options.quiet):

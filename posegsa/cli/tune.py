@@ -39,8 +39,7 @@ def run(options: argparse.Namespace) -> int:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
         where["figures"] = options.figures
         result = tuning.tune(experiment, **where, progress=show)
-    if options.resume is not None and not show.began:
-        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
+    _say_if_finished(options, show)
     if first:
         print(result.summary())
         print(f"\nWritten to {out or options.resume}: {FILES}{drawn(options)}")
@@ -72,6 +71,7 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
             resume=options.resume,
             progress=show,
         )
+    _say_if_finished(options, show)
     print(f"\n{result.summary()}")
     print(f"\nWritten to {out or options.resume}: {', '.join(recorded.FILES)}")
     return 0
@@ -111,6 +111,11 @@ def _tune_imu(options: argparse.Namespace) -> int:
     print(result.summary())
     print(f"\nWritten to {out}: {', '.join(imu.FILES)}")
     return 0
+
+
+def _say_if_finished(options: argparse.Namespace, show: TuneDisplay) -> None:
+    if options.resume is not None and not show.began:
+        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
 
 
 def _refuse_figures(options: argparse.Namespace) -> None:

@@ -2,16 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from pydantic import AfterValidator
 
 from posegsa.config import Experiment
 from posegsa.model.filter import FilterSettings
 from posegsa.model.measurements import Measurements
 from posegsa.recordings.recording import Recording
+from posegsa.settings.fields import NonNegative
 
 Vector = tuple[float, float, float]
 
@@ -21,11 +23,11 @@ class KnownSensors(NamedTuple):
 
     vectors: list[Vector]
     """v_i^I, inertial frame."""
-    vector_weights: list[float]
+    vector_weights: list[NonNegative]
     """Factors on the filter's weights s_i^R: those of the recordings, with which it was tuned."""
     landmarks: list[Vector]
     """p_i, inertial frame [m]."""
-    landmark_weights: list[float]
+    landmark_weights: list[NonNegative]
     """Factors on the filter's weights s_i^L."""
     attitude_only: bool
     """Whether there is no velocity, and no position."""
@@ -46,6 +48,19 @@ class KnownSensors(NamedTuple):
             ),
             landmark_weights=_products(settings.landmark_weights, self.landmark_weights),
         )
+
+
+def _each_with_a_weight(sensors: KnownSensors) -> KnownSensors:
+    """Sensors that were read, if there is a weight for each."""
+    for kind in ("vector", "landmark"):
+        there, weights = (len(getattr(sensors, f"{kind}{end}")) for end in ("s", "_weights"))
+        if there != weights:
+            raise ValueError(f"{kind}_weights are {weights}; allowed: {there}, one for each {kind}")
+    return sensors
+
+
+StoredSensors = Annotated[KnownSensors, AfterValidator(_each_with_a_weight)]
+"""Sensors with a weight for each."""
 
 
 def of_scenario(experiment: Experiment) -> KnownSensors:

@@ -15,7 +15,12 @@ from posegsa.config import SEARCHED, Experiment, override
 from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import candidate_of, describe, rules_text, tuned_experiment
 from posegsa.judging.evaluation import SCHEDULES, TUNED, Description, StoredFilter
-from posegsa.judging.known_sensors import KnownSensors, of_recordings, of_scenario
+from posegsa.judging.known_sensors import (
+    KnownSensors,
+    StoredSensors,
+    of_recordings,
+    of_scenario,
+)
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings
@@ -72,9 +77,9 @@ class RecordingScore(NamedTuple):
 class SimulatedScore(NamedTuple):
     """A filter that was tuned on recordings and simulated scenarios, on the latter."""
 
-    training: list[AnyNumber]
+    training: Annotated[list[AnyNumber], Field(min_length=1)]
     """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
-    held_out: list[AnyNumber]
+    held_out: Annotated[list[AnyNumber], Field(min_length=1)]
     """The same on scenarios that only judge."""
 
     def text(self, share: float) -> str:
@@ -115,7 +120,7 @@ class RecordingResult:
     """On simulated scenarios, if these were tuned on too."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Other filters on the same held-out recordings, by name (`evaluate`)."""
-    sensors: KnownSensors | None = None
+    sensors: StoredSensors | None = None
     """What the recordings that it was tuned on know of their sensors, for exports and streams; None
     where they differ in that, or there are none."""
 

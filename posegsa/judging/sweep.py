@@ -5,20 +5,23 @@ import hashlib
 import io
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field, JsonValue
 
 from posegsa.arguments import MAX_INTEGER
-from posegsa.config import PARAMETERS, Experiment
+from posegsa.config import PARAMETERS, TERMS, Experiment
+from posegsa.config.schedule import Term
 from posegsa.settings.arrays import Cost, Numbers
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table, toml
 
 SEED = "run.seed"
 """The key of the seed, over which the runs of a setting are averaged."""
+
+Row = Annotated[list[Term], Field(min_length=len(TERMS), max_length=len(TERMS))]
 
 Values = dict[str, JsonValue]
 """What is varied: the value of each key, as TOML and JSON have it."""
@@ -49,6 +52,8 @@ class SweepRun:
     """Its share of the time of the batch that it was searched in."""
     environment: dict[str, str]
     version: str
+    rules: Annotated[list[Row], Field(max_length=len(TERMS))] = field(default_factory=list)
+    """The rule table that was found, as [fuzzy] rules has it; empty where it was not searched."""
 
     @property
     def experiment(self) -> Experiment:

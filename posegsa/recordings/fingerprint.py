@@ -5,8 +5,10 @@ from dataclasses import fields
 
 import jax
 import numpy as np
+from pydantic import BaseModel
 
 from posegsa.recordings.recording import Recording
+from posegsa.settings.plain import plain
 
 WORDS = "name", "sources", "notes"
 """Fields that are said of a recording and change no estimate."""
@@ -16,9 +18,13 @@ def fingerprint(recording: Recording) -> str:
     """SHA-256 of a recording's numbers, in hexadecimal; the same in every process and machine."""
     digest = hashlib.sha256()
     numbers = {each.name: getattr(recording, each.name) for each in fields(recording)}
-    for path, leaf in jax.tree_util.tree_leaves_with_path(
-        {name: value for name, value in numbers.items() if name not in WORDS}
-    ):
+    counted = {
+        # Settings, as an `ImuRecording` has, are no pytree: as a leaf one would be its address.
+        name: plain(value) if isinstance(value, BaseModel) else value
+        for name, value in numbers.items()
+        if name not in WORDS
+    }
+    for path, leaf in jax.tree_util.tree_leaves_with_path(counted):
         array = leaf if isinstance(leaf, str) else np.asarray(leaf)
         if isinstance(array, np.ndarray):
             array = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("<")))

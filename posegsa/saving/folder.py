@@ -46,17 +46,27 @@ def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Pa
         yield prepare_folder(folder, overwrite=overwrite)
 
 
+def holds_run(folder: Path) -> bool:
+    """Whether a folder holds a run, finished or not."""
+    begun = any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"))
+    return begun or _holds_finished_run(folder)
+
+
+def _holds_finished_run(folder: Path) -> bool:
+    held = (folder / place / name for place in ("", _COMMITTED) for name in (RESULT, RECORDED))
+    return any(path.exists() for path in held)
+
+
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """Make a folder, unless it is one that a run may not be written to."""
     folder = as_path("folder", folder)
     if not overwrite:
-        held = (folder / place / name for place in ("", _COMMITTED) for name in (RESULT, RECORDED))
-        if any(path.exists() for path in held):
+        if _holds_finished_run(folder):
             raise RunFolderError(
                 f"{folder}: holds a run already; choose another folder, or replace the run "
                 "(--overwrite; overwrite=True)"
             )
-        if any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}")):
+        if holds_run(folder):
             raise RunFolderError(
                 f"{folder}: holds an unfinished run; go on with it (--resume; resume=...), choose "
                 "another folder, or replace the run (--overwrite; overwrite=True)"

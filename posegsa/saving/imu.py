@@ -4,7 +4,7 @@ from pathlib import Path
 
 from posegsa.errors import RunFolderError
 from posegsa.judging.imu import ImuResult
-from posegsa.saving.folder import lock, prepare_folder, replace_files
+from posegsa.saving.folder import holds_run, lock, prepare_folder, replace_files
 
 FILTER, TABLE = FILES = "imu.toml", "imu.txt"
 
@@ -15,7 +15,12 @@ def prepare_imu_folder(folder: str | Path, *, overwrite: bool) -> Path:
     Raises:
         RunFolderError: It holds a run or such a filter already, or can't be written.
     """
-    path = prepare_folder(folder)
+    path = prepare_folder(folder, overwrite=True)
+    if holds_run(path):
+        raise RunFolderError(
+            f"{path}: holds a run, which no filter for inertial sensors replaces; choose another "
+            "folder"
+        )
     if not overwrite and (path / FILTER).exists():
         raise RunFolderError(
             f"{path}: holds a filter already ({FILTER}); choose another folder, or replace it "

@@ -186,6 +186,11 @@ def test_the_command_judges_runs_of_both_kinds(
     assert not (folder / "recorded.json").exists(), "of another run it would be wrong"
     assert main(["evaluate", str(folder), "--training", files[0]]) == 2
     assert "--training; allowed: with --recording" in capsys.readouterr().err
+    assert main(["evaluate", str(folder), "--bridge", "hold"]) == 2
+    assert "--bridge; allowed: with --recording" in capsys.readouterr().err
+    bridged = ["--recording", files[0], "--longest-gap", "0.5"]
+    assert main(["evaluate", str(folder), *bridged]) == 2
+    assert "--longest-gap; allowed: with --bridge" in capsys.readouterr().err
     assert main(["evaluate", str(folder), "--recording", files[0], "--seed", "1"]) == 2
     assert "--seed; allowed: without --recording" in capsys.readouterr().err
     folder = posegsa.save(result, tmp_path / "recorded")

@@ -171,3 +171,14 @@ def test_what_differs_in_structure_is_batched_apart(searched):
         *("random_search", "random_search"),
     ]
     assert "random_search" in found.table()
+
+
+def test_a_rule_table_that_is_searched_stands_in_its_run():
+    searched, given = (
+        posegsa.sweep(tiny(), vary={"fuzzy.rules": [rules]}).runs[0]
+        for rules in ("searched", "paper")
+    )
+    alone = posegsa.tune(tiny("fuzzy.rules=searched"))
+    assert tuple(map(tuple, searched.rules)) == alone.tuned.fuzzy.rules
+    assert searched.parameters == alone.parameters.tolist()
+    assert given.rules == []

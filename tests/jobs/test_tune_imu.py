@@ -82,6 +82,10 @@ def test_the_numbers_that_are_named_are_found(
     assert result.summary() in (out / "imu.txt").read_text()
     with pytest.raises(RunFolderError, match="holds a filter already"):
         posegsa.tune_imu(poor, recordings=recordings[:1], out=out)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.json").write_text("{}")
+    with pytest.raises(RunFolderError, match="holds a run, which no filter"):
+        posegsa.tune_imu(poor, recordings=recordings[:1], out=tmp_path / "run", overwrite=True)
     recordings[2].save(tmp_path / "held.npz")
     assert main(["replay", str(out / "imu.toml"), str(tmp_path / "held.npz")]) == 0
     assert f"{new.errors['judged'].total:.2f}" in capsys.readouterr().out
@@ -108,6 +112,25 @@ def test_the_command_tunes_it_and_numbers_stay_where_none_is_better(
     assert config.load_imu(out / "imu.toml").vectors.low_pass == 0.5
     assert main(["tune", "quick", "--rest", "2"]) == 2
     assert "allowed: with the filter for inertial sensors" in capsys.readouterr().err
+
+
+def test_what_was_found_is_not_lost_where_it_cannot_be_written(
+    recordings: list[Recording],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(*_: object) -> None:
+        raise RunFolderError("out: cannot be written: No space left on device")
+
+    monkeypatch.setattr("posegsa.imu_tuning.write_imu", full)
+    recordings[0].save(tmp_path / "a.npz")
+    few = ["--set", f"parameters.also={ALSO}", "--set", "search.agents=4", "--iterations", "1"]
+    command = ["tune", "imu", "--recording", str(tmp_path / "a.npz"), *few, "--quiet"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "low_pass = " in said.out
+    assert "No space left" in said.err
 
 
 def test_what_cannot_be_tuned_is_refused(recordings: list[Recording]) -> None:

@@ -1,13 +1,15 @@
 """A recording's fingerprint: of its numbers, all of them, and of nothing else."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded_motion import motion
 
+from posegsa.config import ImuVectorsConfig
 from posegsa.recordings.fingerprint import fingerprint
+from posegsa.recordings.imu import ImuRecording
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -42,3 +44,13 @@ def test_every_number_counts(recording: Recording) -> None:
         changed.append(Recording.from_arrays(**given).off(20, 0.5))
     found = [fingerprint(one) for one in (recording, *changed)]
     assert len(set(found)) == len(found)
+
+
+def test_settings_of_a_recording_count_by_their_values(recording: Recording) -> None:
+    own = {each.name: getattr(recording, each.name) for each in fields(recording)}
+
+    def made(**values: float) -> str:
+        return fingerprint(ImuRecording(**own, settings=ImuVectorsConfig(**values)))
+
+    assert made() == made()
+    assert made() != made(low_pass=1.0)

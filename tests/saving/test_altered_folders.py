@@ -23,7 +23,8 @@ from posegsa.judging.baselines import candidate_of
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
 from posegsa.judging.evaluation import EKF, OPEN_LOOP, SWITCH, TUNED, Description
 from posegsa.judging.kalman import noise_of
-from posegsa.judging.recorded import RecordingResult, RecordingScore
+from posegsa.judging.known_sensors import KnownSensors
+from posegsa.judging.recorded import RecordingResult, RecordingScore, SimulatedScore
 from posegsa.recordings.accuracy import Rmse
 from posegsa.report import report_html
 from posegsa.saving.comparison import load_comparison, write_searches
@@ -81,9 +82,12 @@ def comparison(tmp_path_factory):
 def recorded(tmp_path_factory):
     """The folder of a constant gain on recordings, with one other filter beside it."""
     errors = {phase: Rmse(1.0, 0.5, 0.25, 0.1, 20) for phase in ("judged", "moving")}
-    one = RecordingScore("a walk", 30, 0.3, False, {"gyroscope": "measured"}, ["a gap"], errors)
+    origin = {"gyroscope": "measured"}, ["a gap"]
+    one = RecordingScore("a walk", 30, 0.3, False, *origin, errors, fingerprint="0" * 64)
+    axis = (0.0, 0.0, 1.0)
     made = RecordingResult(
         experiment=tiny(),
+        tuned_on="recordings and scenarios",
         filter=description("constant", gain=8.0),
         position_weight=10.0,
         best_cost=2.0,
@@ -93,7 +97,9 @@ def recorded(tmp_path_factory):
         search_seconds=0.5,
         environment={"jax": "0.10"},
         version="1.2.3",
+        simulated=SimulatedScore([1.0, 2.0], [3.0]),
         baselines={"VQF": [one, one]},
+        sensors=KnownSensors([axis], [2.0], [axis, axis], [1.0, 1.0], attitude_only=False),
     )
     return posegsa.save(made, tmp_path_factory.mktemp("recorded") / "out")
 

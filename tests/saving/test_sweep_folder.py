@@ -3,6 +3,7 @@
 import copy
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,13 @@ def test_every_field_of_a_run_of_a_sweep(tmp_path):
     file.write_text(json.dumps(good | {"values": {"filter.gamma": 6.0}}), "utf-8")
     with pytest.raises(RunFolderError, match="is the run of another experiment"):
         posegsa.load_sweep(tmp_path / "out")
+
+
+def test_a_rule_table_that_was_searched_is_kept(tmp_path):
+    table = [["VL", "L", "M", "S", "VS"]] * 5
+    found = replace(run(), rules=table)
+    assert posegsa.load_sweep(written(tmp_path, found)).runs == (found,)
+    assert tiny().replace(**{"fuzzy.rules": found.rules}).fuzzy.rules == tuple(map(tuple, table))
 
 
 def test_folders_of_different_sweeps_are_not_merged(tmp_path):

@@ -2,6 +2,7 @@
 
 from posegsa.cli.parsers.arguments import (
     RECORDING,
+    add_bridge,
     add_figures,
     add_quiet,
     add_window,
@@ -34,6 +35,7 @@ def add(commands) -> None:
     )
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
     add_window(group)
+    add_bridge(group)
     words = (
         "of a run that was tuned on recordings, one of these: constant gains and the Kalman filter "
         "are tuned on them (without any, both are left out)"
