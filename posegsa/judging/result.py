@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type, refuse
-from posegsa.config import PARAMETERS, SEARCHED, Experiment
+from posegsa.config import PARAMETERS, SEARCHED, Experiment, with_tuned
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.baselines import rules_text, tuned_experiment
 from posegsa.judging.endurance import Endurance
@@ -85,6 +85,8 @@ class TuneResult:
     @property
     def tuned(self) -> Experiment:
         """The experiment with all in it that was tuned beside k1..k22, its rule table too."""
+        if self.experiment.fuzzy.rules != SEARCHED:
+            return with_tuned(self.experiment, self.also)
         found = self.evaluation.contenders[TUNED].filter
         return tuned_experiment(self.experiment, found._replace(also=self.also))
 

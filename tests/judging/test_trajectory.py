@@ -80,8 +80,8 @@ def test_angles_are_roll_pitch_and_yaw_in_degrees() -> None:
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_everything_else_is_taken_as_it_is(dtype: str) -> None:
     T, T_est, made = true_and_estimated(dtype)
-    np.testing.assert_array_equal(made.position, T[:, :3, 3].astype(dtype))
-    np.testing.assert_array_equal(made.position_est, T_est[:, :3, 3].astype(dtype))
+    np.testing.assert_array_equal(made.position.astype(dtype), T[:, :3, 3].astype(dtype))
+    np.testing.assert_array_equal(made.position_est.astype(dtype), T_est[:, :3, 3].astype(dtype))
     assert all(getattr(made, field.name).dtype == np.float64 for field in fields(Trajectory))
     shapes = {field.name: getattr(made, field.name).shape[1:] for field in fields(Trajectory)}
     vectors = {"euler": (3,), "euler_est": (3,), "position": (3,), "position_est": (3,)}

@@ -381,8 +381,8 @@ def test_the_papers_initial_attitude_estimate_is_projected_in_silence() -> None:
 
 
 def test_another_that_is_no_rotation_is_projected_with_a_warning() -> None:
-    rounded = "[[-0.83, 0.29, 0.34], [0.4, 0.16, 0.9], [0.21, 0.94, -0.26]]"
-    e = experiment("float32", f"scenario.initial_rotation_estimate={rounded}")
+    rounded = ((-0.83, 0.29, 0.34), (0.4, 0.16, 0.9), (0.21, 0.94, -0.26))
+    e = experiment("float32", initial_rotation_estimate=rounded)
     with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate.*determinant 0\.9"):
         s = scenario(e)
     U, _, Vt = np.linalg.svd(e.scenario.initial_rotation_estimate)
