@@ -175,7 +175,7 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
         return read_text(folder, name, of, limit)
 
     monkeypatch.setattr(run_folder, "read_text", noted)
-    with pytest.raises(RunFolderError, match="number of times = 200; in result"):
+    with pytest.raises(RunFolderError, match="sample of the last time = 199; in result"):
         posegsa.load(tmp_path / "run")
     assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * 9_000_000 > run_folder.MAX_BYTES
     assert set(limits.values()) == {run_folder.MAX_BYTES}
