@@ -36,7 +36,7 @@ from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem, parameter_space, rule_table, signal_settings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.recorded import settings_on
+from posegsa.search.recorded import DEGREES_PER_METRE, settings_on
 from posegsa.search.run import Found
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
@@ -161,9 +161,9 @@ class RecordingResult:
         """
         if self.sensors is not None:
             return self.sensors
-        if self.training:
+        if self.tuned_on != "scenarios" and (self.training or self.held_out):
             refuse(
-                "a filter tuned on recordings whose references differ, or move",
+                "a filter of recordings whose references differ, or move",
                 "in Python, filter_to_c or PoseFilter with result.schedule, "
                 "*result.settings(recording) and references of your own",
             )
@@ -426,7 +426,7 @@ def by_hand(
         experiment=chosen,
         tuned_on="nothing",
         filter=found,
-        position_weight=0.0,
+        position_weight=DEGREES_PER_METRE,  # of the baselines that it is judged beside
         best_cost=None,
         training=[],
         held_out=[],
