@@ -27,22 +27,22 @@ import posegsa
 posegsa.enable_fast_path()
 
 import jax  # noqa: E402  (after the fast path)
-import jax.numpy as jnp  # noqa: E402
-from readme import write_block  # noqa: E402
+import jax.numpy as jnp  # noqa: E402  (after the fast path)
+from readme import write_block  # noqa: E402  (after the fast path)
 
-from posegsa import config  # noqa: E402
-from posegsa.model.cost import CostWeights  # noqa: E402
-from posegsa.model.filter import FilterSettings, VectorBias, initial_state  # noqa: E402
-from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402
-from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain, SmoothGain  # noqa: E402
-from posegsa.model.signal import SignalSettings  # noqa: E402
-from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402
-from posegsa.recordings.imu import STARTUP, ImuRecording  # noqa: E402
-from posegsa.recordings.imu_filter import imu_schedule, imu_settings, in_passes  # noqa: E402
-from posegsa.recordings.magnetic_field import field_parts  # noqa: E402
-from posegsa.recordings.recording import Recording  # noqa: E402
-from posegsa.recordings.rotations import matrices, product  # noqa: E402
-from posegsa.runtime import environment  # noqa: E402
+from posegsa import config  # noqa: E402  (after the fast path)
+from posegsa.model.cost import CostWeights  # noqa: E402  (after the fast path)
+from posegsa.model.filter import FilterSettings, VectorBias, initial_state  # noqa: E402  (after the fast path)
+from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402  (after the fast path)
+from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain, SmoothGain  # noqa: E402  (after the fast path)
+from posegsa.model.signal import SignalSettings  # noqa: E402  (after the fast path)
+from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402  (after the fast path)
+from posegsa.recordings.imu import STARTUP, ImuRecording  # noqa: E402  (after the fast path)
+from posegsa.recordings.imu_filter import imu_schedule, imu_settings, in_passes  # noqa: E402  (after the fast path)
+from posegsa.recordings.magnetic_field import field_parts  # noqa: E402  (after the fast path)
+from posegsa.recordings.recording import Recording  # noqa: E402  (after the fast path)
+from posegsa.recordings.rotations import matrices, product  # noqa: E402  (after the fast path)
+from posegsa.runtime import environment  # noqa: E402  (after the fast path)
 
 LATE = 30.0
 """Time after the start in motion from which on that is judged [s]."""
@@ -361,7 +361,7 @@ def changes(setting: config.ImuConfig) -> dict[str, Change]:
 
 def vqf(recording: Recording) -> np.ndarray:
     """VQF as it comes (K, 4), east, north, up."""
-    from vqf import VQF  # pyright: ignore[reportMissingImports]
+    from vqf import VQF  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
     return VQF(recording.time_step).updateBatch(gyr, acc, mag)["quat9D"]
@@ -369,7 +369,7 @@ def vqf(recording: Recording) -> np.ndarray:
 
 def madgwick(recording: Recording) -> np.ndarray:
     """Madgwick's filter (K, 4) with a gain of 0.12."""
-    from ahrs.filters import Madgwick  # pyright: ignore[reportMissingImports]
+    from ahrs.filters import Madgwick  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
     rate = 1 / recording.time_step
@@ -381,7 +381,7 @@ def madgwick(recording: Recording) -> np.ndarray:
 
 def mahony(recording: Recording) -> np.ndarray:
     """Mahony's filter (K, 4) with gains of 0.74 and 0.0012."""
-    from ahrs.filters import Mahony  # pyright: ignore[reportMissingImports]
+    from ahrs.filters import Mahony  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
     rate = 1 / recording.time_step

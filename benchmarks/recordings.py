@@ -144,7 +144,7 @@ def outliers(folder: Path) -> list[dict[str, Any]]:
                         "way": name,
                         "passed_over": float(np.mean(lost) - np.mean(none)),
                         "total": float(np.mean([one.total for one in errors])),
-                        "position": float(np.mean([one.position for one in errors])),  # type: ignore[misc]
+                        "position": float(np.mean([one.position for one in errors])),  # type: ignore[misc]  # each has a position
                     }
                 )
                 print(rows[-1], flush=True)
@@ -207,7 +207,7 @@ def outliers_table(rows: list[dict[str, Any]]) -> str:
 
 def speed() -> list[dict[str, float]]:
     """Time and memory of filter runs over recordings of several lengths."""
-    schedule, rows = posegsa.ConstantGain(np.float32(5.0)), []  # type: ignore[arg-type]
+    schedule, rows = posegsa.ConstantGain(np.float32(5.0)), []  # type: ignore[arg-type]  # a NumPy scalar will do
     for samples in (SAMPLES[0], *SAMPLES):  # the first compiles
         recording = _recording(samples)
         before, times = _memory(), []

@@ -21,10 +21,10 @@ import posegsa
 posegsa.enable_fast_path()
 
 from posegsa import config  # noqa: E402  (after the fast path)
-from posegsa.judging.evaluation import TUNED  # noqa: E402
-from posegsa.judging.recorded import mean_errors  # noqa: E402
-from posegsa.recordings.recording import Recording  # noqa: E402
-from posegsa.words import text_table  # noqa: E402
+from posegsa.judging.evaluation import TUNED  # noqa: E402  (after the fast path)
+from posegsa.judging.recorded import mean_errors  # noqa: E402  (after the fast path)
+from posegsa.recordings.recording import Recording  # noqa: E402  (after the fast path)
+from posegsa.words import text_table  # noqa: E402  (after the fast path)
 
 TABLES = "paper", "reversed", "searched"
 SIMULATED = {"search.agents": 64, "search.iterations": 80}

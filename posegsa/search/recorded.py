@@ -85,7 +85,7 @@ def recorded_problem(
     problem = TuningProblem(
         experiment=experiment,
         scenario=None,  # type: ignore[arg-type]  # nothing is simulated
-        scenarios=None,  # type: ignore[arg-type]
+        scenarios=None,  # type: ignore[arg-type]  # likewise
         training=recorded_batch(experiment, recordings, position_weight),
         space=search_space(experiment, _space(schedule, experiment)),
     )

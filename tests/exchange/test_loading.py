@@ -140,7 +140,7 @@ def test_what_is_no_such_file_is_refused(tmp_path):
     with pytest.raises(FuzzyError, match="is not there"):
         posegsa.load_controller(tmp_path / "gain.fis")
     with pytest.raises(ArgumentError, match="no_rule = 'zero'"):
-        posegsa.load_controller(tmp_path / "gain.fis", no_rule="zero")  # type: ignore[arg-type]
+        posegsa.load_controller(tmp_path / "gain.fis", no_rule="zero")  # type: ignore[arg-type]  # wrong on purpose
     (tmp_path / "gain.fis").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FuzzyError, match="cannot be read"):
         posegsa.load_controller(tmp_path / "gain.fis")

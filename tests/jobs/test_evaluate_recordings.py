@@ -60,7 +60,7 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
     (ekf,) = judged.baselines[EKF]
-    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]
+    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # it has a position
     assert f"{EKF}, held out" in judged.table()
     # The filter's estimates are judged, not those of another recording or part.
     found = tune_recorded_kalman(result.experiment, recordings[:1], result.position_weight)
@@ -73,7 +73,7 @@ def test_what_cannot_be_judged_is_refused(result: RecordingResult) -> None:
     with pytest.raises(ArgumentError, match="recordings: none"):
         posegsa.evaluate(result, recordings=[])
     with pytest.raises(ArgumentError, match="recordings = 'bench'"):
-        posegsa.evaluate(result, recordings="bench")  # type: ignore[call-overload]
+        posegsa.evaluate(result, recordings="bench")  # type: ignore[call-overload]  # wrong on purpose
 
 
 # A run on simulated scenarios ---------------------------------------------------------------------
@@ -101,7 +101,7 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     assert said == [f"searching: {EKF}"]
     assert list(judged.baselines) == [CONSTANT, EKF]
     assert judged.filter == run.evaluation.contenders[TUNED].filter
-    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]
+    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
     by_hand = posegsa.by_hand(constant, run.experiment)
     for i, recording in enumerate(recordings):
         for estimates, scores in (
@@ -156,7 +156,7 @@ def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
         ({"cost": lambda track, time: 0.0}, "cost = .*lambda.*; allowed: configured"),
     ):
         with pytest.raises(ArgumentError, match=words):
-            posegsa.evaluate(run, recordings=recordings[1:], **arguments)  # type: ignore[call-overload]
+            posegsa.evaluate(run, recordings=recordings[1:], **arguments)  # type: ignore[call-overload]  # wrong on purpose
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

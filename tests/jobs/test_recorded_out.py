@@ -64,7 +64,7 @@ def attitude() -> tuple[RecordingResult, Recording]:
     """One of the attitude alone, with a gain that is no controller's."""
     given = seen(velocity=None, landmarks=None, landmark_references=None, truth_position=None)
     with jax.enable_x64(True):
-        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]
+        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]  # NumPy scalars will do for arrays
         return posegsa.by_hand(gain, CHOSEN, recordings=[given]), given
 
 

@@ -170,7 +170,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chosen = config.from_dict(TINY)
-    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]
+    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]  # a number will do for an array
     assert mine.filter.numbers == {"gain": [8.0]}
     assert "A constant gain made by hand" in mine.summary()
     posegsa.save(mine, tmp_path / "run")
@@ -192,7 +192,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     with pytest.raises(FuzzyError, match=r"controller.offset: .* 1\.0; allowed: a controller of"):
         posegsa.by_hand(posegsa.FuzzyGain(other), chosen)
     with pytest.raises(ArgumentError, match="schedule: a str"):
-        posegsa.by_hand("fast")  # type: ignore[arg-type]
+        posegsa.by_hand("fast")  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_an_interrupted_search_goes_on_to_the_same_bits(
@@ -226,7 +226,7 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(
     assert vars(posegsa.tune(resume=tmp_path, **given)) == vars(found), "it is finished"
     more = posegsa.tune(resume=tmp_path, iterations=5, **given)
     assert more.filter.evaluations == 40
-    assert more.best_cost <= found.best_cost  # type: ignore[operator]
+    assert more.best_cost <= found.best_cost  # type: ignore[operator]  # both were searched
 
 
 @pytest.mark.quick
@@ -278,9 +278,9 @@ def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
     table = found.tuned.fuzzy.rules
     assert len(found.filter.numbers["rules"]) == 25
     assert {*map(int, found.filter.numbers["rules"])} > {0}
-    controller = found.schedule.controller  # type: ignore[attr-defined]
+    controller = found.schedule.controller  # type: ignore[attr-defined]  # it is a FuzzyGain
     assert config.from_dict({"fuzzy": {"rules": table}}).fuzzy.rules == table
-    assert rule_indices(table) == controller.rules  # type: ignore[arg-type]
+    assert rule_indices(table) == controller.rules  # type: ignore[arg-type]  # as it is read from a file
     for name, row in zip(reversed(config.TERMS), table, strict=True):
         assert [name, *row] in [line.split() for line in found.summary().splitlines()]
     exported = json.loads(export(found, "json"))
@@ -332,15 +332,15 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
         ({"recordings": "bench.csv"}, "recordings = 'bench.csv'"),
     ):
         with pytest.raises(ArgumentError, match=words):
-            posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]
-    made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]
+            posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]  # wrong on purpose
+    made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]  # a number will do for an array
     for arguments, words in (
         ({"recordings": recordings, "seed": 3}, "seed with recordings"),
         ({"recordings": recordings, "scenarios": 7}, "scenarios with recordings"),
         ({"recordings": recordings, "training": recordings}, "bench is in training too"),
     ):
         with pytest.raises(ArgumentError, match=words):
-            posegsa.evaluate(made, **arguments)  # type: ignore[call-overload]
+            posegsa.evaluate(made, **arguments)  # type: ignore[call-overload]  # wrong on purpose
     blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
     with pytest.raises(RecordingError, match="has no truth"):
         posegsa.tune(config.from_dict(TINY), recordings=blind)

@@ -50,7 +50,7 @@ def estimates_of(recording: Recording, turned: Rotation, moved: list[float]) -> 
         gain_used=nothing,
         error=nothing,
         rate=nothing,
-    )  # type: ignore[arg-type]
+    )  # type: ignore[arg-type]  # NumPy arrays will do
 
 
 def test_errors_are_judged_by_phase_where_the_truth_is_known() -> None:

@@ -89,11 +89,11 @@ def test_recordings_of_other_sensors_are_refused() -> None:
         vector_references=np.ones((1, 3)),
     )
     with pytest.raises(ArgumentError, match=r"recording: a Recording; allowed: .*posegsa\.as_imu"):
-        posegsa.run_imu(recording)  # pyright: ignore[reportArgumentType]
+        posegsa.run_imu(recording)  # pyright: ignore[reportArgumentType]  # wrong on purpose
     with pytest.raises(RecordingError, match="has no accelerometer"):
         posegsa.replay("imu", recording)
     with pytest.raises(ArgumentError, match=r'result: a str; allowed: .*"imu"'):
-        posegsa.replay("recommended", recording)  # pyright: ignore[reportArgumentType]
+        posegsa.replay("recommended", recording)  # pyright: ignore[reportArgumentType]  # wrong on purpose
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

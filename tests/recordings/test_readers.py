@@ -20,7 +20,7 @@ def write_csv(path: Path, head: list[str], rows: object) -> Path:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(head)
-        writer.writerows(rows)  # type: ignore[arg-type]
+        writer.writerows(rows)  # type: ignore[arg-type]  # csv writes any objects
     return path
 
 

@@ -119,8 +119,8 @@ def test_attitude_only_has_no_position() -> None:
 
 def test_what_does_not_fit_is_refused(recording: Recording) -> None:
     with pytest.raises(ArgumentError, match="initial: None"):
-        posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]
+        posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]  # wrong on purpose
     with pytest.raises(ArgumentError, match='signal "pose"'):
         posegsa.run_filter(GAIN, recording, signal=SignalSettings(signal="pose"))
     with pytest.raises(ArgumentError, match="schedule: a str"):
-        posegsa.run_filter("fast", recording)  # type: ignore[arg-type]
+        posegsa.run_filter("fast", recording)  # type: ignore[arg-type]  # wrong on purpose

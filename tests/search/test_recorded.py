@@ -111,7 +111,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         ("filter.gamma.1", "fuzzy"),
     ):
         with pytest.raises(ConfigError, match=f"'{key}' has no effect on these recordings"):
-            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]
+            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a text of the parameters above
 
 
 @pytest.mark.quick
