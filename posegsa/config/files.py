@@ -103,10 +103,7 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
     """
     check_type("experiment", experiment, Experiment)
-    settings = several("settings", settings, str, "texts such as filter.substeps=4")
-    data, refused = _with_settings(experiment.model_dump(mode="json"), experiment.search, settings)
-    if refused:
-        raise violations_error("settings that cannot be applied", refused)
+    data = _changed(experiment, settings, "texts such as filter.substeps=4")
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -151,15 +148,23 @@ def override_imu(imu: ImuConfig, settings: Iterable[str]) -> ImuConfig:
         ConfigError: If a setting cannot be read, or the result is not a valid filter.
     """
     check_type("imu", imu, ImuConfig)
-    settings = several("settings", settings, str, "texts such as vectors.low_pass=3.0")
-    data, refused = _with_settings(imu.model_dump(mode="json"), imu.search, settings)
-    if refused:
-        raise violations_error("settings that cannot be applied", refused)
+    data = _changed(imu, settings, "texts such as vectors.low_pass=3.0")
     try:
         return ImuConfig.model_validate(data)
     except ValidationError as error:
         title = "not a valid attitude filter for inertial sensors with these settings"
         raise config_error(title, error, ImuConfig) from None
+
+
+def _changed(
+    given: Experiment | ImuConfig, settings: Iterable[str], allowed: str
+) -> dict[str, Any]:
+    """What a user configured, as plain data with settings applied."""
+    settings = several("settings", settings, str, allowed)
+    data, refused = _with_settings(given.model_dump(mode="json"), given.search, settings)
+    if refused:
+        raise violations_error("settings that cannot be applied", refused)
+    return data
 
 
 def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experiment:
