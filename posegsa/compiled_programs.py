@@ -18,6 +18,7 @@ from typing import Any
 import jax
 
 from posegsa.errors import PosegsaWarning
+from posegsa.stored_programs import store_in
 
 LEAST_SECONDS = 0.1
 """Time that a program must take to compile to be kept [s]: most here take under a second, and are
@@ -44,6 +45,7 @@ def enable_compilation_cache() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             _write_whole_files(_can_write(folder))
             _remove_abandoned(folder)
+            store_in(folder)
     except (OSError, RuntimeError) as error:
         config.update("jax_compilation_cache_dir", None)
         _say_not_kept(error)
@@ -93,12 +95,17 @@ class _Made:
 
     def __init__(self, make: Callable[[str], Any], writes: bool) -> None:
         self.make, self.writes = make, writes
+        self._made: dict[str, WholeFiles] = {}
 
     def __call__(self, path: str) -> Any:
-        found = self.make(path)
-        if found is None or getattr(found[0], "eviction_enabled", False):
-            return found  # a bounded one has a lock of its own
-        return WholeFiles(found[0], path, lambda place: self.make(place)[0], self.writes), path
+        if path not in self._made:
+            found = self.make(path)
+            if found is None or getattr(found[0], "eviction_enabled", False):
+                return found  # a bounded one has a lock of its own
+            one = WholeFiles(found[0], path, lambda place: self.make(place)[0], self.writes)
+            # The same whenever JAX asks again, so that what could not be written is said once.
+            self._made[path] = one
+        return self._made[path], path
 
 
 class WholeFiles:

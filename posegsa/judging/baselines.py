@@ -140,7 +140,7 @@ def best_constant(problem: TuningProblem) -> Candidate:
     training = problem.training
     offset = problem.experiment.fuzzy.offset
     gains = jnp.linspace(offset + low, offset + high, CONSTANT_GAINS, dtype=training.dtype)
-    by_scenario = costs_by_scenario(Candidate(ConstantGain(gains)), training, cost=problem.cost)
+    by_scenario = costs_by_scenario(Candidate(ConstantGain(gains)), training, None, problem.cost)
     costs = np.asarray(over_scenarios(by_scenario, problem.experiment.objective))
     return Candidate(
         ConstantGain(gains[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))])

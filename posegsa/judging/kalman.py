@@ -19,6 +19,7 @@ from posegsa.optimisers import Box, DifferentialEvolution, runner, start
 from posegsa.search.build import scenario_batch
 from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, TrackCost, over_scenarios
+from posegsa.stored_programs import stored
 
 AGENTS = 20
 CHECKED = 200
@@ -167,6 +168,6 @@ class _Objective(NamedTuple):
         return costs
 
 
-@jax.jit
+@stored
 def _tracks(samples: Samples, initial: FilterState, noise: EkfNoise) -> ErrorTrack:
     return jax.vmap(lambda some, first: ekf_errors(some, first, noise))(samples, initial)

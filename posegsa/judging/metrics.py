@@ -5,7 +5,6 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
@@ -13,13 +12,14 @@ from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
+from posegsa.stored_programs import stored
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 """Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
 makes errors of 8 deg RMS."""
 DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
 """Mean errors [deg], [m] over the last second above which a run counts as diverged."""
-SCENARIOS, SAMPLES = 128, 1024
+SCENARIOS, SAMPLES = 32, 1024
 """Scenarios and samples that one call simulates, whatever there are, filled up with some that do
 not count: so all that is judged runs as one program, training, held-out and longer scenarios."""
 
@@ -92,24 +92,24 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
 
 
-@jax.jit
+@stored
 def _begin(candidate: Candidate, initial: FilterState) -> ClosedLoop:
     return jax.vmap(lambda one: begin(candidate.schedule, one))(initial)
 
 
-@jax.jit
+@stored
 def _onward(
     candidate: Candidate,
     samples: Samples,
     loop: ClosedLoop,
     settings: FilterSettings,
     signal: SignalSettings,
-    count: Array,
+    count: np.int32,
 ) -> tuple[ClosedLoop, ErrorTrack]:
     own = candidate.applied(settings, signal)
-    return jax.vmap(lambda some, now: errors_onward(candidate.schedule, some, now, *own, count))(
-        samples, loop
-    )
+    return jax.vmap(
+        lambda some, now: errors_onward(candidate.schedule, some, now, *own, jnp.asarray(count))
+    )(samples, loop)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such

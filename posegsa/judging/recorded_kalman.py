@@ -44,9 +44,9 @@ def recorded_kalman_estimates(
     batch = _batch(experiment, recordings, 0.0)
     noise, every = noise_of(found, batch.dtype), []
     for i, recording in enumerate(recordings):
-        one = jax.tree.map(lambda a, i=i: a[i], (batch.samples, batch.initial))
+        samples, initial = jax.tree.map(lambda a, i=i: a[i], (batch.samples, batch.initial))
         # All are as long as the longest, so that the filter is compiled once.
-        estimates = jax.device_get(run_ekf(*one, noise))
+        estimates = jax.device_get(run_ekf(samples, initial, noise))
         own = jax.tree.map(lambda a, n=recording.samples: a[:n], estimates)
         if recording.attitude_only:
             own = own._replace(position=np.full_like(own.position, np.nan))

@@ -26,6 +26,7 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
 from posegsa.settings.plain import decimal
+from posegsa.stored_programs import stored
 
 _column = partial(Columns, allow="any")
 """Columns of a filter that may have diverged."""
@@ -91,10 +92,10 @@ def trajectory(
 
 def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Trajectory:
     """What a candidate does on one scenario of a batch."""
-    one = jax.tree.map(
+    samples, initial, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
     )
-    return _in_float64(_run(candidate, *one, batch.settings, batch.signal))
+    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.settings, batch.signal))
 
 
 def _in_float64(values: dict[str, Array]) -> Trajectory:
@@ -103,7 +104,7 @@ def _in_float64(values: dict[str, Array]) -> Trajectory:
     )
 
 
-@jax.jit
+@stored
 def _run(
     candidate: Candidate,
     samples: Samples,
@@ -120,7 +121,7 @@ def _run(
     return _values(R, P, estimates, vector_bias)
 
 
-@jax.jit
+@stored
 def _values(
     rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike
 ) -> dict[str, Array]:

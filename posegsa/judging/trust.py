@@ -6,6 +6,7 @@ from typing import Annotated
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.judging.metrics import error_tracks, metrics_of
@@ -17,6 +18,7 @@ from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
+from posegsa.stored_programs import stored
 
 PERTURBATION = 1e-6
 """Change of the initial estimate: about this much of each quaternion component, and [m]."""
@@ -109,20 +111,22 @@ def _perturbed(initial: FilterState) -> FilterState:
 
 def uncovered(controller: FuzzyController) -> float:
     """Share of a grid over all scaled errors and rates on which no rule fires."""
-    axis = jnp.linspace(0.0, 1.0, RESOLUTION, dtype=controller.output_terms.dtype)
-    some = jnp.max(_memberships(controller, axis), axis=0) > 0
+    axis = np.linspace(0.0, 1.0, RESOLUTION).astype(controller.output_terms.dtype)
+    some = np.max(np.asarray(_memberships(controller, axis)), axis=0) > 0
     # A rule is a pair of terms and every pair has one, so it fires where both inputs have a term.
-    return float(1 - jnp.mean(some) ** 2)
+    return float(1 - np.mean(some) ** 2)
 
 
 def rule_weights(controller: FuzzyController, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Mean firing strength (5, 5) of each rule over inputs (N,), [rate, error]."""
     dtype = controller.output_terms.dtype
-    inputs = (jnp.asarray(each, dtype) for each in (error, rate))
+    inputs = (np.asarray(each, dtype) for each in (error, rate))
     of_error, of_rate = (np.asarray(_memberships(controller, a), np.float64) for a in inputs)
     return np.mean(np.minimum(of_rate[:, None], of_error[None]), axis=-1)
 
 
-def _memberships(controller: FuzzyController, inputs: jax.Array) -> jax.Array:
+@stored
+def _memberships(controller: FuzzyController, inputs: ArrayLike) -> jax.Array:
     """Memberships (5, N) of inputs (N,) in the input terms."""
-    return jnp.stack([membership(inputs, term) for term in controller.prepare().inputs])
+    x = jnp.asarray(inputs)
+    return jnp.stack([membership(x, term) for term in controller.prepare().inputs])

@@ -64,7 +64,6 @@ from collections.abc import Callable
 from functools import reduce
 from typing import Any, NamedTuple, TypeAlias
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -100,6 +99,7 @@ from posegsa.model.se3 import (
 )
 from posegsa.model.signal import TruePose, pose_errors
 from posegsa.model.vectors import VectorSettings, Wahba
+from posegsa.stored_programs import stored
 
 Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
 """Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
@@ -391,7 +391,7 @@ def ekf_nees(samples: Samples, initial: FilterState, noise: EkfNoise) -> tuple[A
     return values, last
 
 
-@jax.jit
+@stored
 def run_ekf(samples: Samples, initial: FilterState, noise: EkfNoise) -> Estimates:
     """The estimates of one simulation over all its samples.
 

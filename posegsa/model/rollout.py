@@ -39,6 +39,7 @@ from posegsa.model.signal import (
     scheduled_gain,
 )
 from posegsa.model.vectors import VectorSettings
+from posegsa.stored_programs import stored
 
 
 class Samples(NamedTuple):
@@ -271,7 +272,7 @@ def simulate_recorded_cost(
     return squares.cost(recorded.position_weight)
 
 
-@jax.jit
+@stored
 def simulate(
     schedule: GainSchedule,
     samples: Samples,
@@ -285,7 +286,7 @@ def simulate(
     return _estimates(samples, *stored)
 
 
-@jax.jit
+@stored
 def simulate_part(
     schedule: GainSchedule,
     samples: Samples,

@@ -1,7 +1,6 @@
 """What takes searches on: one compiled program for each kind of search, run in chunks."""
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +12,7 @@ from posegsa.optimisers.base import Optimiser
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, advance
 from posegsa.optimisers.search_box import Box
+from posegsa.stored_programs import stored
 
 Runner = Callable[[Search, int], Search]
 """Takes a search on to an iteration, counted from its start."""
@@ -64,10 +64,10 @@ def runner(
     return run
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@stored(static_argnums=(0, 1, 2))
 def _advance(
     optimiser: Optimiser,
-    objective: Callable[..., Any],
+    objective: AnyObjective | Callable[..., AnyObjective],
     on_devices: OnDevices | None,
     data: tuple[Any, ...],
     box: Box,
@@ -79,7 +79,8 @@ def _advance(
 
     def one(problem: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:
         data, box, search = problem
-        made = objective(*data) if data else objective
+        given: Any = objective
+        made = given(*data) if data else given
         return advance(optimiser, made, box, search, stop, until)
 
     def several(problems: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:

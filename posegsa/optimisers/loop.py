@@ -19,6 +19,7 @@ from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
 from posegsa.settings.arrays import Columns
+from posegsa.stored_programs import stored
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
 """What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
@@ -65,12 +66,18 @@ def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     Raises:
         ConfigError: The optimiser can't run here: another library that it needs is missing.
     """
-    dimensions, dtype = box.lower.shape[0], box.lower.dtype
-    phases, iterations = optimiser.phases, optimiser.total_iterations
-    states = []
-    for i, phase in enumerate(phases):
+    for phase in optimiser.phases:
         phase.check_usable()
-        states.append(phase.init(jax.random.fold_in(key, i) if i else key, dimensions, dtype))
+    return (_started if optimiser.on_host else _stored_start)(optimiser, box, key)
+
+
+def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
+    dimensions, dtype = box.lower.shape[0], box.lower.dtype
+    iterations = optimiser.total_iterations
+    states = [
+        phase.init(jax.random.fold_in(key, i) if i else key, dimensions, dtype)
+        for i, phase in enumerate(optimiser.phases)
+    ]
     unknown = jnp.full(iterations, jnp.nan, dtype)
     return Search(
         state=_joined(states),
@@ -296,6 +303,7 @@ def tell(
     )
 
 
+_stored_start = stored(_started, static_argnums=(0,))
 _compiled_ask = jax.jit(ask, static_argnums=0)
 _compiled_tell = jax.jit(tell, static_argnums=0)
 

@@ -17,6 +17,7 @@ from posegsa.model.schedules import GainSchedule, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
+from posegsa.stored_programs import stored
 
 PART = 2**12
 """Samples that are on the device at once."""
@@ -96,7 +97,7 @@ def state_of(start: Start, learnt_vectors: int = 0) -> FilterState:
     return initial_state(*arrays, learnt_vectors=learnt_vectors)
 
 
-@jax.jit
+@stored
 def _prepared(measurements: Measurements, settings: FilterSettings) -> Samples:
     return samples_of(measurements, settings.vectors)
 

@@ -27,6 +27,7 @@ from posegsa.search.candidates import Schedules, SearchSpace
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
+from posegsa.stored_programs import stored
 
 
 class TuningProblem(NamedTuple):
@@ -94,7 +95,8 @@ def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) ->
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate."""
     dtype = jnp.dtype(experiment.run.dtype)
     settings = filter_settings(experiment)
-    drawn = _drawn(one, family(experiment, dtype), settings, keys)
+    # On the host, where taking some of the scenarios compiles nothing.
+    drawn = jax.device_get(_drawn(one, family(experiment, dtype), settings, keys))
     if experiment.family.duration == "off":
         drawn["end"] = None
     return ScenarioBatch(
@@ -105,7 +107,7 @@ def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) ->
     )
 
 
-@jax.jit
+@stored
 def _drawn(
     scenario: Scenario, family: Family, settings: FilterSettings, keys: Array
 ) -> dict[str, Any]:
@@ -135,6 +137,11 @@ def prepare_scenario(
     return truth, kept
 
 
+def _array(values: Any, dtype: DTypeLike) -> Array:
+    """Numbers of a configuration; `jnp.asarray` would compile a program for each shape."""
+    return jax.device_put(np.asarray(values, dtype))
+
+
 def scenario(experiment: config.Experiment) -> Scenario:
     """The scenario that an experiment configures, at its dtype.
 
@@ -145,7 +152,7 @@ def scenario(experiment: config.Experiment) -> Scenario:
     dtype = jnp.dtype(experiment.run.dtype)
 
     def array(values: object, *shape: int) -> Array:
-        return jnp.asarray(np.asarray(values, dtype).reshape(shape))
+        return _array(np.asarray(values, dtype).reshape(shape), dtype)
 
     def sines(axes: tuple[tuple[config.Sine, ...], ...]) -> Sines:
         length = max(1, *(len(axis) for axis in axes))
@@ -171,12 +178,12 @@ def scenario(experiment: config.Experiment) -> Scenario:
         vector_bias=array([v.bias for v in c.vectors], n, 3),
         vector_noise=array([v.noise for v in c.vectors], n),
         vector_outages=array([], 0, 2),
-        bursts=Bursts(array([], 0, 2), jnp.zeros(0, jnp.int32), array([], 0, 3)),
+        bursts=Bursts(array([], 0, 2), _array([], np.int32), array([], 0, 3)),
         landmarks=array([p.position for p in c.landmarks], m, 3),
         landmark_bias=array([p.bias for p in c.landmarks], m, 3),
         landmark_noise=array([p.noise for p in c.landmarks], m),
         landmark_outages=array([], 0, 2),
-        landmark_period=jnp.asarray(c.landmark_period, jnp.int32),
+        landmark_period=_array(c.landmark_period, np.int32),
         rotation=array(c.initial_rotation, 3, 3),
         position=array(c.initial_position, 3),
         rotation_estimate=array(_projected_estimate(c), 3, 3),
@@ -210,15 +217,15 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
     section, duration = experiment.family, experiment.scenario.duration
 
     def ends(values: tuple[float, float] | str, unit: float = 1.0) -> Array | None:
-        return None if isinstance(values, str) else jnp.asarray([unit * v for v in values], dtype)
+        return None if isinstance(values, str) else _array([unit * v for v in values], dtype)
 
     def number(value: float | str) -> Array | None:
-        return None if isinstance(value, str) else jnp.asarray(value, dtype)
+        return None if isinstance(value, str) else _array(value, dtype)
 
     def occasions(one: config.Occasions | str) -> Occasions | None:
         if isinstance(one, str):
             return None
-        return Occasions(jnp.asarray(one.rate, dtype), jnp.asarray(one.duration, dtype))
+        return Occasions(_array(one.rate, dtype), _array(one.duration, dtype))
 
     both = [o for o in (section.outages, section.bursts) if not isinstance(o, str)]
     return Family(
@@ -226,7 +233,7 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
         position_error=ends(section.position_error),
         bias_scale=ends(section.bias_scale),
         noise_scale=ends(section.noise_scale),
-        landmark_spread=jnp.asarray(section.landmark_spread, dtype),
+        landmark_spread=_array(section.landmark_spread, dtype),
         motion_scale=ends(section.motion_scale),
         vector_bias=number(section.vector_bias),
         landmark_bias=number(section.landmark_bias),
@@ -234,10 +241,10 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
         linear_drift=ends(section.velocity_drift),
         outages=occasions(section.outages),
         bursts=occasions(section.bursts),
-        burst_size=jnp.asarray(getattr(section.bursts, "size", 0.0), dtype),
+        burst_size=_array(getattr(section.bursts, "size", 0.0), dtype),
         landmark_interval=ends(section.landmark_interval),
         rest=ends(section.rest),
-        rest_share=jnp.asarray(section.rest_share, dtype),
+        rest_share=_array(section.rest_share, dtype),
         duration=ends(section.duration),
         random_phase=section.random_phase,
         outage_of=getattr(section.outages, "sensors", "all"),
@@ -261,7 +268,11 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
     dtype = jnp.dtype(experiment.run.dtype)
 
     def number(value: float) -> Array:
-        return jnp.asarray(value, dtype)
+        return _array(value, dtype)
+
+    def per_square(value: float) -> Array:
+        of_dtype = np.asarray(value, dtype)
+        return _array(1 / (of_dtype * of_dtype), dtype)
 
     angular, linear = section.gamma if isinstance(section.gamma, tuple) else (section.gamma,) * 2
     learnt = section.vector_bias == "estimated"
@@ -285,15 +296,15 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         vector_bias=VectorBias(
             gain=number(section.vector_bias_gain),
             leak=number(section.vector_bias_leak),
-            per_bound=1 / number(section.vector_bias_bound) ** 2,
-            per_turning=1 / number(section.excitation) ** 4,
+            per_bound=per_square(section.vector_bias_bound),
+            per_turning=per_square(section.excitation**2),
             excitation_time=number(section.excitation_time),
             law=section.vector_bias_law,
         )
         if learnt
         else None,
-        per_angular_bias_bound=None if bounds is None else 1 / number(bounds[0]) ** 2,
-        per_linear_bias_bound=None if bounds is None else 1 / number(bounds[1]) ** 2,
+        per_angular_bias_bound=None if bounds is None else per_square(bounds[0]),
+        per_linear_bias_bound=None if bounds is None else per_square(bounds[1]),
         # A length of 1 m is none, whose program multiplies less.
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
@@ -312,10 +323,10 @@ def signal_settings(section: config.GainConfig, dtype: DTypeLike) -> SignalSetti
     return SignalSettings(
         signal=section.signal,
         rate=section.rate,
-        position_weight=jnp.asarray(section.position_weight, dtype),
-        smoothing=jnp.asarray(section.smoothing, dtype),
-        error_scale=jnp.asarray(section.error_scale, dtype),
-        rate_scale=jnp.asarray(section.rate_scale, dtype),
+        position_weight=_array(section.position_weight, dtype),
+        smoothing=_array(section.smoothing, dtype),
+        error_scale=_array(section.error_scale, dtype),
+        rate_scale=_array(section.rate_scale, dtype),
     )
 
 
@@ -328,10 +339,10 @@ def cost_weights(cost: config.CostConfig, samples: int, dtype: jnp.dtype) -> Cos
 
     transient, steady = inside(cost.transient_window), inside(cost.steady_window)
     return CostWeights(
-        transient=jnp.asarray(np.where(transient, cost.transient_weight, 0.0).astype(dtype)),
-        steady=jnp.asarray(np.where(steady, cost.steady_weight, 0.0).astype(dtype)),
-        window=jnp.asarray(steady),
-        position=jnp.asarray(cost.position_weight, dtype),
+        transient=_array(np.where(transient, cost.transient_weight, 0.0), dtype),
+        steady=_array(np.where(steady, cost.steady_weight, 0.0), dtype),
+        window=_array(steady, bool),
+        position=_array(cost.position_weight, dtype),
     )
 
 
@@ -362,9 +373,9 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     else:
         rules = rule_indices(fuzzy.rules)
     return ParameterSpace(
-        lower=jnp.asarray(lower, dtype),
-        upper=jnp.asarray(upper, dtype),
-        overlap=jnp.asarray(fuzzy.overlap, dtype),
+        lower=_array(lower, dtype),
+        upper=_array(upper, dtype),
+        overlap=_array(fuzzy.overlap, dtype),
         ordering=fuzzy.ordering,
         coverage=fuzzy.coverage,
         rules=rules,
@@ -388,7 +399,7 @@ def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchS
             math.log(value) if by_logarithm else value
             for value, by_logarithm in zip(values, logarithmic, strict=True)
         ]
-        return jnp.asarray(np.asarray(searched, dtype))
+        return _array(searched, dtype)
 
     return SearchSpace(
         schedules=schedules,

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 from posegsa.model.filter import FilterSettings
 from posegsa.model.schedules import GainSchedule
@@ -144,13 +146,15 @@ class SearchSpace(Generic[Schedules]):
 
     def candidate(self, vector: Array) -> Candidate:
         """The candidate of a search vector (d + n,) (pure, jittable)."""
+        # Of NumPy's, parts are taken without a program for each.
+        numbers: Any = vector if isinstance(vector, Tracer) else np.asarray(vector)
         own = self.schedules.lower.shape[0]
-        found = [vector[own + i] for i in range(len(self.keys))]
+        found = [numbers[own + i] for i in range(len(self.keys))]
         values = tuple(
             jnp.exp(value) if by_logarithm else value
             for value, by_logarithm in zip(found, self.logarithmic, strict=True)
         )
-        return Candidate(self.schedules.schedule(vector[:own]), values, self.keys)
+        return Candidate(self.schedules.schedule(numbers[:own]), values, self.keys)
 
     def valid(self, vector: Array) -> Array:
         """Whether a search vector (d + n,) has a cost."""

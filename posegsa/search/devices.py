@@ -74,11 +74,16 @@ def mesh_of(devices: list[Any]) -> Mesh | None:
     return Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
 
 
+def _alone(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function on one device."""
+    return function
+
+
 @cache
 def on_each(mesh: Mesh | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """What makes a function run on every device of a mesh, with equal arguments and results."""
     if mesh is None:
-        return lambda function: function
+        return _alone
     same = PartitionSpec()
     # The check for equal results would not see that what is gathered is equal.
     return partial(jax.shard_map, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)

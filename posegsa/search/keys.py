@@ -1,6 +1,5 @@
 """Random keys, named by use."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -8,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array, random
 
 from posegsa.arguments import check_whole
+from posegsa.stored_programs import stored
 
 
 class Keys(NamedTuple):
@@ -34,12 +34,12 @@ def keys(seed: int) -> Keys:
     return _for_uses(random.key(seed))
 
 
-@jax.jit
+@stored
 def _for_uses(root: Array) -> Keys:
     return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
 
 
-@partial(jax.jit, static_argnums=1)
+@stored(static_argnums=(1,))
 def scenario_keys(key: Array, count: int) -> Array:
     """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
     return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))

@@ -14,7 +14,6 @@ all terms have the same share of the box.
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +26,7 @@ from posegsa.config import INPUT_RANGE, PARAMETERS, TERMS, triangles
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 from posegsa.model.schedules import FuzzyGain, SearchedRulesGain
+from posegsa.stored_programs import stored
 
 HALF, WHOLE = len(PARAMETERS) // 2, len(PARAMETERS)
 """How many of the k's shape the input terms, and how many there are."""
@@ -71,16 +71,9 @@ class ParameterSpace:
     offset: float = field(default=1.0, metadata=_STATIC)
     """What is added to the controller's output [1/s]."""
 
-    @partial(jax.jit, inline=True)  # one program, not one for each step, where it is called eagerly
     def terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,), repaired as configured."""
-        inputs, outputs = self.raw_terms(k)
-        if self.ordering:
-            inputs, outputs = ordered(inputs), ordered(outputs)
-        if self.coverage:
-            lower_inputs, _ = self.raw_terms(self.lower)
-            inputs = covering(inputs, lower_inputs[:, 0], self.overlap)
-        return inputs, outputs
+        return _terms(self, k)  # one program, not one for each step, where it is called eagerly
 
     def raw_terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,) as it stands, without any repair."""
@@ -164,6 +157,17 @@ class ParameterSpace:
 
 NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
 """Stands where a controller needs a table that nobody looks at."""
+
+
+@stored
+def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
+    inputs, outputs = space.raw_terms(k)
+    if space.ordering:
+        inputs, outputs = ordered(inputs), ordered(outputs)
+    if space.coverage:
+        lower_inputs, _ = space.raw_terms(space.lower)
+        inputs = covering(inputs, lower_inputs[:, 0], space.overlap)
+    return inputs, outputs
 
 
 def rule_targets(vector: Array) -> Array:

@@ -22,6 +22,7 @@ from posegsa.model.rollout import (
 )
 from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate, SearchSpace
+from posegsa.stored_programs import stored
 
 MEAN = ObjectiveConfig(name="mean")
 
@@ -255,5 +256,5 @@ def population_costs(
     return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
 
 
-costs_by_scenario = jax.jit(agent_costs, static_argnames=("axis", "cost"))
+costs_by_scenario = stored(agent_costs, static_argnums=(2, 3))
 evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis", "cost"))

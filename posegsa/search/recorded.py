@@ -40,6 +40,7 @@ from posegsa.search.build import (
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.recorded_schedules import RecordedSchedule
+from posegsa.stored_programs import stored
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
@@ -258,7 +259,7 @@ def recorded_batch(
     )
 
 
-@jax.jit
+@stored
 def _prepared(
     measurements: Measurements, rotation: Array, position: Array, settings: FilterSettings
 ) -> Samples:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
@@ -89,8 +90,8 @@ def run_timed(
     search = jax.block_until_ready(run(search, 0))
     compiled = before = time.monotonic()
     here = collect(search)
-    done = int(jnp.max(here.iteration))
-    tell(Progress(done, iterations, best_cost=float(jnp.min(here.best_cost)), seconds=0.0))
+    done = int(np.max(here.iteration))
+    tell(Progress(done, iterations, best_cost=float(np.min(here.best_cost)), seconds=0.0))
     even = -(-iterations // CHUNKS)
     alone = jax.process_count() == 1  # else all must stop at the same iterations
     fits = 1 if alone else even  # one iteration first, to learn the pace
@@ -102,7 +103,7 @@ def run_timed(
         here = collect(jax.block_until_ready(reached))
         now = time.monotonic()
         keep(here, now - compiled, compiled - begun)
-        best = float(jnp.min(here.best_cost))
+        best = float(np.min(here.best_cost))
         tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
         if alone:
             pace = max(now - before, 1e-9) / (stop - done)

@@ -1,0 +1,157 @@
+"""What a person waits for: whole commands, each as a process of its own, cold and warm.
+
+Cold is with an empty cache folder, as on the first day; warm is with what the cold run left there.
+CPU time is that of all threads. Another version's commands are measured by its interpreter, such as
+one of a virtual environment in which it is installed, and both stand in the table.
+
+    python benchmarks/commands.py [--write]
+    python benchmarks/commands.py --python ../old/.venv/bin/python --name 0.5.0 --write
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from machine import machine
+from readme import ROOT, write_block
+from run_tables import duration
+
+STORED, PAGE = ROOT / "benchmarks" / "commands.json", "docs/benchmarks.md"
+EIGHT = """
+[run]
+training_scenarios = 8
+[scenario]
+duration = 15.0
+[cost]
+steady_window = [400, 1400]
+[search]
+optimiser = "gsa"
+agents = 100
+iterations = 250
+"""
+"""Eight scenarios of 15 s, 100 agents, 250 iterations."""
+EXAMPLE = """
+import posegsa
+posegsa.enable_fast_path()
+print(posegsa.tune("quick", seed=1).summary())
+"""
+COMMANDS: dict[str, list[str]] = {
+    "posegsa --help": ["-m", "posegsa", "--help"],
+    "posegsa tune --seed x": ["-m", "posegsa", "tune", "--seed", "x"],
+    "import posegsa": ["-c", "import posegsa"],
+    "tune quick": ["-m", "posegsa", "tune", "quick", "--out", "quick", "--overwrite"],
+    "tune quick --no-figures": [
+        *("-m", "posegsa", "tune", "quick", "--no-figures", "--out", "bare", "--overwrite"),
+    ],
+    "tune, 8 scenarios of 15 s, 100 x 250": [
+        *("-m", "posegsa", "tune", "eight.toml", "--out", "eight", "--overwrite"),
+    ],
+    "evaluate quick --scenarios 1000": [
+        "-m",
+        "posegsa",
+        "evaluate",
+        "quick",
+        "--scenarios",
+        "1000",
+    ],
+    "export quick --format c": [
+        *("-m", "posegsa", "export", "quick", "--format", "c", "--out", "a.h", "--overwrite"),
+    ],
+    "Python: tune('quick')": ["-c", EXAMPLE],
+}
+WARM_RUNS = 3
+"""Runs of which the best is told, as what else the machine does only adds."""
+
+
+def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float, float]:
+    """CPU time and time of a command [s]."""
+    dropped = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")
+    inherited = {k: v for k, v in os.environ.items() if k not in dropped}
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(
+        [python, *words],
+        cwd=folder,
+        env=inherited | {"XDG_CACHE_HOME": str(cache)},
+        capture_output=True,
+        text=True,
+    )
+    took, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode not in (0, 2):
+        raise RuntimeError(f"{words}: {done.stderr}")
+    return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime), took
+
+
+def measured(python: str) -> dict[str, dict[str, list[float]]]:
+    """CPU time and time [s] of each command, cold and warm; and what of `eight` is its search."""
+    found = {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        (folder / "eight.toml").write_text(EIGHT, encoding="utf-8")
+        for i, (name, words) in enumerate(COMMANDS.items()):
+            cache = folder / f"cache-{i}"
+            cold = run(python, words, folder, cache)
+            warm = min(run(python, words, folder, cache) for _ in range(WARM_RUNS))
+            found[name] = {"cold": list(cold), "warm": list(warm)}
+            print(f"{name}: {cold[0]:.2f} s of CPU cold, {warm[0]:.2f} s warm", flush=True)
+        result = json.loads((folder / "eight" / "result.json").read_text(encoding="utf-8"))
+        found["of it searching"] = {"warm": [np.nan, result["search_seconds"]]}
+    return found
+
+
+def table(stored: dict) -> Iterator[str]:
+    """The table of all versions that were measured."""
+    names = list(stored["versions"])
+    yield "| command | version | CPU, cold | CPU, warm | time, cold | time, warm |"
+    yield "| --- | --- | --: | --: | --: | --: |"
+    for command in stored["versions"][names[-1]]:
+        for name in names:
+            found = stored["versions"][name].get(command)
+            if found is None:
+                continue
+            cells = [
+                duration(found[state][i]) if state in found and np.isfinite(found[state][i]) else ""
+                for i in range(2)
+                for state in ("cold", "warm")
+            ]
+            yield f"| {command} | {name} | {' | '.join(cells)} |"
+    about = stored["machine"]
+    yield ""
+    yield (
+        f"Made by `python benchmarks/commands.py --write`; warm: the best of {WARM_RUNS}. "
+        f"{about['cpu']}, {about['cores']} cores; jax {about['jax']}, Python {about['python']}; "
+        f"load before {about['load']}; {about['date']}."
+    )
+
+
+def main() -> None:
+    """Measure one version's commands, and show them beside what is known of others."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--python", default=sys.executable, help="interpreter that has the version")
+    parser.add_argument("--name", help="what the version is called; by default as it says")
+    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE}")
+    options = parser.parse_args()
+    asked = "import jax, posegsa.version as v; print(v.VERSION, jax.__version__)"
+    said = subprocess.run([options.python, "-c", asked], capture_output=True, text=True, check=True)
+    version, jax_version = said.stdout.split()
+    load = f"{os.getloadavg()[0]:.1f}"
+    stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {"versions": {}}
+    stored["versions"].pop(options.name or version, None)
+    stored["versions"][options.name or version] = measured(options.python)
+    stored["machine"] = machine(jax_version, len(os.sched_getaffinity(0)), load)
+    text = "\n".join(table(stored))
+    print(text)
+    if options.write:
+        STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        write_block("commands", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()
