@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import jax
@@ -124,7 +125,7 @@ class RecordingResult:
     """What the recordings that it was tuned on know of their sensors, for exports and streams; None
     where they differ in that, or there are none."""
 
-    @property
+    @cached_property
     def candidate(self) -> Candidate:
         """The tuned schedule, with what was tuned beside it."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):

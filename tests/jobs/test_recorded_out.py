@@ -1,5 +1,6 @@
 """A result on recordings out of Python: streamed, exported, saved; the same filter everywhere."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -177,16 +178,22 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
         assert "own_" in capsys.readouterr().out
 
 
+def test_the_controller_is_made_once(fuzzy: RecordingResult) -> None:
+    """As that of a result on scenarios: a loop may ask for it at each sample."""
+    assert fuzzy.controller is fuzzy.controller
+    assert fuzzy.schedule is fuzzy.candidate.schedule
+
+
 def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
     recording: Recording, fuzzy: RecordingResult
 ) -> None:
     moved = motion()["landmark_references"] + 1.0
     other = seen(landmark_references=moved)
-    result = RecordingResult(**vars(posegsa.by_hand(fuzzy.schedule, CHOSEN)))
+    result = posegsa.by_hand(fuzzy.schedule, CHOSEN)
     assert len(result.known_sensors.landmarks) == len(CHOSEN.scenario.landmarks)
     differing = posegsa.by_hand(fuzzy.schedule, CHOSEN, recordings=[recording, other])
     assert differing.sensors is None
-    tuned = RecordingResult(**vars(differing) | {"training": differing.held_out})
+    tuned = dataclasses.replace(differing, training=differing.held_out)
     for each in (differing, tuned):
         with pytest.raises(ArgumentError, match=r"references differ, or move; allowed: in Python"):
             export(each, "c")
