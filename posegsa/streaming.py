@@ -195,7 +195,8 @@ class PoseFilter:
 
         Raises:
             MeasurementError: A time step that is not positive, an array of another shape, an
-                infinite number, or a velocity that has been missing for longer than `hold_time`.
+                infinite number, or one so large that the estimate would overflow; or a velocity
+                that has been missing for longer than `hold_time`.
         """
         dt = _time_step(time_step, self._dtype)
         ages = self._ages + self._time_step
@@ -215,7 +216,13 @@ class PoseFilter:
             "landmarks": landmarks_seen.ravel(),
             "landmark_weights": landmark_factors,
         }
-        self._record = self._loop(self._record, _packed(sample, self._dtype))
+        record = self._loop(self._record, _packed(sample, self._dtype))
+        if not np.isfinite(record).all():
+            raise MeasurementError(
+                f"the estimate would be NaN or beyond {self._dtype}'s range: numbers of the sample "
+                "are too large, or the gain is NaN or below 0"
+            )
+        self._record = record
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt

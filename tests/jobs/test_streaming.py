@@ -385,6 +385,35 @@ def test_a_bad_sample_is_refused_and_changes_nothing(pose_filter, change, messag
         np.testing.assert_array_equal(array, before[name])
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"angular_velocity": [1e200, 0, 0]},
+        {"velocity": [1e300, 0, 0], "time_step": 1e10},
+        {"vectors": [[1e200, 0, 0], [0, 1e200, 1e200]]},
+        {"landmarks": [[1e200, 0, 0]]},
+        {"landmark_weights": 1e300},
+    ],
+    ids=str,
+)
+def test_a_sample_that_would_overflow_the_estimate_changes_nothing(pose_filter, change):
+    """As in C: what is finite may still be too large for the squares that are made of it."""
+    sample: dict[str, Any] = {
+        "time_step": 0.01,
+        "angular_velocity": np.zeros(3),
+        "velocity": np.zeros(3),
+        "vectors": np.eye(3)[:2],
+        "landmarks": [[1.0, 2.0, 3.0]],
+    }
+    pose_filter.update(**sample)
+    before = pose_filter.checkpoint()
+    with pytest.raises(MeasurementError, match=r"estimate would be NaN or beyond float64's range"):
+        pose_filter.update(**sample | change)
+    for name, array in pose_filter.checkpoint().items():
+        np.testing.assert_array_equal(array, before[name])
+    assert np.isfinite(pose_filter.update(**sample).position).all()
+
+
 def test_numbers_beyond_float32_are_refused_by_name():
     result = tuned(K)
     for given, message in (
