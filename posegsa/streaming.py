@@ -217,10 +217,12 @@ class PoseFilter:
             "landmark_weights": landmark_factors,
         }
         record = self._loop(self._record, _packed(sample, self._dtype))
-        if not np.isfinite(record).all():
+        # XLA's sine and cosine of a billion turns are of any size: finite, but no rotation.
+        turned = np.abs(record[self._rotation_at]).max() < 1.01
+        if not (turned and np.isfinite(record).all()):
             raise MeasurementError(
-                f"the estimate would be NaN or beyond {self._dtype}'s range: numbers of the sample "
-                "are too large, or the gain is NaN or below 0"
+                f"the estimate would be NaN, beyond {self._dtype}'s range or no rotation: numbers "
+                "of the sample are too large, or the gain is NaN or below 0"
             )
         self._record = record
         ages[2:][factors > 0] = 0
@@ -529,7 +531,7 @@ def _duration(name: str, value: float) -> float:
 def _time_step(value: float, dtype: np.dtype) -> float:
     dt = float(finite_array("time_step", value, ()))
     with np.errstate(over="ignore", under="ignore"):
-        positive = dtype.type(dt) > 0
+        positive = dtype.type(dt) >= np.finfo(dtype).tiny  # below, XLA takes it for 0
     if not positive:
         raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
     return dt

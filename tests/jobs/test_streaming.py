@@ -407,11 +407,21 @@ def test_a_sample_that_would_overflow_the_estimate_changes_nothing(pose_filter, 
     }
     pose_filter.update(**sample)
     before = pose_filter.checkpoint()
-    with pytest.raises(MeasurementError, match=r"estimate would be NaN or beyond float64's range"):
+    with pytest.raises(MeasurementError, match=r"estimate would be NaN, beyond float64's range"):
         pose_filter.update(**sample | change)
     for name, array in pose_filter.checkpoint().items():
         np.testing.assert_array_equal(array, before[name])
     assert np.isfinite(pose_filter.update(**sample).position).all()
+
+
+def test_what_is_no_rotation_is_refused(pose_filter, monkeypatch):
+    """XLA's sine of 1e18 rad is of any size, on some processors."""
+    loop = pose_filter._loop
+    monkeypatch.setattr(pose_filter, "_loop", lambda *given: 1e9 * loop(*given))
+    with pytest.raises(MeasurementError, match="or no rotation"):
+        pose_filter.update(time_step=0.01, angular_velocity=np.ones(3), velocity=np.zeros(3))
+    monkeypatch.undo()
+    np.testing.assert_array_equal(pose_filter.pose.rotation, START["rotation"])
 
 
 def test_numbers_beyond_float32_are_refused_by_name():
@@ -426,6 +436,7 @@ def test_numbers_beyond_float32_are_refused_by_name():
     still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
     for given, message in (
         ({"time_step": 1e-60}, "time_step: must be positive, got 1e-60 s"),
+        ({"time_step": 1e-39}, "time_step: must be positive, got 1e-39 s"),
         ({"time_step": 1e60}, "time_step: must be within float32's range"),
         ({"time_step": 0.01, "vectors": np.full((2, 3), 1e300)}, "vectors: must be within float32"),
     ):
