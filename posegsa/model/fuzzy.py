@@ -201,6 +201,13 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
 class FuzzyController:
     """A Mamdani controller: gain K = offset + centroid from an error and its rate, both in [0, 1].
 
+    An output term of no width (k12 = 0) has no area. Where only such terms fire, the gain is their
+    limit; beside any other term that fires, however weakly, they do not count: the gain jumps. At
+    the foot of an input term, where its membership is 0, a compiler that fuses product and
+    difference may leave 1e-17 of it. So exactly there (a foot at 0, k2 = 0, and a rate of 0) a
+    compiled program may take the other term's gain, and the exported C, or the operations one by
+    one, the limit. With output terms of some width both are the same to rounding.
+
     Args:
         input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
         output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
