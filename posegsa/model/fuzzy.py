@@ -321,10 +321,15 @@ class FuzzyController:
         idle = last if self.no_rule == "hold" else self.offset + prepared.midrange
         return choose(fires, self.offset + moment / area, idle)
 
+    @property
+    def middle_gain(self) -> float:
+        """The gain in the middle of the output's range [1/s], at double precision."""
+        low, high = map(float, self.output_range)
+        return self.offset + 0.5 * (low + high)
+
     def initial_gain(self) -> Array:
         """The gain held before any rule has fired: the mid-range of the output [1/s]."""
-        low, high = self.output_range
-        return jnp.asarray(self.offset + 0.5 * (low + high), self.output_terms.dtype)
+        return jnp.asarray(self.middle_gain, self.output_terms.dtype)
 
     def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
         """Gain K [1/s] of errors and rates.
