@@ -9,8 +9,7 @@
  *     #include "{{ file }}"
  *     #include <stdio.h>
  *     static posegsa_measurement now; // all zeros: nothing is measured
- *     int main(void)
- *     {
+ *     int main(void) {
  *         const posegsa_real upright[4] = {1, 0, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
  *         posegsa_init(&filter, upright{{ "" if attitude_only else ", origin" }});
