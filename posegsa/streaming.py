@@ -19,7 +19,7 @@ from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import finite_array
-from posegsa.model.observability import why_unobservable
+from posegsa.model.observability import why_attitude_unobservable, why_unobservable
 from posegsa.model.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.model.schedules import (
     ConstantGain,
@@ -271,6 +271,7 @@ class PoseFilter:
     def observable(self) -> bool:
         """Whether what was seen within `observable_window` fixes the pose.
 
+        Of a result on recordings of the attitude alone: whether it fixes the attitude.
         Sightings at different times count together: in between, the velocities carry the pose on.
         False says that the pose drifts, or that a wrong one would not be noticed;
         `why_unobservable` says what is missing.
@@ -281,13 +282,17 @@ class PoseFilter:
     def why_unobservable(self) -> str:
         """What was seen lately, and what is needed, where that does not fix the pose; else ""."""
         recent = self._ages[2:] <= self._window * (1 + 1e-9)
-        n = len(self._vectors.references)
-        why = why_unobservable(
-            self._vectors.references,
-            self._landmarks.references,
-            self._vectors.weights * recent[:n],
-            self._landmarks.weights * recent[n:],
-        )
+        vectors, landmarks = self._vectors, self._landmarks
+        n = len(vectors.references)
+        if self._attitude_only and not len(landmarks.references):
+            why = why_attitude_unobservable(vectors.references, vectors.weights * recent[:n])
+        else:
+            why = why_unobservable(
+                vectors.references,
+                landmarks.references,
+                vectors.weights * recent[:n],
+                landmarks.weights * recent[n:],
+            )
         return f"in the last {self._window:g} s: {why}" if why else ""
 
     def reset(

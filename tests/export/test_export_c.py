@@ -513,6 +513,11 @@ def test_what_does_not_fit_together_is_refused(x64):
         attempt(schedule=KnotGain(jnp.arange(3.0), jnp.zeros(3)))
     with pytest.raises(ArgumentError, match="schedule: a int"):
         attempt(schedule=5)
+    varied = replace(case.settings, gamma_angular=jnp.ones(7))
+    with pytest.raises(
+        ArgumentError, match=r"gamma_angular: of the shape \(7,\); allowed: one num"
+    ):
+        attempt(chosen=varied)
 
 
 # The file -----------------------------------------------------------------------------------------

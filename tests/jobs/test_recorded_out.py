@@ -178,6 +178,19 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
         assert "own_" in capsys.readouterr().out
 
 
+def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
+    attitude: tuple[RecordingResult, Recording],
+) -> None:
+    found = posegsa.PoseFilter(attitude[0], rotation=np.eye(3), position=np.zeros(3))
+    assert "found no vectors (weight above 0)" in found.why_unobservable
+    known = np.array(attitude[0].known_sensors.vectors)
+    found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
+    assert found.observable
+    for _ in range(2):  # of two seconds, in which one vector is seen
+        found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
+    assert "found 1 vector (weight above 0)" in found.why_unobservable
+
+
 def test_the_controller_is_made_once(fuzzy: RecordingResult) -> None:
     """As that of a result on scenarios: a loop may ask for it at each sample."""
     assert fuzzy.controller is fuzzy.controller

@@ -351,12 +351,18 @@ def test_bad_arguments_are_refused_by_name(result, change, message):
 
 def test_bad_sources_are_refused(result):
     settings = posegsa.filter_settings(tuned(K).experiment)
+    varied = dataclasses.replace(settings, gamma_linear=np.ones(9))
     for source, given, message in (
         (7.0, {}, "settings: None; allowed: the filter's"),
         (-7.0, {"settings": settings}, "source, a constant gain = -7.0"),
         ("run", {}, "source: a str; allowed: a TuneResult"),
         (result.controller, {"settings": settings}, "signal: None; allowed"),
         (7.0, {"settings": settings}, "settings.vectors.weights: 2 of them; allowed: 0"),
+        (
+            7.0,
+            {"settings": varied},
+            r"settings.gamma_linear: of the shape \(9,\); allowed: one num",
+        ),
     ):
         with pytest.raises(ArgumentError, match=message):
             posegsa.PoseFilter(source, **START, **given)
