@@ -165,6 +165,9 @@ static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 }
 
 {% endfor %}
+{% if knots %}
+{{ knots }}
+{% endif %}
 /* What one step works with. */
 typedef struct posegsa_work {
 {% if vectors %}
@@ -357,6 +360,9 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
     {{ calls.signal }}
 {% if fuzzy %}
     w->gain = posegsa_gain(w->error, w->rate, now->gain);
+    w->learning = 1;
+{% elif knots %}
+    w->gain = posegsa_gain_at(now->time);
     w->learning = 1;
 {% else %}
     {{ calls.schedule }}
