@@ -163,6 +163,7 @@ def test_the_state_is_a_start_for_a_whole_sequence(result, pose_filter):
         ("landmarks", None),
         ("landmarks", [None]),
         ("landmarks", [[1.0, 2.0, np.nan]]),
+        ("landmarks", np.ma.masked_array([[1.0, 2.0, 999.0]], mask=[[False, False, True]])),
     ],
 )
 def test_whatever_is_missing_counts_alike(result, name, missing):
