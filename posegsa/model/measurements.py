@@ -198,7 +198,7 @@ def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) ->
 def unmasked(value: Any) -> Any:
     """NaN where a masked array is masked, since it holds any number there; else what is given."""
     if isinstance(value, np.ma.MaskedArray):
-        return value.astype(np.float64).filled(np.nan)
+        return np.ma.filled(value.astype(np.float64), np.nan)
     return value
 
 
