@@ -465,7 +465,7 @@ def _tuned(
             "knows",
             'one tuned with gain.signal = "measured"',
         )
-    if isinstance(result, TuneResult) and (found := result.warnings()):
+    if found := result.warnings():
         warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
     dtype = result.experiment.run.dtype
     with jax.enable_x64(dtype == "float64"):
