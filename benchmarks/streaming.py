@@ -179,6 +179,8 @@ def main() -> None:
             compiled = f"{inner:.0f} us" if name != "Measurements.at" else "nothing"
             others.append(f"| `{name}` | {dtype} | {whole:.0f} us | {compiled} |")
     load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:  # by `chrt -f 10`, where other work goes on
+        load += ", at real-time priority"
     where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
     table = "\n".join(
         [*rows, "", *others, "", f"By `python benchmarks/streaming.py --write` ({where})."]

@@ -19,7 +19,7 @@ from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import finite_array
-from posegsa.model.observability import why_unobservable
+from posegsa.model.observability import why_attitude_unobservable, why_unobservable
 from posegsa.model.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.model.schedules import (
     ConstantGain,
@@ -195,7 +195,8 @@ class PoseFilter:
 
         Raises:
             MeasurementError: A time step that is not positive, an array of another shape, an
-                infinite number, or a velocity that has been missing for longer than `hold_time`.
+                infinite number, or one so large that the estimate would overflow; or a velocity
+                that has been missing for longer than `hold_time`.
         """
         dt = _time_step(time_step, self._dtype)
         ages = self._ages + self._time_step
@@ -215,7 +216,15 @@ class PoseFilter:
             "landmarks": landmarks_seen.ravel(),
             "landmark_weights": landmark_factors,
         }
-        self._record = self._loop(self._record, _packed(sample, self._dtype))
+        record = self._loop(self._record, _packed(sample, self._dtype))
+        # XLA's sine and cosine of a billion turns are of any size: finite, but no rotation.
+        turned = np.abs(record[self._rotation_at]).max() < 1.01
+        if not (turned and np.isfinite(record).all()):
+            raise MeasurementError(
+                f"the estimate would be NaN, beyond {self._dtype}'s range or no rotation: numbers "
+                "of the sample are too large, or the gain is NaN or below 0"
+            )
+        self._record = record
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt
@@ -262,6 +271,7 @@ class PoseFilter:
     def observable(self) -> bool:
         """Whether what was seen within `observable_window` fixes the pose.
 
+        Of a result on recordings of the attitude alone: whether it fixes the attitude.
         Sightings at different times count together: in between, the velocities carry the pose on.
         False says that the pose drifts, or that a wrong one would not be noticed;
         `why_unobservable` says what is missing.
@@ -272,13 +282,17 @@ class PoseFilter:
     def why_unobservable(self) -> str:
         """What was seen lately, and what is needed, where that does not fix the pose; else ""."""
         recent = self._ages[2:] <= self._window * (1 + 1e-9)
-        n = len(self._vectors.references)
-        why = why_unobservable(
-            self._vectors.references,
-            self._landmarks.references,
-            self._vectors.weights * recent[:n],
-            self._landmarks.weights * recent[n:],
-        )
+        vectors, landmarks = self._vectors, self._landmarks
+        n = len(vectors.references)
+        if self._attitude_only and not len(landmarks.references):
+            why = why_attitude_unobservable(vectors.references, vectors.weights * recent[:n])
+        else:
+            why = why_unobservable(
+                vectors.references,
+                landmarks.references,
+                vectors.weights * recent[:n],
+                landmarks.weights * recent[n:],
+            )
         return f"in the last {self._window:g} s: {why}" if why else ""
 
     def reset(
@@ -451,7 +465,7 @@ def _tuned(
             "knows",
             'one tuned with gain.signal = "measured"',
         )
-    if isinstance(result, TuneResult) and (found := result.warnings()):
+    if found := result.warnings():
         warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
     dtype = result.experiment.run.dtype
     with jax.enable_x64(dtype == "float64"):
@@ -522,7 +536,7 @@ def _duration(name: str, value: float) -> float:
 def _time_step(value: float, dtype: np.dtype) -> float:
     dt = float(finite_array("time_step", value, ()))
     with np.errstate(over="ignore", under="ignore"):
-        positive = dtype.type(dt) > 0
+        positive = dtype.type(dt) >= np.finfo(dtype).tiny  # below, XLA takes it for 0
     if not positive:
         raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
     return dt

@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from posegsa import config
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.export.c_gain import controller_values
-from posegsa.export.c_step import References, Step, constants, references
+from posegsa.export.c_step import References, Step, constants, numbers, references
 from posegsa.export.c_text import (
     NAME,
     check_name,
@@ -36,7 +36,7 @@ from posegsa.judging.known_sensors import of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
 from posegsa.model.filter import FilterSettings, check_gammas
-from posegsa.model.schedules import FuzzyGain, GainSchedule, check_schedule
+from posegsa.model.schedules import FuzzyGain, GainSchedule, KnotGain, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
 from posegsa.search.recorded import settings_on
@@ -101,8 +101,8 @@ def filter_to_c(
     Without landmarks it is one of the attitude alone.
 
     Args:
-        schedule: of the gain: `FuzzyGain`, `ConstantGain`, `SmoothGain`, `SwitchGain`, or one of
-            your own whose step is arithmetic of scalars.
+        schedule: of the gain: one of `posegsa.model.schedules`, or one of your own whose step is
+            arithmetic of scalars.
         settings: of the filter.
         signal: of the error signal; "measured".
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
@@ -134,7 +134,6 @@ def filter_to_c(
     known = references(vectors, landmarks, settings)
     step = Step(known, settings, signal, schedule)
     uses_time = any(piece.code.mentions("now->time") for piece in step.pieces.values())
-    fuzzy = isinstance(schedule, FuzzyGain)
     functions = {"sqrt"}.union(*(piece.code.functions for piece in step.pieces.values()))
     values = {
         "file": f"{name}.h",
@@ -147,20 +146,36 @@ def filter_to_c(
         "landmarks": len(known.landmarks),
         "substeps": settings.substeps,
         "learns": step.learns,
-        "uses_time": uses_time,
-        "fuzzy": fuzzy,
+        "uses_time": uses_time or isinstance(schedule, KnotGain),
+        "fuzzy": isinstance(schedule, FuzzyGain),
         "constants": constants(step, known),
-        "functions": sorted(functions),
+        "functions": sorted(functions | ({"exp"} if isinstance(schedule, KnotGain) else set())),
         "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
         "calls": {key: piece.call for key, piece in step.pieces.items()},
         "initial_gain": repr(initial_gain),
         "controller": "",
+        "knots": "",
     }
-    if fuzzy:
+    if isinstance(schedule, KnotGain):
+        values["knots"] = templates().get_template("knots.c").render(_knots(schedule))
+    if isinstance(schedule, FuzzyGain):
         controller = controller_values(schedule.controller)
         template = templates().get_template("controller.c")
         values["controller"] = template.render(linkage="static inline ", **controller)
     return renamed(templates().get_template("filter.h").render(values), name)
+
+
+def _knots(schedule: KnotGain) -> dict[str, object]:
+    """What `knots.c` is told of a gain over time."""
+    time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
+    fits = time.ndim == 1 and time.shape == log_gain.shape and time.size > 0
+    if not (fits and np.isfinite([time, log_gain]).all() and (np.diff(time) > 0).all()):
+        refuse(
+            f"schedule: a KnotGain of times {time.tolist()} and log_gains {log_gain.tolist()}",
+            "ascending times, and a finite log_gain for each",
+        )
+    tables = {"times": numbers(time.tolist()), "log_gains": numbers(log_gain.tolist())}
+    return {"count": len(time), **tables}
 
 
 def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequence[str]:

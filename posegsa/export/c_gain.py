@@ -107,7 +107,7 @@ def controller_values(controller: FuzzyController) -> dict[str, object]:
         "output_terms": _terms(controller.output_terms),
         "rules": _rows([map(str, row) for row in controller.rules], "rate "),
         # As JAX has it: formed in double, then rounded.
-        "initial_gain": repr(controller.offset + 0.5 * (low + high)),
+        "initial_gain": repr(controller.middle_gain),
         "offset": repr(controller.offset),
         "no_rule": _NO_RULE[controller.no_rule],
     }

@@ -5,6 +5,7 @@ stands for it in C: a field of the state, of the measurement or of what the step
 `static const`, or a number where the filter has no such thing.
 """
 
+import textwrap
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,13 +29,16 @@ from posegsa.model.filter import (
 )
 from posegsa.model.measurements import Measurements, finite_array
 from posegsa.model.sample import LandmarkSample, Sample, prepare
-from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, ScheduleInputs
+from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, KnotGain, ScheduleInputs
 from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, scheduled_gain
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
 """A vector that a filter does not have. (The model's records hold arrays; here they hold what
 stands for a number in C, an `export.scalar_c.Argument`, and so it is `Any` to the type checker.)"""
+
+IN_TABLES = (FuzzyGain, KnotGain)
+"""Schedules that look up tables: they are no pieces, but stand in `controller.c` and `knots.c`."""
 
 _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
@@ -186,7 +190,7 @@ class Step:
             (("w->error", "w->rate"), _wanted(self._memory("next")._replace(gain=_scalar(0.0)))),
         )
         gamma: Any = None
-        if not isinstance(schedule, FuzzyGain):
+        if not isinstance(schedule, IN_TABLES):
             inputs = ScheduleInputs(
                 *map(_scalar, ("w->error", "w->rate", "now->time", "now->gain"))
             )
@@ -236,7 +240,7 @@ class Step:
             (following.attitude, _wanted(following.place)),
         )
         if self.learns:
-            learning = 1.0 if isinstance(schedule, FuzzyGain) else "w->learning"
+            learning = 1.0 if isinstance(schedule, IN_TABLES) else "w->learning"
             self._piece(
                 *("learn", "the vectors' biases, from the residuals at the sample"),
                 learnt_vector_biases,
@@ -418,3 +422,9 @@ def constants(step: Step, known: References) -> str:
 
 def _row(values: Iterable[float]) -> str:
     return f"{{{', '.join(map(literal, values))}}}"
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Many numbers as the lines of a table."""
+    text = ", ".join(map(literal, values))
+    return textwrap.indent("\n".join(textwrap.wrap(text, 92)), "    ")

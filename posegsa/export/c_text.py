@@ -158,18 +158,21 @@ def worth(result: TuneResult | RecordingResult) -> list[str]:
         f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
         "held-out ones."
     )
-    for warning in result.warnings():
-        lines += wrapped(f"WARNING: {warning}.")
-    return lines
+    return lines + _warnings(result)
+
+
+def _warnings(result: TuneResult | RecordingResult) -> list[str]:
+    return [line for one in result.warnings() for line in wrapped(f"WARNING: {one}.")]
 
 
 def _on_recordings(result: RecordingResult) -> list[str]:
     """The errors of a filter on recordings, and what of these is measured."""
     if not (result.training or result.held_out):
-        return ["Not known: it was judged on no recording."]
+        return ["Not known: it was judged on no recording.", *_warnings(result)]
     lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
     if not result.held_out:
         lines += wrapped("WARNING: no recording was held out.")
+    lines += _warnings(result)
     return lines + [part for line in result.origins().splitlines() for part in wrapped(line)]
 
 

@@ -9,8 +9,7 @@
  *     #include "{{ file }}"
  *     #include <stdio.h>
  *     static posegsa_measurement now; // all zeros: nothing is measured
- *     int main(void)
- *     {
+ *     int main(void) {
  *         const posegsa_real upright[4] = {1, 0, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
  *         posegsa_init(&filter, upright{{ "" if attitude_only else ", origin" }});
@@ -166,6 +165,9 @@ static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 }
 
 {% endfor %}
+{% if knots %}
+{{ knots }}
+{% endif %}
 /* What one step works with. */
 typedef struct posegsa_work {
 {% if vectors %}
@@ -358,6 +360,9 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
     {{ calls.signal }}
 {% if fuzzy %}
     w->gain = posegsa_gain(w->error, w->rate, now->gain);
+    w->learning = 1;
+{% elif knots %}
+    w->gain = posegsa_gain_at(now->time);
     w->learning = 1;
 {% else %}
     {{ calls.schedule }}

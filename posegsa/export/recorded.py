@@ -65,5 +65,6 @@ def recorded_json(result: RecordingResult) -> str:
         "sensors": None if result.sensors is None else result.sensors._asdict(),
         "training": result.training,
         "held_out": result.held_out,
+        "warnings": result.warnings(),
     }
     return json_text(plain(data)) + "\n"

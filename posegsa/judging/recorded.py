@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from posegsa.arguments import check_type, refuse
 from posegsa.config import SEARCHED, Experiment, override
 from posegsa.errors import FuzzyError, RecordingError
 from posegsa.judging.baselines import candidate_of, describe, rules_text, tuned_experiment
-from posegsa.judging.evaluation import SCHEDULES, TUNED, Description, StoredFilter
+from posegsa.judging.evaluation import CONSTANT, SCHEDULES, TUNED, Description, StoredFilter
 from posegsa.judging.known_sensors import (
     KnownSensors,
     StoredSensors,
@@ -124,7 +125,7 @@ class RecordingResult:
     """What the recordings that it was tuned on know of their sensors, for exports and streams; None
     where they differ in that, or there are none."""
 
-    @property
+    @cached_property
     def candidate(self) -> Candidate:
         """The tuned schedule, with what was tuned beside it."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
@@ -236,7 +237,23 @@ class RecordingResult:
             )
         if self.non_finite:
             found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
+        if behind := self._behind_constant():
+            found.append(behind)
         return found
+
+    def _behind_constant(self) -> str:
+        """That the best constant gains err less on what was held out, in all that is judged."""
+        others = self.baselines.get(CONSTANT)
+        if not (others and self.held_out):
+            return ""
+        own, constant = mean_errors(self.held_out), mean_errors(others)
+        pairs = [(own.total, constant.total, "deg")]
+        if own.position is not None and constant.position is not None:
+            pairs.append((own.position, constant.position, "m"))
+        if not all(a > b for a, b, _ in pairs):
+            return ""
+        errors = " and ".join(f"{a:.3g} {unit} instead of {b:.3g}" for a, b, unit in pairs)
+        return f"on what was held out it errs more than the best constant gains, {errors}"
 
     def _head(self) -> str:
         """How the filter was found."""

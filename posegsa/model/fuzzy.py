@@ -201,6 +201,13 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
 class FuzzyController:
     """A Mamdani controller: gain K = offset + centroid from an error and its rate, both in [0, 1].
 
+    An output term of no width (k12 = 0) has no area. Where only such terms fire, the gain is their
+    limit; beside any other term that fires, however weakly, they do not count: the gain jumps. At
+    the foot of an input term, where its membership is 0, a compiler that fuses product and
+    difference may leave 1e-17 of it. So exactly there (a foot at 0, k2 = 0, and a rate of 0) a
+    compiled program may take the other term's gain, and the exported C, or the operations one by
+    one, the limit. With output terms of some width both are the same to rounding.
+
     Args:
         input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
         output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
@@ -314,10 +321,15 @@ class FuzzyController:
         idle = last if self.no_rule == "hold" else self.offset + prepared.midrange
         return choose(fires, self.offset + moment / area, idle)
 
+    @property
+    def middle_gain(self) -> float:
+        """The gain in the middle of the output's range [1/s], at double precision."""
+        low, high = map(float, self.output_range)
+        return self.offset + 0.5 * (low + high)
+
     def initial_gain(self) -> Array:
         """The gain held before any rule has fired: the mid-range of the output [1/s]."""
-        low, high = self.output_range
-        return jnp.asarray(self.offset + 0.5 * (low + high), self.output_terms.dtype)
+        return jnp.asarray(self.middle_gain, self.output_terms.dtype)
 
     def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
         """Gain K [1/s] of errors and rates.

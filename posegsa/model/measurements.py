@@ -195,13 +195,20 @@ def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) ->
         raise MeasurementError(f"{name}: must have the shape {shape}, got {np.shape(value)}")
 
 
+def unmasked(value: Any) -> Any:
+    """NaN where a masked array is masked, since it holds any number there; else what is given."""
+    if isinstance(value, np.ma.MaskedArray):
+        return np.ma.filled(value.astype(np.float64), np.nan)
+    return value
+
+
 def _numbers(name: str, value: ArrayLike) -> np.ndarray:
-    """The argument as a float64 array of any shape."""
+    """The argument as a float64 array of any shape, NaN where it is masked."""
     try:
         array = np.asarray(value)
         if array.dtype.kind in "cSUMm":  # NumPy would make something of them
             raise TypeError(f"these are {array.dtype}")
-        return array.astype(np.float64)
+        return np.asarray(unmasked(value)).astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise MeasurementError(f"{name}: must be an array of numbers ({error})") from None
 

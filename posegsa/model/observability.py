@@ -73,6 +73,21 @@ def why_unobservable(
     )
 
 
+def why_attitude_unobservable(
+    directions: ArrayLike, direction_weights: ArrayLike | None = None
+) -> str:
+    """The same for the attitude alone, where no position is estimated: two vectors fix it.
+
+    Raises:
+        ScenarioError: An argument has another shape, is not finite, or a direction is zero.
+    """
+    vectors, none = _counted("directions", directions, direction_weights), np.empty((0, 3))
+    if _span_two_directions(_unit(vectors)):
+        return ""
+    found = _found(vectors, none, none).removesuffix(" and no landmarks")
+    return f"found {found} (weight above 0); needed are two non-collinear vectors"
+
+
 def are_collinear(first: ArrayLike, second: ArrayLike) -> bool:
     """Whether two non-zero vectors, shape (3,), are parallel or opposite, within `PARALLEL`."""
     return not _span_two_directions(_unit(np.array([first, second], dtype=float)))

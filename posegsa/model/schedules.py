@@ -273,4 +273,7 @@ def check_schedule(schedule: GainSchedule) -> None:
     if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
         what = type(schedule).__name__
         raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")
-    check_gain("schedule: its gain", schedule.initial_gain())
+    # Of a controller without a round trip to the device, since on-line each step asks.
+    fuzzy = isinstance(schedule, FuzzyGain)
+    gain = schedule.controller.middle_gain if fuzzy else schedule.initial_gain()
+    check_gain("schedule: its gain", gain)

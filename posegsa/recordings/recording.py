@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
-from posegsa.model.measurements import Measurements, checked_arrays, finite_array
+from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
 from posegsa.recordings.archive import read_npz, write_npz
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
@@ -595,7 +595,7 @@ def _spread_sightings(
     """Arguments of vectors or landmarks at the samples of a bridge; what is filled in is NaN."""
 
     def at_samples(name: str, value: ArrayLike | None, missing: float, constant: int) -> Any:
-        array = None if value is None else np.asarray(value)
+        array = None if value is None else np.asarray(unmasked(value))
         if array is None or array.ndim <= constant:
             return value  # the same at all samples
         if len(array) != samples:

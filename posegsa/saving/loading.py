@@ -3,10 +3,11 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from posegsa.errors import RunFolderError
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.saving import run
-from posegsa.saving.folder import locked_folder
+from posegsa.saving import imu, run
+from posegsa.saving.folder import as_path, holds_run, locked_folder
 from posegsa.saving.recorded import holds_recorded, load_recorded, write_recorded
 
 
@@ -44,6 +45,17 @@ def load(folder: str | Path) -> TuneResult | RecordingResult:
 
     Raises:
         RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or
-            does not fit to the others; names the file and the field.
+            does not fit to the others; names the file and the field. Or a filter for inertial
+            sensors, which is no run.
     """
+    path = as_path("folder", folder)
+    if path.name == imu.FILTER or ((path / imu.FILTER).exists() and not holds_run(path)):
+        file = path if path.name == imu.FILTER else path / imu.FILTER
+        raise RunFolderError(
+            f"{path}: a filter for inertial sensors, and no run; `posegsa replay {file} RECORDING` "
+            "runs it, in Python run_imu with config.load_imu(...). Its vectors are made in Python, "
+            "so that it has no export (docs/imu.md says what can be exported of it)"
+        )
+    if path.is_file():
+        raise RunFolderError(f"{path}: is a file; allowed: the folder of a run")
     return load_recorded(folder) if holds_recorded(folder) else run.load(folder)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,8 +49,10 @@ from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import Estimates, run_filter
 from posegsa.model.schedules import (
     ConstantGain,
+    Gains,
     GainSchedule,
     KnotGain,
+    ScheduleInputs,
     SettlingGain,
     SmoothGain,
     SwitchGain,
@@ -211,12 +213,28 @@ def settling() -> Case:
     )
 
 
+def over_time() -> Case:
+    """Open-loop gains, whose knots begin after the start and end before the end."""
+    time, gain = np.array([0.3, 1.0, 7.654321, 40.0]), np.array([25.0, 40.0, 6.0, 3.0])
+    return Case(
+        schedule=KnotGain(jnp.asarray(time), jnp.log(jnp.asarray(gain))),
+        settings=settings(
+            vectors=vector_settings(normalise=True, each_agent=True), learnt=vector_bias()
+        ),
+        signal=signal(),
+        vectors=VECTORS[:1],
+        landmarks=LANDMARKS[:2],
+        layout=Layout(1, 2, learns=True, time=True),
+    )
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "recommended": recommended,
     "printed": printed,
     "attitude only": attitude_only,
     "landmarks alone": landmarks_alone,
     "settling": settling,
+    "over time": over_time,
 }
 
 
@@ -490,6 +508,21 @@ def test_names_that_c_could_not_take_are_refused(name):
         export_c(tuned(K), name=name)
 
 
+class LookedUp(NamedTuple):
+    """A schedule of one's own that looks up an array."""
+
+    gains: jax.Array
+
+    def initial_gain(self) -> jax.Array:
+        return self.gains[0]
+
+    def prepare(self) -> "LookedUp":
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        return Gains(self.gains[0] * inputs.error)
+
+
 @pytest.mark.quick
 def test_what_does_not_fit_together_is_refused(x64):
     case = everything()["landmarks alone"]
@@ -510,9 +543,17 @@ def test_what_does_not_fit_together_is_refused(x64):
     with pytest.raises(MeasurementError, match="vector_references: must not be zero"):
         attempt(vectors=[[0, 0, 0]])
     with pytest.raises(ArgumentError, match="arrays of numbers; allowed: one made of scalars"):
-        attempt(schedule=KnotGain(jnp.arange(3.0), jnp.zeros(3)))
+        attempt(schedule=LookedUp(jnp.arange(3.0)))
+    for time, log_gain in ((jnp.ones(2), jnp.ones(2)), (jnp.arange(3.0), jnp.ones(2))):
+        with pytest.raises(ArgumentError, match=r"a KnotGain of .*allowed: ascending times, and a"):
+            attempt(schedule=KnotGain(time, log_gain))
     with pytest.raises(ArgumentError, match="schedule: a int"):
         attempt(schedule=5)
+    varied = replace(case.settings, gamma_angular=jnp.ones(7))
+    with pytest.raises(
+        ArgumentError, match=r"gamma_angular: of the shape \(7,\); allowed: one num"
+    ):
+        attempt(chosen=varied)
 
 
 # The file -----------------------------------------------------------------------------------------
@@ -521,7 +562,7 @@ def test_what_does_not_fit_together_is_refused(x64):
 def example(header: str) -> str:
     """The program in the head comment."""
     lines = header.split(" * USE\n")[1].split(" *\n")[0].splitlines()
-    assert len(lines) <= 18
+    assert len(lines) == 15
     return "\n".join(line.removeprefix(" * ") for line in lines) + "\n"
 
 

@@ -1,5 +1,8 @@
 """A result on recordings out of Python: streamed, exported, saved; the same filter everywhere."""
 
+import dataclasses
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,9 @@ from recorded_motion import motion
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main
-from posegsa.errors import ArgumentError, PosegsaError
+from posegsa.errors import ArgumentError, PosegsaError, PosegsaWarning
 from posegsa.export import FORMATS, export
+from posegsa.judging.evaluation import CONSTANT
 from posegsa.judging.recorded import RecordingResult
 from posegsa.model.schedules import FuzzyGain, SmoothGain
 from posegsa.recordings.recording import Recording
@@ -177,16 +181,60 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
         assert "own_" in capsys.readouterr().out
 
 
+def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
+    attitude: tuple[RecordingResult, Recording],
+) -> None:
+    found = posegsa.PoseFilter(attitude[0], rotation=np.eye(3), position=np.zeros(3))
+    assert "found no vectors (weight above 0)" in found.why_unobservable
+    known = np.array(attitude[0].known_sensors.vectors)
+    found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
+    assert found.observable
+    for _ in range(2):  # of two seconds, in which one vector is seen
+        found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
+    assert "found 1 vector (weight above 0)" in found.why_unobservable
+
+
+def test_the_controller_is_made_once(fuzzy: RecordingResult) -> None:
+    """As that of a result on scenarios: a loop may ask for it at each sample."""
+    assert fuzzy.controller is fuzzy.controller
+    assert fuzzy.schedule is fuzzy.candidate.schedule
+
+
+def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: RecordingResult) -> None:
+    """Also that constant gains do better where both were judged, if they do so in all."""
+    (score,) = fuzzy.held_out
+    found = score.errors["judged"]
+    assert found.position is not None
+
+    def beside(total: float, position: float) -> RecordingResult:
+        errors = found._replace(total=total * found.total, position=position * found.position)
+        other = score._replace(errors={"judged": errors})
+        return dataclasses.replace(fuzzy, baselines={CONSTANT: [other]})
+
+    assert not beside(2.0, 0.5).warnings()
+    behind = dataclasses.replace(beside(0.5, 0.5), non_finite=3)
+    few, worse = behind.warnings()
+    assert few == "3 agents of the search had no finite cost"
+    assert worse.startswith("on what was held out it errs more than the best constant gains, ")
+    assert json.loads(export(behind, "json"))["warnings"] == [few, worse]
+    for name in ("c", "c-gain", "fll"):
+        head = " ".join(re.sub(r"(?m)^( \*|#)", " ", export(behind, name)).split())
+        assert f"WARNING: {few}." in head
+        assert f"WARNING: {worse}." in head
+    with pytest.warns(PosegsaWarning, match="the result says: 3 agents"):
+        posegsa.PoseFilter(behind, rotation=np.eye(3), position=np.zeros(3))
+
+
 def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
     recording: Recording, fuzzy: RecordingResult
 ) -> None:
     moved = motion()["landmark_references"] + 1.0
     other = seen(landmark_references=moved)
-    result = RecordingResult(**vars(posegsa.by_hand(fuzzy.schedule, CHOSEN)))
+    result = posegsa.by_hand(fuzzy.schedule, CHOSEN)
     assert len(result.known_sensors.landmarks) == len(CHOSEN.scenario.landmarks)
     differing = posegsa.by_hand(fuzzy.schedule, CHOSEN, recordings=[recording, other])
     assert differing.sensors is None
-    tuned = RecordingResult(**vars(differing) | {"training": differing.held_out})
+    tuned = dataclasses.replace(differing, training=differing.held_out)
     for each in (differing, tuned):
         with pytest.raises(ArgumentError, match=r"references differ, or move; allowed: in Python"):
             export(each, "c")

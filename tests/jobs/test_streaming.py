@@ -163,6 +163,7 @@ def test_the_state_is_a_start_for_a_whole_sequence(result, pose_filter):
         ("landmarks", None),
         ("landmarks", [None]),
         ("landmarks", [[1.0, 2.0, np.nan]]),
+        ("landmarks", np.ma.masked_array([[1.0, 2.0, 999.0]], mask=[[False, False, True]])),
     ],
 )
 def test_whatever_is_missing_counts_alike(result, name, missing):
@@ -351,12 +352,18 @@ def test_bad_arguments_are_refused_by_name(result, change, message):
 
 def test_bad_sources_are_refused(result):
     settings = posegsa.filter_settings(tuned(K).experiment)
+    varied = dataclasses.replace(settings, gamma_linear=np.ones(9))
     for source, given, message in (
         (7.0, {}, "settings: None; allowed: the filter's"),
         (-7.0, {"settings": settings}, "source, a constant gain = -7.0"),
         ("run", {}, "source: a str; allowed: a TuneResult"),
         (result.controller, {"settings": settings}, "signal: None; allowed"),
         (7.0, {"settings": settings}, "settings.vectors.weights: 2 of them; allowed: 0"),
+        (
+            7.0,
+            {"settings": varied},
+            r"settings.gamma_linear: of the shape \(9,\); allowed: one num",
+        ),
     ):
         with pytest.raises(ArgumentError, match=message):
             posegsa.PoseFilter(source, **START, **given)
@@ -385,6 +392,45 @@ def test_a_bad_sample_is_refused_and_changes_nothing(pose_filter, change, messag
         np.testing.assert_array_equal(array, before[name])
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"angular_velocity": [1e200, 0, 0]},
+        {"velocity": [1e300, 0, 0], "time_step": 1e10},
+        {"vectors": [[1e200, 0, 0], [0, 1e200, 1e200]]},
+        {"landmarks": [[1e200, 0, 0]]},
+        {"landmark_weights": 1e300},
+    ],
+    ids=str,
+)
+def test_a_sample_that_would_overflow_the_estimate_changes_nothing(pose_filter, change):
+    """As in C: what is finite may still be too large for the squares that are made of it."""
+    sample: dict[str, Any] = {
+        "time_step": 0.01,
+        "angular_velocity": np.zeros(3),
+        "velocity": np.zeros(3),
+        "vectors": np.eye(3)[:2],
+        "landmarks": [[1.0, 2.0, 3.0]],
+    }
+    pose_filter.update(**sample)
+    before = pose_filter.checkpoint()
+    with pytest.raises(MeasurementError, match=r"estimate would be NaN, beyond float64's range"):
+        pose_filter.update(**sample | change)
+    for name, array in pose_filter.checkpoint().items():
+        np.testing.assert_array_equal(array, before[name])
+    assert np.isfinite(pose_filter.update(**sample).position).all()
+
+
+def test_what_is_no_rotation_is_refused(pose_filter, monkeypatch):
+    """XLA's sine of 1e18 rad is of any size, on some processors."""
+    loop = pose_filter._loop
+    monkeypatch.setattr(pose_filter, "_loop", lambda *given: 1e9 * loop(*given))
+    with pytest.raises(MeasurementError, match="or no rotation"):
+        pose_filter.update(time_step=0.01, angular_velocity=np.ones(3), velocity=np.zeros(3))
+    monkeypatch.undo()
+    np.testing.assert_array_equal(pose_filter.pose.rotation, START["rotation"])
+
+
 def test_numbers_beyond_float32_are_refused_by_name():
     result = tuned(K)
     for given, message in (
@@ -397,6 +443,7 @@ def test_numbers_beyond_float32_are_refused_by_name():
     still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
     for given, message in (
         ({"time_step": 1e-60}, "time_step: must be positive, got 1e-60 s"),
+        ({"time_step": 1e-39}, "time_step: must be positive, got 1e-39 s"),
         ({"time_step": 1e60}, "time_step: must be within float32's range"),
         ({"time_step": 0.01, "vectors": np.full((2, 3), 1e300)}, "vectors: must be within float32"),
     ):

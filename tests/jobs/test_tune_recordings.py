@@ -3,7 +3,7 @@
 import json
 import signal
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +78,7 @@ def test_the_summary_shows_the_held_out_or_says_that_there_are_none(
     assert "held out" in result.summary()
     assert "No recording was held out" not in result.summary()
     assert "synthetic: R^T v" in result.summary()
-    alone = RecordingResult(**{**vars(result), "held_out": []})
+    alone = replace(result, held_out=[])
     assert "No recording was held out" in alone.summary()
 
 
@@ -111,8 +111,8 @@ def test_a_result_is_saved_and_read_back(
     assert found.filter == result.filter
     read = posegsa.load_recorded(tmp_path)
     assert isinstance(read, RecordingResult)
-    for name, value in vars(found).items():
-        assert getattr(read, name) == value, name
+    for each in fields(found):
+        assert getattr(read, each.name) == getattr(found, each.name), each.name
     np.testing.assert_array_equal(
         read.estimate(recordings[1]).rotation, result.estimate(recordings[1]).rotation
     )
@@ -175,7 +175,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     assert "A constant gain made by hand" in mine.summary()
     posegsa.save(mine, tmp_path / "run")
     read = posegsa.load_recorded(tmp_path / "run")
-    assert vars(read) == vars(mine)
+    assert read == mine
     assert main_quietly(["export", str(tmp_path / "run"), "--format", "json"]) == 0
     exported = json.loads(capsys.readouterr().out)
     assert exported["kind"] == "constant"
@@ -223,7 +223,7 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(
     found = posegsa.tune(resume=tmp_path, **given)
     for name in ("filter", "best_cost", "training", "held_out", "experiment"):
         assert getattr(found, name) == getattr(result, name), name
-    assert vars(posegsa.tune(resume=tmp_path, **given)) == vars(found), "it is finished"
+    assert posegsa.tune(resume=tmp_path, **given) == found, "it is finished"
     more = posegsa.tune(resume=tmp_path, iterations=5, **given)
     assert more.filter.evaluations == 40
     assert more.best_cost <= found.best_cost  # type: ignore[operator]  # both were searched
@@ -266,7 +266,7 @@ def test_scenarios_are_tuned_on_beside_recordings(
     said = found.summary()
     assert "on 1 recording and 2 simulated scenarios" in said
     assert f"{np.mean(found.simulated.held_out):.4g}" in said
-    assert vars(posegsa.load_recorded(tmp_path)) == vars(found)
+    assert posegsa.load_recorded(tmp_path) == found
 
 
 def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
@@ -307,7 +307,7 @@ def test_nothing_of_a_simulated_run_stays_under_it(result: RecordingResult, tmp_
     for path in (tmp_path / "result.json", tmp_path / "report.html", stale):
         path.write_text("old", "utf-8")
     posegsa.save(result, tmp_path, overwrite=True)
-    assert vars(posegsa.load_recorded(tmp_path)).keys() == vars(result).keys()
+    assert posegsa.load_recorded(tmp_path) == result
     assert not (tmp_path / "result.json").exists()
     assert not (tmp_path / "report.html").exists()
     assert not stale.exists()

@@ -16,6 +16,7 @@ from setups import PAPER, fuzzy
 from posegsa.config import GainConfig
 from posegsa.errors import ArgumentError
 from posegsa.model.filter import FilterState, initial_state, see, step
+from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import run_filter
 from posegsa.model.sample import Sample
@@ -26,6 +27,7 @@ from posegsa.model.schedules import (
     ScheduleInputs,
     SettlingGain,
     SwitchGain,
+    check_schedule,
 )
 from posegsa.model.se3 import quaternion, unstack
 from posegsa.model.signal import (
@@ -359,3 +361,12 @@ def test_a_settling_gain_is_constant_and_its_gamma_grows() -> None:
     assert gains.gamma is not None
     np.testing.assert_allclose(gains.gamma, 1 - np.exp(-np.asarray(time) / 20), rtol=1e-5, atol=0)
     assert schedule.initial_gain() == 8.0
+
+
+def test_a_schedule_that_begins_below_0_is_refused() -> None:
+    terms = [[0.0, 0.0, 0.6], [0.4, 1.0, 1.0]]
+    below = FuzzyGain(FuzzyController(terms, np.asarray(terms) - 3, ((0, 1), (1, 1)), (-3.0, -1.0)))
+    assert below.controller.middle_gain == below.initial_gain() == -1
+    for schedule, gain in ((below, "-1.0"), (ConstantGain(jnp.asarray(-2.0)), "-2.0")):
+        with pytest.raises(ArgumentError, match=f"its gain = {gain}; allowed: at least 0"):
+            check_schedule(schedule)

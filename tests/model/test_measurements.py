@@ -98,6 +98,21 @@ def test_nan_in_any_component_marks_a_measurement_as_missing() -> None:
     assert all(np.isfinite(a).all() for a in m)
 
 
+def test_what_is_masked_is_missing() -> None:
+    """Masked arrays hold numbers under their masks; those are none."""
+    given, masked = arrays(), arrays()
+    given["vectors"][1, 2] = np.nan
+    masked["vectors"] = np.ma.masked_invalid(given["vectors"])
+    masked["vectors"].data[1, 2] = 999.0
+    for a, b in zip(
+        Measurements.from_arrays(**masked), Measurements.from_arrays(**given), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
+    hidden = np.ma.masked_equal(given["angular_velocity"], given["angular_velocity"][2, 1])
+    with pytest.raises(MeasurementError, match=r"angular_velocity: must be finite, got nan at"):
+        Measurements.from_arrays(**given | {"angular_velocity": hidden})
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_anything_may_stand_where_the_weight_is_zero(value) -> None:
     weights = np.ones((N, VECTORS))

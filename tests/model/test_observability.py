@@ -4,7 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posegsa.errors import ScenarioError
-from posegsa.model.observability import are_collinear, check_observability
+from posegsa.model.observability import (
+    are_collinear,
+    check_observability,
+    why_attitude_unobservable,
+)
 
 pytestmark = pytest.mark.quick
 
@@ -102,3 +106,16 @@ def test_the_rank_decides_wherever_the_frame_stands(
 def test_collinear_vectors() -> None:
     assert are_collinear((1.0, 2.0, 3.0), (-2.0, -4.0, -6.0))
     assert not are_collinear((1.0, 2.0, 3.0), (1.0, 2.0, 3.1))
+
+
+def test_two_vectors_fix_the_attitude() -> None:
+    assert why_attitude_unobservable([UP, EAST]) == ""
+    for directions, weights, found in (
+        ([], None, "no vectors"),
+        ([UP], None, "1 vector"),
+        ([UP, (0.0, 0.0, -3.0)], None, "2 collinear vectors"),
+        ([UP, EAST], [1.0, 0.0], "1 vector"),
+    ):
+        assert why_attitude_unobservable(directions, weights) == (
+            f"found {found} (weight above 0); needed are two non-collinear vectors"
+        )

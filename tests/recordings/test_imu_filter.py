@@ -1,16 +1,20 @@
 """The attitude filter for inertial sensors, on simulated ones."""
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from compiled_c import Build, Layout, needs_cc, run_c
+from compiled_c import build as build
 from inertial_motion import BIAS, inertial_motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main
-from posegsa.errors import ArgumentError, RecordingError
+from posegsa.errors import ArgumentError, RecordingError, RunFolderError
 from posegsa.judging.replay import Replay
 from posegsa.recordings.recording import Recording
 
@@ -120,3 +124,53 @@ def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "as measured" in said
     with pytest.raises(SystemExit):
         main(["replay", "imu", str(path), "--rest", "long"])
+
+
+@needs_cc
+def test_the_observer_goes_out_as_the_page_says(build: Build) -> None:
+    """With the vectors that the recording has, the C of docs/imu.md is `run_imu`."""
+    page = Path(__file__).parents[2] / "docs" / "imu.md"
+    (code,) = re.findall(
+        r"## Out of Python.*?```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL
+    )
+    names: dict[str, Any] = {}
+    exec(code, names)  # the page's own text
+    recording = posegsa.imu(**inertial_motion(3.0, 4.0, noise=1.0))
+    start, m = recording.initial(), recording.measurements
+    columns = [
+        np.asarray(m.time_step)[:, None],
+        np.asarray(m.angular_velocity) - start.bias[:3],  # the C begins with no bias
+        np.asarray(m.vectors).reshape(recording.samples, -1),
+        m.vector_weights,
+    ]
+    x, y, z, w = Rotation.from_matrix(start.rotation).as_quat()
+    program = build(names["text"], "-DATTITUDE_ONLY")
+    found = run_c(
+        program, Layout(2, 0, learns=False), np.array([w, x, y, z]), np.concatenate(columns, axis=1)
+    )
+    expected = posegsa.run_imu(recording)
+    assert (found.code == 0).all()
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-9)
+    learnt = np.asarray(expected.bias)[:, :3] - start.bias[:3]
+    np.testing.assert_allclose(found.bias, learnt, atol=1e-12)
+    assert np.abs(learnt).max() > 1e-5
+
+
+@pytest.mark.filterwarnings("ignore:enable_fast_path")
+def test_what_asks_for_a_run_is_told_that_it_is_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "imu.toml").write_text(config.ImuConfig().to_toml(), "utf-8")
+    for given in (mine, mine / "imu.toml"):
+        assert main(["export", str(given), "--format", "c"]) == 2
+        said = capsys.readouterr().err
+        assert f"`posegsa replay {mine / 'imu.toml'} RECORDING` runs it" in said
+        assert "it has no export" in said
+        with pytest.raises(RunFolderError, match="a filter for inertial sensors, and no run"):
+            posegsa.load(given)
+    other = tmp_path / "other.toml"
+    other.write_text("[run]\n", "utf-8")
+    with pytest.raises(RunFolderError, match=r"other\.toml: is a file; allowed: the folder of a"):
+        posegsa.load(other)

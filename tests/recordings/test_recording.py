@@ -43,6 +43,15 @@ def test_a_recording_holds_what_it_was_given() -> None:
     assert "400 samples, 4 s at 100 Hz, 2 vectors, 3 landmarks, pose" in recording.describe()
 
 
+def test_what_is_masked_is_missing() -> None:
+    given = motion()
+    masked = np.ma.masked_array(given["vectors"], mask=np.zeros(given["vectors"].shape))
+    masked[7, 1] = np.ma.masked
+    masked.data[7, 1] = 999.0
+    weights = Recording.from_arrays(**given | {"vectors": masked}).measurements.vector_weights
+    assert np.argwhere(np.asarray(weights) == 0).tolist() == [[7, 1]]
+
+
 def test_the_truth_may_be_quaternions_and_what_is_not_known_of_it_is_not_judged() -> None:
     given = motion()
     q = Rotation.from_matrix(given.pop("truth_rotation")).as_quat(scalar_first=True)
