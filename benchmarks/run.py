@@ -4,9 +4,11 @@ Every contender computes the costs of the same 100 parameter vectors on the same
 (configs/paper.toml: 1500 steps, gain limit, exact centroid). Costs are compared with posegsa's
 first; a contender that disagrees is reported as wrong and not timed.
 
-    python benchmarks/run.py [--quick] [--readme] [--fuzzylite-python PYTHON]
+    python benchmarks/run.py [--quick] [--only posegsa] [--readme] [--fuzzylite-python PYTHON]
 
-A minute or two with --quick, up to 8 minutes without. Writes benchmarks/run.json (run-quick.json);
+A minute or two with --quick, up to 9 minutes without. With `--only posegsa` posegsa beside C alone:
+100 and 1000 agents, vectors of 16 and of 8 floats (AVX2), and the recommended configuration, whose
+filter learns the vectors' biases. Writes benchmarks/run.json (run-quick.json, run-posegsa.json);
 with --readme also README.md, docs/benchmarks.md and benchmarks/scaling.png. Numba is an extra:
 pip install ".[bench]". A contender whose tools are missing is skipped, and the table says so.
 """
@@ -28,12 +30,15 @@ import numpy as np
 from contenders import c, numpy_vectorised
 from contenders.plain_loop import CHECKED
 from contenders.scene import Scene, load
-from machine import machine
+from machine import cpu, machine
 from readme import write_block
 from run_tables import (
+    AVX2,
+    LIMITLESS,
     NUMBA,
     NUMPY,
     POSEGSA,
+    RECOMMENDED,
     C,
     Row,
     machine_line,
@@ -88,7 +93,7 @@ class Benchmark:
     """One run: what is measured on, and what was found so far."""
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
-        self.quick = options.quick
+        self.quick, self.only = options.quick, options.only
         self.fuzzylite_python = options.fuzzylite_python
         self.folder = folder
         self.cache = folder / "cache"
@@ -99,26 +104,38 @@ class Benchmark:
         self.rows: list[Row] = []
         self.facts: dict[str, Any] = {"cold": {}, "warm": {}, "search": {}, "memory": {}}
         self.built: Path | None = None
+        self.narrow: Path | None = None
+        self.wide = "avx512f" in cpu()
         self.c_best: dict[int, float] = {}
 
     def stages(self) -> list[tuple[str, Callable[[], None]]]:
         """All measurements by name, in order."""
-        sizes = (100, 1000) if self.quick else (10, 30, 100, 300, 1000, 3000, 10_000)
+        few = self.quick or self.only is not None
+        sizes = (100, 1000) if few else (10, 30, 100, 300, 1000, 3000, 10_000)
         cases: list[dict[str, Any]] = [
             {"agents": agents, "devices": devices}
             for devices in self.threads
             for agents in sizes
             if not self.quick or agents == 100 or devices == self.threads[-1]
         ]
-        if not self.quick:
+        if not few:
             most = self.threads[-1]
             cases += [{"scenarios": scenarios, "devices": most} for scenarios in (8, 64)]
             cases += [{"dtype": "float64", "devices": devices} for devices in self.threads]
             cases += [{"agents": 1000, "dtype": "float64", "devices": most}]
-        return [
+        if not self.quick:
+            both = [(agents, devices) for devices in self.threads for agents in (100, 1000)]
+            cases += [{"agents": a, "devices": d, "variant": AVX2} for a, d in both if self.wide]
+            cases += [{"devices": devices, "variant": RECOMMENDED} for devices in self.threads]
+        beside_c: list[tuple[str, Callable[[], None]]] = [
             ("scenario", self.make_scene),
             ("C", self.run_c),
             *((f"posegsa {case}", lambda case=case: self.run_posegsa(**case)) for case in cases),
+        ]
+        if self.only is not None:
+            return beside_c
+        return [
+            *beside_c,
             ("search", self.run_searches),
             ("NumPy", self.run_numpy),
             ("Numba", self.run_numba),
@@ -155,7 +172,10 @@ class Benchmark:
     def run_c(self) -> None:
         """The limit, with and without the gain limit."""
         try:
-            library = c.build(self.folder)
+            library, narrow = (
+                c.build(self.folder),
+                c.build(self.folder, "avx2") if self.wide else None,
+            )
         except RuntimeError as error:
             self.skip(C, str(error))
             return
@@ -167,12 +187,12 @@ class Benchmark:
             if best is not None:
                 self.c_best[threads] = best
                 self.rows[-1] = replace(self.rows[-1], c_best=best)
-        self.built = library
+        self.built, self.narrow = library, narrow
         for threads in self.threads:
             free = c.prepare(replace(self.scene, gain_limit=0.0), library, threads)
             best, median = timed(free, self.seconds)
             note = "not checked: chaotic without the limit"
-            row = Row(f"{C}, without gain limit", threads, dtype="float32", note=note)
+            row = Row(f"{C}, {LIMITLESS}", threads, dtype="float32", note=note)
             self.rows.append(replace(row, best=best, median=median))
 
     def _improve_c(self, threads: int, best: float | None) -> None:
@@ -198,21 +218,37 @@ class Benchmark:
             self.facts["search"]["1"] = worker("search", "--devices", 1, cache=self.cache)
 
     def run_posegsa(
-        self, agents: int = 100, scenarios: int = 1, dtype: str = "float32", devices: int = 1
+        self,
+        agents: int = 100,
+        scenarios: int = 1,
+        dtype: str = "float32",
+        devices: int = 1,
+        variant: str = "",
     ) -> None:
         """One size of posegsa, by turns with C."""
         words: list[object] = ["--agents", agents, "--scenarios", scenarios, "--dtype", dtype]
         words += ["--devices", devices, "--seconds", self.seconds]
-        if self.built is not None:
-            words += ["--against", self.built]
+        words += {AVX2: ["--isa", "avx2"], RECOMMENDED: ["--recommended"]}.get(variant, [])
+        built = self.narrow if variant == AVX2 else self.built
+        if built is not None:
+            words += ["--against", built]
         found = worker("time", *words, cache=self.cache)
-        row = Row(POSEGSA, devices, agents, scenarios, dtype)
+        name, of_c = (f"{who}, {variant}" if variant else who for who in (POSEGSA, C))
+        sizes = {key: found[key] for key in ("agents", "scenarios", "samples")}
+        row = Row(name, devices, dtype=dtype, **sizes)
         # C's costs of the same agents and scenarios; in float32 always.
         if not found.get("c_difference", 0.0) <= TOLERANCES["float32"]:
             self.rows.append(replace(row, note=wrong("float32")))
             return
         times = {name: found.get(name) for name in ("best", "median", "c_best")}
+        if variant and "c_best" in found:
+            c_times = {"best": found["c_best"], "median": found["c_median"]}
+            c_row = replace(row, contender=of_c, **c_times, c_best=found["c_best"])
+            note = "in 9 of 10 agents; others' starts are chaotic" if variant == RECOMMENDED else ""
+            self.rows.append(replace(c_row, difference=found["c_difference"], note=note))
         self.rows.append(replace(row, **times))
+        if variant:
+            return
         if (agents, scenarios) == (100, 1):
             self._improve_c(devices, found.get("c_best"))
         if dtype == "float32" and scenarios == 1 and devices == self.threads[-1]:
@@ -324,13 +360,14 @@ def page(rows: list[Row], facts: dict[str, Any], about: dict[str, str], command:
         "Times C: the best time over C's best with as many threads; for posegsa both are timed by "
         f"turns in one process. {tolerances} Made by `{command}`."
     )
-    listed = "\n".join(f"- {line}" for line in sentences(facts))
-    return f"{table(rows)}\n\n{listed}\n\n{method} {machine_line(about)}"
+    parts = [table(rows), "\n".join(f"- {line}" for line in sentences(facts))]
+    return "\n\n".join([*filter(None, parts), f"{method} {machine_line(about)}"])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Speed of posegsa beside what else there is.")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, a minute or two")
+    parser.add_argument("--only", choices=("posegsa",), help="posegsa beside C, nothing else")
     parser.add_argument("--readme", action="store_true", help="write README, docs and figure")
     parser.add_argument(
         "--fuzzylite-python",
@@ -338,8 +375,8 @@ def main() -> None:
         help="a Python that has pyfuzzylite and NumPy (default: a new environment, by pip)",
     )
     options = parser.parse_args()
-    if options.quick and options.readme:
-        parser.error("--readme: needs the whole run, without --quick")
+    if options.readme and (options.quick or options.only):
+        parser.error("--readme: needs the whole run, without --quick and --only")
     # Of others: timings mean little on a busy machine, those with all cores least of all.
     load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     with tempfile.TemporaryDirectory() as folder:
@@ -352,7 +389,8 @@ def main() -> None:
     command = " ".join(["python benchmarks/run.py", *sys.argv[1:]])
     text = page(benchmark.rows, benchmark.facts, about, command)
     print(f"\n{text}")
-    path = HERE / ("run-quick.json" if options.quick else "run.json")
+    name = "run-quick" if options.quick else "run-posegsa" if options.only else "run"
+    path = HERE / f"{name}.json"
     rows = [
         asdict(row) | {"nanoseconds_per_agent_and_step": row.nanoseconds, "times_c": row.ratio}
         for row in benchmark.rows

@@ -12,6 +12,9 @@ SAMPLES = 1500
 """Time steps of the paper's scenario."""
 C, POSEGSA = "C, hand-vectorised", "posegsa"
 NUMPY, NUMBA = "NumPy, vectorised over agents", "Numba, parallel"
+LIMITLESS, AVX2 = "without gain limit", "AVX2"
+RECOMMENDED = "recommended configuration"
+"""What stands behind a contender's name where it computes something else, or otherwise."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,13 @@ class Row:
     difference: float | None = None
     """Largest relative difference of a checked cost from posegsa's; None where it is posegsa's."""
     note: str = ""
+    samples: int = SAMPLES
+    """Time steps of a simulation."""
 
     @property
     def steps(self) -> int:
         """Agent-steps in one population."""
-        return self.agents * self.scenarios * SAMPLES
+        return self.agents * self.scenarios * self.samples
 
     @property
     def nanoseconds(self) -> float | None:
@@ -43,9 +48,9 @@ class Row:
         return None if self.best is None else 1e9 * self.best / self.steps
 
     @property
-    def limitless(self) -> bool:
-        """Whether it is another computation, without the gain limit."""
-        return "without gain limit" in self.contender
+    def apart(self) -> bool:
+        """Whether it is another computation than the others', or one held on narrower vectors."""
+        return self.contender.endswith((LIMITLESS, AVX2, RECOMMENDED))
 
     @property
     def ratio(self) -> float | None:
@@ -89,7 +94,9 @@ def table(rows: Sequence[Row]) -> str:
 
 def sentences(facts: dict[str, Any]) -> list[str]:
     """What was found on compiling, searching and memory."""
-    lines = []
+    lines: list[str] = []
+    if not facts["warm"]:
+        return lines
     for devices, search in facts["search"].items():
         share = search["optimiser_best"] / search["best"]
         update = 1e3 * search["optimiser_best"] / search["iterations"]
@@ -125,7 +132,7 @@ def machine_line(machine: dict[str, str]) -> str:
 
 def overview(rows: Sequence[Row]) -> str:
     """The README's table: one population of 100 agents, each contender with all its threads."""
-    base = [row for row in rows if row.agents == 100 and row.scenarios == 1 and not row.limitless]
+    base = [row for row in rows if row.agents == 100 and row.scenarios == 1 and not row.apart]
     lines = [
         "| a population of 100 agents, 15 s each | threads | time | times C |",
         "| --- | --: | --: | --: |",

@@ -1,4 +1,7 @@
-"""The limit: `pose_filter.c`, hand-vectorised C, compiled on the fly and called through ctypes."""
+"""The limit: hand-vectorised C, compiled on the fly and called through ctypes.
+
+`pose_filter.c` is called here, `learning_filter.c` in `learning`.
+"""
 
 import ctypes
 import os
@@ -11,17 +14,21 @@ import numpy as np
 
 from contenders.scene import Scene
 
-SOURCE = Path(__file__).with_name("pose_filter.c")
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
+SOURCES = ("pose_filter.c", "learning_filter.c")
+FLAGS = ("-O3", "-ffast-math", "-fPIC")
 OPTIONAL_FLAGS = (
     "-fopenmp",  # threads
-    "-mprefer-vector-width=512",  # full vectors: twice as fast
     "-fschedule-insns",  # instructions ordered by their waiting times before registers are given
     "-fsched-pressure",  # out, as long as registers last: 15 %
 )
 """Taken where the compiler knows them."""
+ISAS = {
+    "native": ("-march=native", "-mprefer-vector-width=512"),  # full vectors: twice as fast
+    "avx2": ("-march=x86-64-v3", "-mprefer-vector-width=256", "-DLANES=8"),
+}
+"""What the compiler is told of the CPU: this one, or one with vectors of 8 floats."""
 
-_FLOATS = np.ctypeslib.ndpointer(np.float32, flags="C_CONTIGUOUS")
+FLOATS = np.ctypeslib.ndpointer(np.float32, flags="C_CONTIGUOUS")
 
 
 class _Settings(ctypes.Structure):
@@ -54,8 +61,8 @@ def compiler_version() -> str:
     return said.stdout.splitlines()[0]
 
 
-def build(folder: Path) -> Path:
-    """Compile the library into a folder.
+def build(folder: Path, isa: str = "native") -> Path:
+    """Compile the library into a folder, for one of `ISAS`.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
@@ -63,15 +70,17 @@ def build(folder: Path) -> Path:
     command = compiler()
     if command is None:
         raise RuntimeError("no C compiler (CC, gcc or cc) was found")
-    library = folder / "pose_filter.so"
-    given = [*FLAGS, *(flag for flag in OPTIONAL_FLAGS if _knows(command, flag, folder))]
-    compiled = folder / "pose_filter.o"
+    library = folder / f"pose_filter_{isa}.so"
+    optional = [*OPTIONAL_FLAGS, *ISAS[isa]]
+    given = [*FLAGS, *(flag for flag in optional if _knows(command, flag, folder))]
+    compiled = [folder / f"{Path(name).stem}_{isa}.o" for name in SOURCES]
     # Linked by itself, without -ffast-math: with it, gcc adds code that makes the whole process,
     # Python's and JAX's numbers included, round subnormal numbers to 0 when the library is loaded.
-    linked = [flag for flag in given if flag in ("-shared", "-fPIC", "-fopenmp")]
+    linked = ["-shared", *(flag for flag in given if flag in ("-fPIC", "-fopenmp"))]
+    sources = (Path(__file__).with_name(name) for name in SOURCES)
     for step in (
-        [*(f for f in given if f != "-shared"), "-c", str(SOURCE), "-o", str(compiled)],
-        [*linked, str(compiled), "-o", str(library), "-lm"],
+        *([*given, "-c", str(a), "-o", str(b)] for a, b in zip(sources, compiled, strict=True)),
+        [*linked, *map(str, compiled), "-o", str(library), "-lm"],
     ):
         said = subprocess.run([command, *step], capture_output=True, text=True)
         if said.returncode:
@@ -150,12 +159,15 @@ def prepare(scene: Scene, library: Path, threads: int = 1) -> Callable[[], np.nd
         scene.initial_gain,
     )
     start = np.ascontiguousarray(
-        np.concatenate([scene.attitude, _in_body(scene), scene.bias], axis=-1), np.float32
+        np.concatenate(
+            [scene.attitude, in_body(scene.attitude, scene.position), scene.bias], axis=-1
+        ),
+        np.float32,
     )
     inputs, outputs = (np.ascontiguousarray(a, np.float32) for a in (scene.inputs, scene.outputs))
     run = loaded.pose_filter_costs
-    run.argtypes = [ctypes.c_int] * 3 + [_FLOATS] * 4 + [ctypes.POINTER(_Settings), ctypes.c_int]
-    run.argtypes = [*run.argtypes, _FLOATS]
+    run.argtypes = [ctypes.c_int] * 3 + [FLOATS] * 4 + [ctypes.POINTER(_Settings), ctypes.c_int]
+    run.argtypes = [*run.argtypes, FLOATS]
     out = np.empty((scene.scenarios, scene.agents), np.float32)
     sizes = scene.scenarios, scene.samples, scene.agents
 
@@ -167,8 +179,8 @@ def prepare(scene: Scene, library: Path, threads: int = 1) -> Callable[[], np.nd
     return costs
 
 
-def _in_body(scene: Scene) -> np.ndarray:
-    """R^T P of the first estimates, (S, 3)."""
-    w, v = scene.attitude[:, :1], -scene.attitude[:, 1:]
-    turned = 2 * np.cross(v, scene.position)
-    return scene.position + w * turned + np.cross(v, turned)
+def in_body(attitude: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """R^T P of unit quaternions (S, 4) and positions (S, 3), (S, 3)."""
+    w, v = attitude[:, :1], -attitude[:, 1:]
+    turned = 2 * np.cross(v, position)
+    return position + w * turned + np.cross(v, turned)

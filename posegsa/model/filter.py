@@ -411,11 +411,13 @@ def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int
 
 def correction(state: FilterState, U: Innovation, law: Law, unit: Array | int = 1) -> Correction:
     """W, and the bias law without its gains (Eq. 9, and the module's head); l^2 = `unit` [m^2]."""
-    R, P = rows(state.attitude), state.place
-    pull = U.linear if isinstance(unit, int) else scale(unit, U.linear)
-    # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2].
-    inverse = unrotate(R, U.angular), unrotate(R, subtract(pull, cross(P, U.angular)))
-    transpose = unrotate(R, subtract(U.angular, cross(P, U.linear))), unrotate(R, pull)
+    R = rows(state.attitude)
+    # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2], and
+    # R^T (a x b) = (R^T a) x (R^T b): what is in the inertial frame is turned once.
+    P, angular, linear = (unrotate(R, a) for a in (state.place, U.angular, U.linear))
+    pull = linear if isinstance(unit, int) else scale(unit, linear)
+    inverse = angular, subtract(pull, cross(P, angular))
+    transpose = subtract(angular, cross(P, linear)), pull
     W, bias = (inverse, transpose) if law == "gradient" else (transpose, inverse)
     return Correction(*W, *bias)
 

@@ -152,15 +152,17 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
     sign = 1 - 2 * jnp.abs(turns - 2 * jnp.round(0.5 * turns))  # -1 for an odd number of turns
     quarter = 0.25 * choose(far, rest * rest, angle_squared)
     # Terms until the first one left out is under rounding, at pi/2 and at SERIES_BELOW.
+    small = angle_squared < SERIES_BELOW
+    # One division serves both that by the angle, where it is far, and that by its square.
+    per_square = 1 / choose(small, 1.0, angle_squared)
     half_cos = choose(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
     half_sinc = series(quarter, 1, 6 if single else 10) * choose(
-        far, 0.5 * sign * rest / angle, 0.5
+        far, 0.5 * sign * rest * (angle * per_square), 0.5
     )
     one_minus_cos = 2 * half_sinc * half_sinc
     sinc = 2 * half_sinc * half_cos
-    small = angle_squared < SERIES_BELOW
     t2 = choose(small, angle_squared, 0.0)
-    closed = (1 - sinc) / choose(small, 1.0, angle_squared)
+    closed = (1 - sinc) * per_square
     t_minus_sin = choose(small, series(t2, 3, 5 if single else 9), closed)
     return half_cos, half_sinc, one_minus_cos, t_minus_sin
 

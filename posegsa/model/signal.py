@@ -18,9 +18,9 @@ from posegsa.model.se3 import (
     attitude_distance,
     dot,
     norm,
-    rotate,
     rows,
     subtract,
+    unrotate,
 )
 
 Signal = Literal["measured", "pose"]
@@ -77,7 +77,8 @@ def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Arra
         raise ArgumentError(
             'signal "pose" needs the true pose; use "measured" where it is not known'
         )
-    position = subtract(state.place, rotate(rows(state.attitude), truth.origin))
+    # In the body frame, where the correction needs the position too: R_est^T P_est - R^T P.
+    position = subtract(unrotate(rows(state.attitude), state.place), truth.origin)
     return attitude_distance(state.attitude, truth.attitude), norm(position)
 
 
@@ -164,7 +165,7 @@ def scheduled_gain(
     if settings.rate == "per_second":
         change = change / memory.time_step
     inputs = ScheduleInputs(
-        error=minimum(maximum(e / settings.error_scale, 0.0), 1.0),
+        error=minimum(maximum(e * (1 / settings.error_scale), 0.0), 1.0),
         rate=minimum(change * settings.rate_scale, 1.0),
         time=time,
         last=memory.gain,

@@ -6,9 +6,10 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from contenders import c, numpy_vectorised, plain_loop
-from contenders.posegsa_worker import parameter_vectors, scene_of
+from contenders import c, learning, numpy_vectorised, plain_loop
+from contenders.posegsa_worker import parameter_vectors, recommended_task, scene_of
 from contenders.scene import Scene, load
+from machine import cpu
 from readme import ROOT
 from run_tables import POSEGSA, C, Row, duration, overview, table
 from setups import lasting, paper
@@ -16,6 +17,7 @@ from setups import lasting, paper
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population
 
+AVX2 = not {"avx2", "avx512f"}.isdisjoint(cpu())
 AGENTS = 20  # more than a block of 16, so that the last one has empty lanes
 
 
@@ -86,6 +88,34 @@ def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], library: 
     free = replace(scene.first(samples=4), gain_limit=0.0)
     known = numpy_vectorised.prepare(free)()
     np.testing.assert_allclose(c.prepare(free, library)(), known, rtol=1e-3)
+
+
+def test_c_learns_the_vectors_biases_as_posegsa_does(library: Path) -> None:
+    # Starts at which nothing is chaotic, so that every agent is told apart by its numbers.
+    start = "family.attitude_error=[0.0, 60.0]", "run.training_scenarios=2"
+    task = recommended_task(*lasting(1.5), *start, f"search.agents={AGENTS}")
+    vectors = parameter_vectors(task, AGENTS)
+    costs = np.asarray(evaluate_population(vectors, task.training, task.space))
+    given = learning.packed(task, vectors)
+    for threads in (1, 2):
+        found = learning.prepare(given, library, threads)()
+        assert found.shape == (2, AGENTS)
+        np.testing.assert_allclose(found.mean(axis=0), costs, rtol=1e-4)
+    # Without the biases' law the costs are others: it is part of what agrees.
+    numbers = given.numbers.copy()
+    numbers[:, 4] = 0.0
+    without = learning.prepare(given._replace(numbers=numbers), library)()
+    assert np.abs(without.mean(axis=0) / costs - 1).max() > 1e-3
+
+
+def test_c_of_narrower_vectors_agrees(
+    posed_scene: tuple[Scene, np.ndarray], tmp_path: Path
+) -> None:
+    if c.compiler() is None or not AVX2:
+        pytest.skip("no C compiler, or vectors that it could use")
+    scene, costs = posed_scene
+    found = c.prepare(scene, c.build(tmp_path, "avx2"), 2)()
+    np.testing.assert_allclose(found.mean(axis=0), costs, rtol=1e-4)
 
 
 def test_a_scene_survives_its_file(posed_scene: tuple[Scene, np.ndarray], tmp_path: Path) -> None:
