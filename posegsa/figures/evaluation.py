@@ -99,7 +99,8 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     title="Errors and gain over time",
     caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
     "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
-    "the one used, after the gain limit. Runs without a finite cost are left out.",
+    "the one used, after the gain limit. The position error is that of the cost, "
+    "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.

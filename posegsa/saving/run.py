@@ -35,7 +35,7 @@ from posegsa.saving.folder import (
 )
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 
-SCHEMA = 3
+SCHEMA = 4
 """Number of the layout of result.json and evaluation.json; it changes with their records."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
@@ -45,7 +45,7 @@ RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
 RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
 """All that a finished run's folder may hold beside checkpoints."""
 MAX_ROW = 2**10
-"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
+"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 26
 numbers of at most 25 characters."""
 
 

@@ -108,9 +108,10 @@ def test_the_table_of_behaviour_is_the_evaluation():
             *(np.mean(m.transient), np.mean(m.steady)),
             *(np.median(m.settling_attitude), np.median(m.settling_position)),
             *(np.mean(m.rms_attitude), 100 * np.mean(m.rms_position)),
+            100 * np.mean(m.rms_distance),
             *(np.mean(m.bias_angular), np.mean(m.bias_linear)),
         ]
-        digits = np.array([2, 2, 2, 2, 2, 1, 3, 3])
+        digits = np.array([2, 2, 2, 2, 2, 1, 1, 3, 3])
         shown = [values(cell)[0] for cell in cells]
         assert (np.abs(np.subtract(shown, expected)) <= 0.51 * 10.0**-digits).all()
 
@@ -340,7 +341,7 @@ def test_endurance_is_shown_by_windows_and_warned_of():
     shown = [[values(cell)[0] for cell in row] for row in rows]
     np.testing.assert_allclose(
         shown,
-        [[begin, end, a, ac, p, pc] for begin, end, a, p, ac, pc in given.rows()],
+        [[begin, end, a, ac, p, pc, d, dc] for begin, end, a, p, d, ac, pc, dc in given.rows()],
         atol=0.0051,
     )
     assert any(a.get("class") == "warnings" for _, a in found.elements)
