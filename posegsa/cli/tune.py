@@ -119,8 +119,11 @@ def _say_if_finished(options: argparse.Namespace, show: TuneDisplay) -> None:
 
 
 def _refuse_figures(options: argparse.Namespace) -> None:
-    if options.figures is not None:
-        raise ArgumentError("--recording with --figures; allowed: one of them, as none are drawn")
+    if options.figures:
+        raise ArgumentError(
+            "--figures; allowed: without --recording, as a search on recordings draws none "
+            "(`posegsa replay RUN FILE --out DIR` does)"
+        )
 
 
 def _judging(experiment: config.Experiment) -> str:

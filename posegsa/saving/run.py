@@ -99,7 +99,7 @@ def run_figures(figures: Iterable[str] | None) -> list[str]:
 def write_run(
     result: TuneResult,
     folder: Path,
-    figures: Iterable[str] | None = None,
+    figures: list[str] | None = None,
     *,
     same_run: bool = False,
 ) -> None:
@@ -115,7 +115,7 @@ def write_run(
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
-    steps.begin("drawing")
+    steps.begin("writing" if figures == [] else "drawing")
     drawn = list(draw(result, figures).items())
     pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
