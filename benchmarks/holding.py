@@ -169,11 +169,16 @@ def table(result: TuneResult) -> str:
         f"| {what} | {a:.3g}{unit} | {b:.3g}{unit} | {a / b:.2f} |" for what, a, b, unit in rows
     ]
     lines += ["", "| time | tuned filter | best constant gains |", "| --- | --- | --- |"]
-    for begin, end, attitude, position, other_attitude, other_position in result.endurance.rows():
-        lines.append(
-            f"| {begin:g} to {end:g} s | {attitude:.2f}° {100 * position:.1f} cm "
-            f"| {other_attitude:.2f}° {100 * other_position:.1f} cm |"
+    for begin, end, *errors in result.endurance.rows():
+        tuned, constant = (
+            f"{attitude:.2f}° {100 * position:.1f} cm"
+            for attitude, position, _ in (errors[:3], errors[3:])
         )
+        lines.append(f"| {begin:g} to {end:g} s | {tuned} | {constant} |")
+    lines += [
+        "",
+        "Centimetres are of the cost's position error, |P_est - R_err P|, not of |P_est - P|.",
+    ]
     errors = without_noise(result)
     said = ", ".join(f"{error:.1e} {unit}" for unit, error in errors.items())
     lines += [

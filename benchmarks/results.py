@@ -60,6 +60,9 @@ def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
     return config.override(one, [f"run.seed={seed}"])
 
 
+POSITION = "Centimetres are of the cost's position error, |P_est - R_err P|, not of |P_est - P|."
+
+
 def errors(attitude: float, position: float) -> str:
     """Errors [deg], [m] as a cell of a table."""
     if not position < 100:  # nor does NaN
@@ -71,7 +74,7 @@ def endurance_rows(case: Case, result: TuneResult) -> list[str]:
     """The rows of one result in the table of endurance."""
     rows = []
     for begin, end, *both in result.endurance.rows():
-        tuned, constant = errors(*both[:2]), errors(*both[2:])
+        tuned, constant = errors(*both[:2]), errors(*both[3:5])  # not the distances
         rows.append(f"| {case.title} | {begin:g} to {end:g} s | {tuned} | {constant} |")
     return rows
 
@@ -136,7 +139,8 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
     lines += [
         "",
         f"{'; '.join(each['note'] for each in found.values())}. "
-        f"{next(iter(found.values()))['scenarios']} held-out scenarios each, seed 0.",
+        f"{next(iter(found.values()))['scenarios']} held-out scenarios each (set "
+        f"{HELD_OUT_SEED}), search with seed 0. {POSITION}",
     ]
     of_seeds = [kept.get(f"{OVER_SEEDS} {seed}") for seed in range(seeds)]
     there = [each for each in of_seeds if each is not None]
@@ -164,6 +168,7 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
     ]
     for each in [*found.values(), *(kept[n] for n in ENDURANCE_ONLY if n in kept)]:
         lines += each["endurance"]
+    lines += ["", POSITION]
     return "\n".join(lines)
 
 

@@ -226,6 +226,7 @@ def _recorded_task(
         name = next(one.name for one in training if id(one) in both)
         refuse(f"held_out: {name} is tuned on", "recordings that are not")
     for one in (*training, *unseen):
+        one.check_seen()
         if not one.masks()["judged"].any():
             raise RecordingError(f"{one.name}: no sample is judged where the truth is known")
     if schedule not in get_args(RecordedSchedule):

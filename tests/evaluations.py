@@ -93,8 +93,10 @@ def endurance(**values) -> Endurance:
         **{
             **{"begin": np.array([0.0, 15, 30, 60]), "end": np.array([15.0, 30, 60, 120])},
             **{"attitude": np.array([40.0, 6, 5, 5.5]), "position": np.array([3.0, 0.2, 0.1, 0.1])},
+            "distance": np.array([3.0, 0.25, 0.2, 0.4]),
             "constant_attitude": np.array([42.0, 9, 8, 8.5]),
             "constant_position": np.array([3.5, 0.3, 0.2, 0.2]),
+            "constant_distance": np.array([3.5, 0.35, 0.4, 0.8]),
             **values,
         }
     )

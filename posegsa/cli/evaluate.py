@@ -37,7 +37,7 @@ def _check(options: argparse.Namespace, result: TuneResult | RecordingResult) ->
     others = ("window", "bridge", "longest_gap", "training", "training_window")
     if on_recordings:
         others = ("scenarios", "seed", "figures")
-    for name in (name for name in others if getattr(options, name) is not None):
+    for name in (name for name in others if getattr(options, name) not in (None, [])):
         allowed = "without --recording" if on_recordings else "with --recording"
         raise ArgumentError(f"--{name.replace('_', '-')}; allowed: {allowed}")
     if options.training_window is not None and options.training is None:

@@ -38,7 +38,7 @@ def refuse_imu_options(options: argparse.Namespace) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and say how it errs."""
     for name in ("overwrite", "figures"):
-        if getattr(options, name) not in (None, False) and options.out is None:
+        if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
     result = _filter(options.run)

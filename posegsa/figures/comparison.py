@@ -55,6 +55,7 @@ def _draw(ax: Axes, comparison: OptimiserComparison) -> None:
         look: Style = {**style.CURVES[i % len(style.CURVES)], "linewidth": 1.4 if i else 2.2}
         style.plot_band(ax, evaluations, shown, name, look, steps=True)
     ax.set_xscale("log")
+    style.plain_numbers(ax.xaxis, np.concatenate([n for n, _ in bands.values()]))
     if logarithmic:
         ax.set_yscale("log", nonpositive="mask")
     elif np.isfinite([low, high]).all() and high > low:

@@ -31,7 +31,7 @@ ANGLE_SPREAD = 1.0
 
 _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 """Colour and line look of each contender, the same in all figures."""
-_MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "v"}
+_MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
 """Of the contenders that are drawn as curves: more would hide each other."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
 
@@ -99,7 +99,8 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     title="Errors and gain over time",
     caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
     "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
-    "the one used, after the gain limit. Runs without a finite cost are left out.",
+    "the one used, after the gain limit. The position error is that of the cost, "
+    "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.
@@ -154,9 +155,11 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         look, bad = _STYLES[name], ~np.isfinite(cost)
         shown.append(cost[~bad])
         points: Style = {"color": look["color"], "linestyle": "", "markeredgewidth": 0}
-        ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=0.35, markersize=3, **points)
+        alpha = _faint(0.35, len(cost))
+        ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=alpha, markersize=3, **points)
         label = f"{name} ({np.count_nonzero(bad)} infinite)" if bad.any() else name
-        ax.plot(*_running_median(angle, cost), label=label, linewidth=2, **look)
+        order = 4 if name == TUNED else 3  # above the points, the tuned one above all
+        ax.plot(*_running_median(angle, cost), label=label, linewidth=2, zorder=order, **look)
         if bad.any():
             edge = ax.get_xaxis_transform()
             top = np.full(np.count_nonzero(bad), 0.99)
@@ -186,12 +189,18 @@ def _name_rows(ax: Axes, names: list[str], notes: dict[str, str]) -> None:
     ax.spines["left"].set_visible(False)
 
 
+def _faint(alpha: float, points: int) -> float:
+    """The opacity of points, less where there are many, that what lies over them shows."""
+    return alpha * min(1.0, (100 / max(points, 1)) ** 0.5)
+
+
 def _plot_distribution(ax: Axes, row: int, costs: np.ndarray, colour: str) -> None:
     """Finite costs as points and quantile bars around a row."""
     if not costs.size:
         return
     spread = 0.2 * (2 * (_GOLDEN * np.arange(len(costs)) % 1) - 1)
-    ax.scatter(costs, row + spread, s=5, color=colour, alpha=0.3, linewidth=0)
+    alpha = _faint(0.3, len(costs))
+    ax.scatter(costs, row + spread, s=5, color=colour, alpha=alpha, linewidth=0)
     low, first, median, third, high = np.quantile(costs, (0.05, 0.25, 0.5, 0.75, 0.95))
     ax.hlines(row, low, high, color=colour, linewidth=1.2)
     ax.hlines(row, first, third, color=colour, linewidth=5)

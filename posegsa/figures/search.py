@@ -23,7 +23,8 @@ FIGURES: list[ResultFigure] = []
     name="convergence",
     title="Convergence",
     caption="A best cost that still falls at the end asks for more iterations. These are "
-    "training costs: what they are worth is the held-out cost.",
+    "training costs: what they are worth is the held-out cost. The worst may leave the figure at "
+    "the top.",
 )
 def plot_convergence(history: History) -> Figure:
     """Best cost so far, mean and worst training cost [-] of each iteration of the search.
@@ -44,6 +45,9 @@ def plot_convergence(history: History) -> Figure:
         ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **look)
     costs = np.concatenate([values for _, values, _ in curves])
     style.scale_costs(ax, "y", costs[np.isfinite(costs)])
+    mean = finite(history.mean)
+    if np.isfinite(mean).any():  # the worst of some iterations would flatten all else
+        ax.set_ylim(top=1.1 * np.nanmax(mean))
     ax.set_ylabel("Cost [-]")
     for panel in below:
         panel.bar(iteration, failures, width=1.0, color="0.35")

@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.cm import ScalarMappable
     from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
@@ -150,20 +151,28 @@ def scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
     """A logarithmic axis, "x" or "y", for finite costs (n,) that differ by more than LOG_RATIO."""
     if costs.size and 0 < costs.min() * LOG_RATIO < costs.max():
         ax.set(**{f"{axis}scale": "log"})
+        plain_numbers(ax.xaxis if axis == "x" else ax.yaxis, costs)
+
+
+def plain_numbers(axis: Axis, values: np.ndarray) -> None:
+    """Plain numbers on a logarithmic axis, 0.1 and not 10^-1, for values above 0.
+
+    Between powers of ten too where few of these are shown, at 3 where numbers stand side by side.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    few = values.max() < 300 * values.min()
+    between = (1, 3) if axis.axis_name == "x" else (1, 2, 5)
+    axis.set_major_locator(LogLocator(subs=between if few else (1,), numticks=6))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
 
 
 def scale_errors(ax: Axes, errors: np.ndarray) -> None:
     """A logarithmic y axis for errors (...), unless none is above 0."""
     if (errors > 0).any():
-        from matplotlib.ticker import FuncFormatter, LogLocator
-
         ax.set_yscale("log", nonpositive="mask")
-        # Plain numbers, 0.1 and not 10^-1; at 2 and 5 too where few powers of ten are shown.
-        positive = errors[errors > 0]
-        few = positive.max() < 300 * positive.min()
-        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+        plain_numbers(ax.yaxis, errors[errors > 0])
 
 
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:

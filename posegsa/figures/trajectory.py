@@ -35,7 +35,8 @@ _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle"
     name="errors",
     title="Errors",
     caption="The fall at the start is the transient part of the cost, the level after it the "
-    "steady part.",
+    "steady part. The position error drawn is that of the cost, |P_est - R_err P|; the distance "
+    "|P_est - P| is in trajectory.csv.",
 )
 def plot_errors(trajectory: Trajectory) -> Figure:
     """Attitude error [deg] and position error [m] over time [s], on logarithmic axes."""

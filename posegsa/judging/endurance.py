@@ -9,7 +9,7 @@ import numpy as np
 
 from posegsa import config
 from posegsa.errors import PosegsaWarning
-from posegsa.judging.metrics import error_tracks
+from posegsa.judging.metrics import POSITION_WORDS, error_tracks
 from posegsa.search.build import scenario, scenario_batch
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
@@ -30,10 +30,14 @@ class Endurance(NamedTuple):
     attitude: PerWindow
     """Error of the tuned filter's attitude [deg]."""
     position: PerWindow
-    """Error of its position [m]."""
+    """The cost's error of its position, |P_est - R_err P| [m]."""
+    distance: PerWindow
+    """How far its position is from the true one, |P_est - P| [m]."""
     constant_attitude: PerWindow
     """The same with the best constant gain [deg]."""
     constant_position: PerWindow
+    """[m]"""
+    constant_distance: PerWindow
     """[m]"""
 
     def rows(self) -> list[tuple[float, ...]]:
@@ -42,25 +46,33 @@ class Endurance(NamedTuple):
 
     def table(self, constant: str) -> str:
         """The windows as text for a person; `constant` is what the other filter is called."""
-        rows = [["RMS error", "tuned", "", constant, ""]]
-        for begin, end, attitude, position, other_attitude, other_position in self.rows():
+        heads = ["attitude", "P_err", "distance"]
+        rows = [["RMS error", "tuned", "", "", constant, "", ""], ["", *heads, *heads]]
+        for begin, end, *errors in self.rows():
+            both = errors[:3], errors[3:]
             rows.append(
                 [
                     f"{begin:g} to {end:g} s",
-                    f"{attitude:.2f} deg",
-                    f"{100 * position:.1f} cm",
-                    f"{other_attitude:.2f} deg",
-                    f"{100 * other_position:.1f} cm",
+                    *(
+                        cell
+                        for attitude, position, distance in both
+                        for cell in (
+                            f"{attitude:.2f} deg",
+                            f"{100 * position:.1f} cm",
+                            f"{100 * distance:.1f} cm",
+                        )
+                    ),
                 ]
             )
-        return text_table(rows)
+        return f"{text_table(rows)}\n{POSITION_WORDS}"
 
     def worse(self) -> list[str]:
         """Where the tuned filter is worse than the constant gain after the first window."""
         found = []
         for name, own, other in (
             ("attitude", self.attitude, self.constant_attitude),
-            ("position", self.position, self.constant_position),
+            ("P_err", self.position, self.constant_position),
+            ("distance", self.distance, self.constant_distance),
         ):
             # Not below is worse too: no comparison with NaN holds.
             windows = [i for i in range(1, len(own)) if not own[i] <= other[i]]
@@ -87,28 +99,23 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
     # Half a sample late: rounding puts none into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
 
-    def errors(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+    def errors(candidate: Candidate) -> dict[str, np.ndarray]:
         tracks = error_tracks(candidate, batch)
         half = np.sqrt(np.clip(np.asarray(tracks.attitude, np.float64), 0, 1))
-        squares = np.degrees(2 * np.arcsin(half)) ** 2, np.asarray(tracks.position, np.float64) ** 2
-        attitude, position = (
-            np.array(
+        each = {
+            "attitude": np.degrees(2 * np.arcsin(half)),
+            "position": np.asarray(tracks.position, np.float64),
+            "distance": np.asarray(tracks.distance, np.float64),
+        }
+        return {
+            name: np.array(
                 [
-                    math.sqrt(np.mean(square[:, (time >= begin) & (time < end)]))
+                    math.sqrt(np.mean(error[:, (time >= begin) & (time < end)] ** 2))
                     for begin, end in pairwise(edges)
                 ]
             )
-            for square in squares
-        )
-        return attitude, position
+            for name, error in each.items()
+        }
 
-    attitude, position = errors(tuned)
-    constant_attitude, constant_position = errors(constant)
-    return Endurance(
-        begin=np.array(edges[:-1]),
-        end=np.array(edges[1:]),
-        attitude=attitude,
-        position=position,
-        constant_attitude=constant_attitude,
-        constant_position=constant_position,
-    )
+    others = {f"constant_{name}": error for name, error in errors(constant).items()}
+    return Endurance(begin=np.array(edges[:-1]), end=np.array(edges[1:]), **errors(tuned), **others)

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field
 
 from posegsa.arguments import MAX_INTEGER
 from posegsa.config import PARAMETERS
-from posegsa.judging.metrics import Bands, Metrics, metrics_of
+from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
 from posegsa.model.ekf import EkfNoise
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
@@ -150,7 +150,8 @@ BEHAVIOUR: _Columns = (
     ("Attitude\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_attitude)),
     ("Position\nsettled\n[s]", ".2f", lambda m: np.median(m.settling_position)),
     ("Attitude\nRMS, second\nwindow [deg]", ".2f", lambda m: np.mean(m.rms_attitude)),
-    ("Position\nRMS, second\nwindow [cm]", ".1f", lambda m: 100 * np.mean(m.rms_position)),
+    ("P_err\nRMS, second\nwindow [cm]", ".1f", lambda m: 100 * np.mean(m.rms_position)),
+    ("Distance\nRMS, second\nwindow [cm]", ".1f", lambda m: 100 * np.mean(m.rms_distance)),
     ("Bias error,\nangular\n[rad/s]", ".3f", lambda m: np.mean(m.bias_angular)),
     ("Bias error,\nlinear\n[m/s]", ".3f", lambda m: np.mean(m.bias_linear)),
 )
@@ -217,7 +218,7 @@ class Evaluation:
     def table(self) -> str:
         """The contenders side by side, as text for a person."""
         title = f"Cost on {counted(self.scenarios, 'held-out scenario')}:"
-        parts = [title, *map(text_table, self.tables())]
+        parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
         return "\n\n".join(parts)
 
 

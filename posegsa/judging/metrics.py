@@ -23,6 +23,11 @@ SCENARIOS, SAMPLES = 32, 1024
 """Scenarios and samples that one call simulates, whatever there are, filled up with some that do
 not count: so all that is judged runs as one program, training, held-out and longer scenarios."""
 
+POSITION_WORDS = (
+    "P_err is the cost's position error, |P_est - R_err P|; distance is |P_est - P|, how far the "
+    "estimate is from the body."
+)
+"""What the two errors of a position are, where a table shows both."""
 QUANTILES = (0.05, 0.5, 0.95)
 """Quantiles over scenarios that error bands show."""
 
@@ -43,11 +48,13 @@ class Metrics(NamedTuple):
     settling_attitude: PerScenario
     """Time after which the attitude error stays under SETTLED_ATTITUDE [s]; infinite if never."""
     settling_position: PerScenario
-    """Time after which the position error stays under SETTLED_POSITION [s]; infinite if never."""
+    """Time after which the cost's position error stays under SETTLED_POSITION [s]; likewise."""
     rms_attitude: PerScenario
     """Root mean square attitude error in the steady-state window [deg]."""
     rms_position: PerScenario
-    """Root mean square position error in the steady-state window [m]."""
+    """Root mean square of the cost's position error, |P_est - R_err P|, in that window [m]."""
+    rms_distance: PerScenario
+    """Root mean square distance |P_est - P| in that window [m]."""
     bias_angular: PerScenario
     """Length of the last angular velocity bias error [rad/s]."""
     bias_linear: PerScenario
@@ -85,10 +92,10 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
             pieces.append(jax.device_get(errors))
         over_time = (
             np.concatenate(each, axis=1)[:, :samples]
-            for each in zip(*(piece[:3] for piece in pieces), strict=True)
+            for each in zip(*(piece[:4] for piece in pieces), strict=True)
         )
-        attitude, position, gain = over_time
-        parts.append(pieces[-1]._replace(attitude=attitude, position=position, gain=gain))
+        over_all = dict(zip(("attitude", "position", "gain", "distance"), over_time, strict=True))
+        parts.append(pieces[-1]._replace(**over_all))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
 
 
@@ -122,9 +129,9 @@ def metrics_of(
     one.
     """
     time = np.asarray(batch.samples.time[0], np.float64)
-    distance, position, gain, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
-    angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(distance, 0, 1))))  # NaN stays
-    error = distance + float(batch.weights.position) * position
+    attitude, position, gain, distance, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
+    angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(attitude, 0, 1))))  # NaN stays
+    error = attitude + float(batch.weights.position) * position
     end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
     counts = np.broadcast_to(time < end, error.shape)
     transient, steady = (
@@ -148,6 +155,7 @@ def metrics_of(
         settling_position=_settling(time, position, SETTLED_POSITION, counts),
         rms_attitude=np.sqrt(_mean(angle**2, window)),
         rms_position=np.sqrt(_mean(position**2, window)),
+        rms_distance=np.sqrt(_mean(distance**2, window)),
         bias_angular=np.linalg.norm(bias_error[:, :3], axis=1),
         bias_linear=np.linalg.norm(bias_error[:, 3:], axis=1),
         diverged=lost | ~finite,

@@ -1,6 +1,6 @@
 """Attitude filters of other libraries on recordings of an IMU, each with its paper's settings.
 
-They come with `pip install "posegsa[compare]"`. All read the accelerometer [m/s^2] and the
+They come with `pip install ".[compare]"`. All read the accelerometer [m/s^2] and the
 magnetometer of `Recording.sensors`, and start from the first samples of both; their frame is x
 east, y north (magnetic), z up, and so must be the recording's.
 
@@ -138,5 +138,5 @@ def _imported(module: str, name: str) -> Any:
     except ImportError as error:
         raise ArgumentError(
             f"{module.partition('.')[0]} is not installed ({error}); allowed: after "
-            'pip install "posegsa[compare]"'
+            'pip install ".[compare]"'
         ) from None

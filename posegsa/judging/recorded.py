@@ -57,6 +57,13 @@ def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
     return errors
 
 
+NOT_CUT = 0.99
+"""Share of the gain asked for from which on it counts as used."""
+MOSTLY = 0.5
+"""Share of samples above which a result warns that the gain limit sets the gain."""
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
 class RecordingScore(NamedTuple):
     """A filter on one recording."""
 
@@ -73,6 +80,9 @@ class RecordingScore(NamedTuple):
     """Root mean squares by phase, "judged" first."""
     fingerprint: str
     """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
+    limited: Share | None = None
+    """Share of the samples with a measurement in which the gain limit cut what the schedule asked
+    for; None of a filter without a gain K."""
 
 
 class SimulatedScore(NamedTuple):
@@ -239,6 +249,15 @@ class RecordingResult:
             found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
         if behind := self._behind_constant():
             found.append(behind)
+        shares = [each.limited for each in self.held_out or self.training]
+        cut = [share for share in shares if share is not None]
+        if cut and np.mean(cut) > MOSTLY:
+            found.append(
+                "the schedule asks for more than the gain limit allows in "
+                f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "
+                "sets the gain, not the schedule, and a constant gain may do as well (`posegsa "
+                "evaluate` shows it beside)"
+            )
         return found
 
     def _behind_constant(self) -> str:
@@ -332,7 +351,19 @@ def score(recording: Recording, estimates: Estimates) -> RecordingScore:
         notes=list(recording.notes),
         errors=errors.rmse(),
         fingerprint=fingerprint(recording),
+        limited=_limited(recording, estimates),
     )
+
+
+def _limited(recording: Recording, estimates: Estimates) -> float | None:
+    """`RecordingScore.limited` of a filter's estimates."""
+    m = recording.measurements
+    weights = np.concatenate([m.vector_weights, m.landmark_weights], axis=1)
+    asked, used = (np.asarray(g, np.float64) for g in (estimates.gain, estimates.gain_used))
+    seen = (np.asarray(weights) > 0).any(axis=1) & np.isfinite(asked) & np.isfinite(used)
+    if not seen.any():
+        return None
+    return float(np.mean(used[seen] < NOT_CUT * asked[seen]))
 
 
 def judge_on_recordings(

@@ -186,8 +186,9 @@ class TuneResult:
             f"(+ {self.compile_seconds:.2f} s to compile)",
             text_table(rows),
             "On one unseen scenario, second half: attitude error "
-            f"{_rms(last.attitude_error[settled]):.2f} deg RMS, position error "
-            f"{100 * _rms(last.position_error[settled]):.1f} cm RMS.",
+            f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
+            f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
+            f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
             self.endurance.table(CONSTANT),
             f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or more of "
             "the weight.",

@@ -59,7 +59,9 @@ class Trajectory:
     attitude_distance: Annotated[np.ndarray, _column("attitude_distance")]
     """(N,) ||R_est R^T||_I, in [0, 1]."""
     position_error: Annotated[np.ndarray, _column("position_error_m")]
-    """(N,) ||P_est - R_err P|| [m]."""
+    """(N,) ||P_est - R_err P|| [m], the position error of the cost."""
+    distance: Annotated[np.ndarray, _column("distance_m")]
+    """(N,) |P_est - P| [m], how far the estimate is from the body."""
     gain: Annotated[np.ndarray, _column("gain_1_s")]
     """(N,) K that the schedule asked for [1/s]."""
     gain_used: Annotated[np.ndarray, _column("gain_used_1_s")]
@@ -146,6 +148,7 @@ def _values(
         "attitude_error": jnp.degrees(rotation_angle(distance)),
         "attitude_distance": distance,
         "position_error": jnp.linalg.norm(P_err, axis=-1),
+        "distance": jnp.linalg.norm(estimates.position - P, axis=-1),
         "gain": estimates.gain,
         "gain_used": estimates.gain_used,
         "error": estimates.error,

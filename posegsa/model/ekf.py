@@ -79,7 +79,14 @@ from posegsa.model.elementwise import choose, maximum
 from posegsa.model.filter import FilterState
 from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import ErrorTrack, Estimates, Samples, samples_of, squared_errors
+from posegsa.model.rollout import (
+    ErrorTrack,
+    Estimates,
+    Samples,
+    distances,
+    samples_of,
+    squared_errors,
+)
 from posegsa.model.sample import Sample
 from posegsa.model.se3 import (
     Quaternion,
@@ -360,14 +367,15 @@ def ekf_errors(samples: Samples, initial: FilterState, noise: EkfNoise) -> Error
 
     def look(
         total: tuple[()], state: EkfState, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[Array, Array]]:
-        return total, pose_errors(state.estimate, now.truth)
+    ) -> tuple[tuple[()], tuple[Array, Array, Vec3]]:
+        return total, (*pose_errors(state.estimate, now.truth), state.estimate.place)
 
-    last, _, (attitude, position) = _simulate(look, samples, initial, noise)
+    last, _, (attitude, position, place) = _simulate(look, samples, initial, noise)
     return ErrorTrack(
         attitude=attitude,
         position=position,
         gain=jnp.full_like(attitude, jnp.nan),
+        distance=distances(place, samples),
         bias=last.estimate.bias,
         vector_bias=last.estimate.vector_bias,
     )

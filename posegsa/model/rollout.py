@@ -27,13 +27,14 @@ from posegsa.model.loops import scan_rows
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
-from posegsa.model.se3 import Vec3, dot, quaternion, subtract, unstack
+from posegsa.model.se3 import Vec3, dot, norm, quaternion, rotate, rows, subtract, unstack
 from posegsa.model.signal import (
     Measured,
     SignalMemory,
     SignalSettings,
     TruePose,
     initial_memory,
+    known_pose,
     measured_errors,
     pose_errors,
     scheduled_gain,
@@ -100,9 +101,12 @@ class ErrorTrack(NamedTuple):
     attitude: Array
     """(N,) ||R_err||_I in [0, 1]."""
     position: Array
-    """(N,) ||P_err|| [m]."""
+    """(N,) ||P_err|| [m], P_err = P_est - R_err P: the position error of the cost."""
     gain: Array
     """(N,) the gain K that was used, after the limit [1/s]."""
+    distance: Array
+    """(N,) |P_est - P| [m]: how far the estimate is from the body. The two differ by what the
+    attitude's error makes of the body's distance from the origin."""
     bias: Array
     """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
@@ -348,18 +352,31 @@ def errors_onward(
 
     def look(
         total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[Array, Array, Array]]:
-        return total, (*pose_errors(state, now.truth), record.gain_used)
+    ) -> tuple[tuple[()], tuple[Array, Array, Array, Vec3]]:
+        return total, (*pose_errors(state, now.truth), record.gain_used, state.place)
 
     last, _, errors = _simulate(look, schedule, samples, loop, settings, signal, count=count)
-    attitude, position, gain = errors
+    attitude, position, gain, place = errors
     return last, ErrorTrack(
         attitude=attitude,
         position=position,
         gain=gain,
+        distance=distances(place, samples),
         bias=last.state.bias,
         vector_bias=last.state.vector_bias,
     )
+
+
+def distances(place: Vec3, samples: Samples) -> Array:
+    """|P_est - P| (N,) [m] of estimated positions by components (N,) (pure, jittable).
+
+    Made after the loop, whose arithmetic stays what it is without it.
+
+    Raises:
+        ArgumentError: The samples do not hold the true pose.
+    """
+    truth = known_pose(samples.truth)
+    return norm(subtract(place, rotate(rows(truth.attitude), truth.origin)))
 
 
 def begin(schedule: GainSchedule, initial: FilterState) -> ClosedLoop:

@@ -67,16 +67,26 @@ class Measured(NamedTuple):
     """Whether any landmark was."""
 
 
+def known_pose(truth: TruePose | None) -> TruePose:
+    """The true pose.
+
+    Raises:
+        ArgumentError: It is not known.
+    """
+    if truth is None:
+        raise ArgumentError(
+            'signal "pose" needs the true pose; use "measured" where it is not known'
+        )
+    return truth
+
+
 def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Array]:
     """||R_err||_I in [0, 1] and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P.
 
     Raises:
         ArgumentError: The true pose is not known.
     """
-    if truth is None:
-        raise ArgumentError(
-            'signal "pose" needs the true pose; use "measured" where it is not known'
-        )
+    truth = known_pose(truth)
     # In the body frame, where the correction needs the position too: R_est^T P_est - R^T P.
     position = subtract(unrotate(rows(state.attitude), state.place), truth.origin)
     return attitude_distance(state.attitude, truth.attitude), norm(position)

@@ -15,6 +15,7 @@ from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
 from posegsa.recordings.archive import read_npz, write_npz
+from posegsa.recordings.beside import OF_THE_TABLE, check_references, read_beside
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
@@ -22,6 +23,7 @@ from posegsa.recordings.files import as_path
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import Policy
 from posegsa.recordings.rotations import about, matrices
+from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
 from posegsa.recordings.table import Columns, read_csv
 
@@ -247,18 +249,29 @@ class Recording:
             columns: names of columns by the argument of `from_arrays` that they make:
                 `{"time": "t", "angular_velocity": ["gx", "gy", "gz"], "vectors": [["ax", "ay",
                 "az"], ["mx", "my", "mz"]]}`; "accelerometer" and "magnetometer" become `sensors`.
-                By default those of `posegsa.recordings.table.COLUMNS` that the file has.
+                By default those that a TOML file beside it names (`posegsa.recordings.beside`),
+                without one those of `posegsa.recordings.table.COLUMNS` that the file has.
             time_unit: of the stamps: "s", "ms", "us" or "ns"; whole ones keep all their digits.
             delimiter: between two cells.
             more: further arguments of `from_arrays`, such as references, weights and `bridge`.
 
         Raises:
-            RecordingError: the file cannot be read or lacks a column.
+            RecordingError: the file, or that beside it, cannot be read, lacks a column, or does not
+                say where vectors or landmarks are.
             MeasurementError: as `from_arrays`.
         """
-        found: dict[str, Any] = {"name": as_path(path).stem}
-        found |= read_csv(path, columns, time_unit, delimiter)
-        return cls.from_arrays(**found | more)
+        path = as_path(path)
+        said = read_beside(path)
+        table = {name: said.pop(name) for name in OF_THE_TABLE if name in said}
+        if columns is None:
+            columns, time_unit, delimiter = (
+                table.get(name, given)
+                for name, given in zip(OF_THE_TABLE, (columns, time_unit, delimiter), strict=True)
+            )
+        found: dict[str, Any] = {"name": path.stem}
+        found |= read_csv(path, columns, time_unit, delimiter) | said | more
+        check_references(path, found)
+        return cls.from_arrays(**found)
 
     @classmethod
     def from_npz(cls, path: str | Path, **more: Any) -> "Recording":
@@ -413,6 +426,13 @@ class Recording:
         known = self.truth.known
         return {"judged": self.judged} | {name: m & known for name, m in self.phases.items()}
 
+    def check_seen(self) -> None:
+        """Raise a RecordingError unless it has a vector or a landmark.
+
+        Without one nothing corrects an estimate; the error says how to name their columns.
+        """
+        check_something_is_seen(self.name, self.measurements, self.sensors, self.notes)
+
     def initial(self) -> Start:
         """Where the estimate begins, made from the sensors where `start` says so.
 
@@ -421,6 +441,7 @@ class Recording:
         """
         if isinstance(self.start, Start):
             return self.start
+        self.check_seen()
         rest = self.start == "rest"
         samples = self._rest() if rest else slice(0, max(1, int(np.sum(self.time < FIRST))))
         return aligned(self.measurements, samples, None if rest else self.start_bias)

@@ -75,7 +75,9 @@ def _wahba(body: np.ndarray, inertial: np.ndarray) -> np.ndarray:
     usable = u.any(axis=1) & v.any(axis=1)
     if not usable.any():
         raise RecordingError(
-            "start: no vector and no two landmarks are seen at the first samples; allowed: a Start"
+            "start: no vector and no two landmarks are seen at the first samples; allowed: a pose "
+            "to begin with, start = [rotation by rows, position] in FILE.csv.toml beside FILE.csv, "
+            'or in Python Recording.read(FILE, start=(R, P)).save("a.npz")'
         )
     u, v = u[usable], v[usable]
     apart = np.linalg.norm(np.cross(u[0], u), axis=1).max()

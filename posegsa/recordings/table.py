@@ -1,6 +1,7 @@
 """Recordings in CSV files: columns by name, as arguments of `Recording.from_arrays`."""
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,7 +25,11 @@ COLUMNS: dict[str, Any] = {
     "magnetometer": ("mx", "my", "mz"),
 }
 """What columns are called where no mapping is given; those that a file lacks are left out. A column
-"time_ns" is the time in whole ns."""
+"time_ns" is the time in whole ns. Vectors and landmarks: `SIGHTING`."""
+SIGHTING = re.compile(r"(?P<kind>[vl])(?P<number>\d+)_[xyz]")
+"""What columns of vectors and landmarks are called: v0_x v0_y v0_z, v1_x ..., l0_x ... Their order
+is that of their numbers."""
+KINDS = {"v": "vectors", "l": "landmarks"}
 SENSORS = "accelerometer", "magnetometer"
 """Signals that become `Recording.sensors`."""
 MASKS = ("judged",)
@@ -56,11 +61,13 @@ def read_csv(
         raise RecordingError(
             f"{path}: sample {wrong[0]} has {len(cells[wrong[0]])} cells, the head {len(head)}"
         )
+    found: dict[str, Any] = {"sensors": {}}
     if columns is None:
         columns = _usual_columns(path, head)
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
+        if unread := _unread(head, columns):
+            found["notes"] = (f"columns that nothing is made of: {unread}",)
     table = _Table(path, head, cells)
-    found: dict[str, Any] = {"sensors": {}}
     for argument, names in columns.items():
         if argument == "time":
             found["time"] = table.times(names, time_unit)
@@ -128,6 +135,40 @@ def _usual_columns(path: Path, head: list[str]) -> dict[str, Any]:
         usual = " ".join(each if isinstance(each, str) else " ".join(each) for each in names)
         raise RecordingError(
             f"{path}: has no columns {usual}; it has: {', '.join(head)}; allowed: these columns "
-            "(time in s, or time_ns; wx wy wz in rad/s), or in Python others by columns="
+            "(time in s, or time_ns; wx wy wz in rad/s), or others that a file "
+            f"{path.name}.toml beside it names (docs/recordings.md), in Python columns="
         )
+    return found | _sightings(path, head)
+
+
+def _sightings(path: Path, head: list[str]) -> dict[str, list[list[str]]]:
+    """The columns of vectors and landmarks that a file has, by argument."""
+    numbers: dict[str, set[str]] = {}
+    for name in head:
+        if match := SIGHTING.fullmatch(name):
+            numbers.setdefault(match["kind"], set()).add(match["number"])
+    found = {}
+    for kind, each in numbers.items():
+        names = [[f"{kind}{n}_{axis}" for axis in "xyz"] for n in sorted(each, key=int)]
+        if lacking := [name for three in names for name in three if name not in head]:
+            raise RecordingError(
+                f"{path}: lacks {', '.join(lacking)}; {KINDS[kind]} have three columns each, such "
+                f"as {kind}0_x {kind}0_y {kind}0_z"
+            )
+        found[KINDS[kind]] = names
     return found
+
+
+def _unread(head: list[str], columns: Columns) -> str:
+    """Names of the columns of a file that nothing is made of."""
+    used = {"time", "time_ns"}
+
+    def use(names: Any) -> None:
+        if isinstance(names, str):
+            used.add(names)
+        else:
+            for each in names:
+                use(each)
+
+    use(columns.values())
+    return ", ".join(name for name in head if name not in used)

@@ -22,7 +22,14 @@ from posegsa.judging.result import TuneResult
 from posegsa.judging.trust import SENSITIVE
 from posegsa.report import tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
-from posegsa.report.words import cost_words, filter_words, next_words, verdict, worse_words
+from posegsa.report.words import (
+    better_words,
+    cost_words,
+    filter_words,
+    next_words,
+    verdict,
+    worse_words,
+)
 from posegsa.words import counted, toml
 
 if TYPE_CHECKING:
@@ -45,6 +52,7 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
         pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
         verdict=verdict(result.evaluation),
         cost_words=cost_words(result),
+        better_words=better_words(result.evaluation),
         worse_words=worse_words(result.evaluation),
         next_words=next_words(result),
         no_family=list(NO_FAMILY.described()),

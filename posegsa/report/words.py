@@ -7,6 +7,10 @@ import numpy as np
 from posegsa.judging.evaluation import (
     BEHAVIOUR,
     CONSTANT,
+    EKF,
+    EKF_VECTORS,
+    OPEN_LOOP,
+    REPLAYED,
     SWITCH,
     TUNED,
     Description,
@@ -92,28 +96,94 @@ def worse_words(evaluation: Evaluation) -> str:
     )
 
 
+def better_words(evaluation: Evaluation) -> str:
+    """Which contenders beside the best constant gains do better than the tuned schedule, if any.
+
+    By the mean, where the interval of the paired differences excludes 0; by the median, where the
+    tuned one's is higher as it is shown.
+    """
+    own, lower = evaluation.summary(TUNED), _lower_medians(evaluation)
+    found = []
+    for name in evaluation.contenders:
+        if name in (TUNED, CONSTANT):
+            continue
+        this, difference = evaluation.summary(name), evaluation.difference(name)
+        parts = []
+        if difference.low > 0:
+            ends = f"{cost(difference.low)} to {cost(difference.high)}"
+            parts.append(f"{cost(difference.mean)} less on average (95 % interval {ends})")
+        if name in lower:
+            parts.append(f"a lower median ({cost(this.median)} against {cost(own.median)})")
+        if parts:
+            found.append(f"{name}: {', '.join(parts)}")
+    if not found:
+        return ""
+    return (
+        f"Other filters do better than the tuned schedule on these scenarios. {'; '.join(found)}."
+    )
+
+
+def _clearly_better(evaluation: Evaluation) -> list[str]:
+    """Contenders whose mean cost is lower than the tuned schedule's beyond doubt."""
+    others = (name for name in evaluation.contenders if name != TUNED)
+    return [name for name in others if evaluation.difference(name).low > 0]
+
+
+def _lower_medians(evaluation: Evaluation) -> list[str]:
+    """Contenders whose median cost is lower than the tuned schedule's, as they are shown."""
+    own = evaluation.summary(TUNED).median
+    medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
+    return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
+
+
+def _instead(names: list[str]) -> str:
+    """What to do where these filters are better than the tuned schedule, in a sentence or two."""
+    advice = f"Better here by the mean: {', '.join(names)}. "
+    if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
+        advice += (
+            "Gains by the clock alone are simpler and need no error signal. They fit a filter that "
+            "starts as these scenarios do, and do not answer an error that comes later. "
+        )
+    if any(name in (EKF, EKF_VECTORS) for name in names):
+        advice += "The Kalman filter is `posegsa.model.ekf`. "
+    return (
+        f"{advice}The numbers of each are in `evaluation.json`. What was tuned can still be used: "
+        "`posegsa export RUN --format c`."
+    )
+
+
 def next_words(result: TuneResult) -> list[str]:
-    """What a reader may do next, in sentences."""
+    """What a reader may do next, in sentences; what stands between backticks is code."""
     evaluation = result.evaluation
     steps = []
     if result.warnings():
         steps.append("Read the warnings above first: they say why these numbers may mislead.")
-    if evaluation.difference(CONSTANT).high < 0:
+    better = _clearly_better(evaluation)
+    if any(name != CONSTANT for name in better):
+        steps.append(_instead(better))
+    elif evaluation.difference(CONSTANT).high < 0:
         steps.append(
-            "The schedule pays: write the whole filter as C with posegsa export RUN --format c, or "
-            "run it over recordings of your own with posegsa replay RUN FILE."
+            "The schedule pays: write the whole filter as C with `posegsa export RUN --format c`, "
+            "or run it over recordings of your own with `posegsa replay RUN FILE`."
         )
     else:
         steps.append(
             "A schedule that is not better than constant gains is not worth its trouble: search "
-            "longer (search.iterations) or with more training scenarios, or take the constant gain "
-            f"of {number(result.constant_gain, '.4g')} 1/s."
+            "longer (`search.iterations`) or with more training scenarios, or take the constant "
+            f"gain of {number(result.constant_gain, '.4g')} 1/s."
         )
     if SWITCH not in evaluation.contenders:
         steps.append(
-            "posegsa evaluate RUN judges it on many more scenarios, beside simpler schedules and "
+            "`posegsa evaluate RUN` judges it on many more scenarios, beside simpler schedules and "
             "Kalman filters that may do as well."
         )
+    elif lower := _lower_medians(evaluation):
+        steps.append(
+            f"Where rare failures do not count, look at the medians: {', '.join(lower)} "
+            f"{'has' if len(lower) == 1 else 'have'} a lower one."
+        )
+    if any("RUN" in step for step in steps):
+        steps.append("RUN is the folder of this page.")
     return steps
 
 

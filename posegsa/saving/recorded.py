@@ -17,7 +17,7 @@ from posegsa.saving.folder import (
 from posegsa.saving.records import from_json, to_json
 from posegsa.saving.run import RUN_FILES
 
-SCHEMA = 2
+SCHEMA = 3
 """Number of the layout of recorded.json; it changes with its records."""
 DATA, TABLE = FILES = RECORDED, RECORDED_TABLE
 

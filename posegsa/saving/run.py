@@ -35,7 +35,7 @@ from posegsa.saving.folder import (
 )
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 
-SCHEMA = 3
+SCHEMA = 4
 """Number of the layout of result.json and evaluation.json; it changes with their records."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
@@ -45,7 +45,7 @@ RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
 RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
 """All that a finished run's folder may hold beside checkpoints."""
 MAX_ROW = 2**10
-"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 25
+"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 26
 numbers of at most 25 characters."""
 
 
@@ -99,7 +99,7 @@ def run_figures(figures: Iterable[str] | None) -> list[str]:
 def write_run(
     result: TuneResult,
     folder: Path,
-    figures: Iterable[str] | None = None,
+    figures: list[str] | None = None,
     *,
     same_run: bool = False,
 ) -> None:
@@ -115,7 +115,7 @@ def write_run(
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
     """
-    steps.begin("drawing")
+    steps.begin("writing" if figures == [] else "drawing")
     drawn = list(draw(result, figures).items())
     pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}

@@ -9,7 +9,8 @@ squares of its errors.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from functools import cache
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ import numpy as np
 from jax import Array
 
 from posegsa import config
+from posegsa.config.schedule import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.filter import FilterSettings, FilterState
@@ -189,23 +191,37 @@ def with_effect_on(
     *,
     strict: bool = True,
 ) -> config.Experiment:
-    """An experiment that tunes, of its default list, only what has an effect on recordings.
+    """An experiment that tunes only what has an effect on recordings.
 
     Raises:
-        ConfigError: A number that is not of the default list has none, and `strict`.
+        ConfigError: A number that a user has stated has none, and `strict`.
     """
     kept = []
     for one in experiment.also:
         if _has_effect(one.key, vectors, landmarks, schedule):
             kept.append(one.model_dump(mode="json"))
-        elif strict and one not in config.DEFAULT_ALSO:
+        elif strict and one not in _come_with_posegsa():
             raise ConfigError(
                 f"parameters.also: {one.key!r} has no effect on these recordings, with "
-                f"{vectors} vectors, {landmarks} landmarks and a {schedule} gain"
+                f"{counted(vectors, 'vector')}, {counted(landmarks, 'landmark')} and a {schedule} "
+                "gain; allowed: a list without it"
+                f"{_a_schedule_that_uses(one.key, vectors, landmarks)}"
             )
     data = experiment.model_dump(mode="json")
     data["parameters"]["also"] = kept
     return config.from_dict(data)
+
+
+@cache
+def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
+    """The numbers that are tuned where a user states none: by default, and by "landmarks"."""
+    return (*config.DEFAULT_ALSO, *config.load("landmarks").parameters.also)
+
+
+def _a_schedule_that_uses(key: str, vectors: int, landmarks: int) -> str:
+    """What else is allowed for a number that has an effect with another schedule."""
+    used = [s for s in get_args(RecordedSchedule) if _has_effect(key, vectors, landmarks, s)]
+    return f", or a {' or '.join(used)} gain (schedule)" if used else ""
 
 
 def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:

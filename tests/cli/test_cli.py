@@ -301,8 +301,15 @@ def test_figures_that_there_are_not_are_refused_before_a_search(tmp_path, capsys
     assert not list(tmp_path.iterdir())
     with pytest.raises(SystemExit):
         main(["tune", "--figures", "gain", "--no-figures"])
-    assert main(["replay", str(tmp_path), "none.csv", "--no-figures"]) == 2
+    assert main(["replay", str(tmp_path), "none.csv", "--figures", "gain"]) == 2
     assert "--figures; allowed: with --out" in capsys.readouterr().err
+    recorded = ["tune", "--recording", str(tmp_path / "none.csv")]
+    assert main([*recorded, "--figures", "gain"]) == 2
+    assert "--figures; allowed: without --recording" in capsys.readouterr().err
+    # Where none are drawn, to ask for none is no mistake: what is wrong is the missing file.
+    for command in (["replay", str(tmp_path), str(tmp_path / "none.csv")], recorded):
+        assert main([*command, "--no-figures"]) == 2
+        assert "none.csv: there is no such file" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

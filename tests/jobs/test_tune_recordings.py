@@ -1,6 +1,8 @@
 """`tune` on recordings: what it finds, says, saves, and what it refuses."""
 
 import json
+import re
+import shlex
 import signal
 import warnings
 from dataclasses import fields, replace
@@ -12,7 +14,7 @@ from recorded_motion import LANDMARKS, motion
 
 import posegsa
 from posegsa import config
-from posegsa.cli.command import main
+from posegsa.cli.command import _parser, main
 from posegsa.errors import (
     ArgumentError,
     ConfigError,
@@ -151,6 +153,12 @@ def test_the_command_tunes_on_files(
     assert "velocity: synthetic: R^T v" in said
     assert "held out" in said
     assert "Written to" in said
+    # What it tells to type next is what it takes to judge the run beside others.
+    (shown,) = re.findall(r"  posegsa (evaluate .*)", said)
+    options = _parser().parse_args(shlex.split(shown))
+    assert options.run == str(tmp_path / "run")
+    assert options.recording == [str(tmp_path / "b.npz")]
+    assert (options.training, options.training_window) == ([str(tmp_path / "a.npz")], (0, 4))
     assert (tmp_path / "run" / "recorded.txt").read_text().strip() in said
     assert main(["replay", str(tmp_path / "run"), str(tmp_path / "b.npz")]) == 0
     again = ["tune", "--resume", str(tmp_path / "run"), "--quiet"]
@@ -164,6 +172,16 @@ def test_the_command_tunes_on_files(
     assert "--schedule; allowed: with --recording" in capsys.readouterr().err
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_it_warns_where_the_gain_limit_sets_the_gain(recordings: list[Recording]) -> None:
+    for gain, limited in ((1e5, 1.0), (1e-2, 0.0)):
+        found = posegsa.by_hand(
+            posegsa.ConstantGain(gain), config.from_dict(TINY), recordings=recordings
+        )  # type: ignore[arg-type]  # a number will do for an array
+        assert [one.limited for one in found.held_out] == [limited, limited]
+        warned = [w for w in found.warnings() if "gain limit allows in 100 %" in w]
+        assert len(warned) == limited
 
 
 def test_a_gain_made_by_hand_is_judged_saved_and_exported(

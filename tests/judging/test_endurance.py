@@ -36,15 +36,19 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
 
     longer = config.override(SHORT, ["scenario.duration=2.4"])
     batch = scenario_batch(longer, quietly(longer), endurance_keys(SHORT.run.seed, COUNT))
-    for gain, attitude, position in (
-        (20, found.attitude, found.position),
-        (3, found.constant_attitude, found.constant_position),
+    for gain, attitude, position, distance in (
+        (20, found.attitude, found.position, found.distance),
+        (3, found.constant_attitude, found.constant_position, found.constant_distance),
     ):
         track = error_tracks(constant(gain), batch)
         assert track.position.shape == (COUNT, 240)
         angle = np.degrees(np.arccos(1 - 2 * np.asarray(track.attitude, np.float64)))
         for w, (first, last) in enumerate(((0, 30), (30, 60), (60, 120), (120, 240))):
-            for rms, errors in ((attitude[w], angle), (position[w], track.position)):
+            for rms, errors in (
+                (attitude[w], angle),
+                (position[w], track.position),
+                (distance[w], track.distance),
+            ):
                 window = np.asarray(errors, np.float64)[:, first:last]
                 assert rms == pytest.approx(np.sqrt(np.mean(window**2)), rel=1e-5)
     assert found.position[-1] < 0.5 * found.constant_position[-1], "the gains differ"
@@ -80,9 +84,21 @@ def test_worse_names_the_windows_after_the_first() -> None:
     assert made().worse() == []
     worse = made(attitude=np.array([99.0, 6, 8.5, 5]), position=np.array([9.0, 0.2, 0.2, 0.3]))
     # Equal is not worse; the first window is that of the scenarios, which the cost judges.
-    assert worse.worse() == ["attitude from 30 to 60 s", "position from 60 to 120 s"]
+    assert worse.worse() == ["attitude from 30 to 60 s", "P_err from 60 to 120 s"]
+
+
+def test_the_distance_has_a_table_and_a_warning_of_its_own() -> None:
+    far = made(distance=np.array([3.0, 0.25, 0.2, 1.0]))
+    assert far.worse() == ["distance from 60 to 120 s"]
+    *_, last, words = far.table("constant").splitlines()
+    assert last.split("  ")[0] == "60 to 120 s"
+    assert [float(cell) for cell in last.replace("deg", "cm").split() if cell.count(".")] == [
+        *(5.5, 10.0, 100.0),
+        *(8.5, 20.0, 80.0),
+    ]
+    assert "|P_est - R_err P|" in words
 
 
 def test_nan_is_worse() -> None:
     lost = made(position=np.array([3.0, 0.2, np.nan, np.inf]))
-    assert lost.worse() == ["position from 30 to 60 s", "position from 60 to 120 s"]
+    assert lost.worse() == ["P_err from 30 to 60 s", "P_err from 60 to 120 s"]

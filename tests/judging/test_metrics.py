@@ -10,6 +10,7 @@ from posegsa import config
 from posegsa.config import Experiment
 from posegsa.judging import metrics
 from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.judging.trajectory import trajectory_on
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import cost_weights, scenario_batch
@@ -40,6 +41,7 @@ def made(attitude, position, posed) -> ErrorTrack:
         attitude=np.float32(attitude),
         position=np.float32(position),
         gain=np.ones((S, 200), np.float32),
+        distance=np.float32(2 * np.asarray(position)),
         bias=np.zeros((S, 6)),
         vector_bias=np.zeros((S, 0, 3)),
     )
@@ -50,6 +52,14 @@ def test_the_cost_is_the_running_cost(posed, tracks):
     running = costs_by_scenario(Candidate(ConstantGain(jnp.float32([20]))), posed)[:, 0]
     np.testing.assert_allclose(found.cost, running, rtol=1e-5)
     np.testing.assert_allclose(found.transient + found.steady, found.cost)
+
+
+def test_the_distance_is_from_the_estimated_to_the_true_position(posed, tracks):
+    assert tracks.distance.shape == tracks.position.shape == (5, 200)
+    run = trajectory_on(Candidate(ConstantGain(jnp.float32(20))), posed, 3)
+    away = np.linalg.norm(run.position_est - run.position, axis=1)
+    np.testing.assert_allclose(tracks.distance[3], away, rtol=1e-4, atol=1e-5)
+    assert np.abs(tracks.distance - tracks.position).max() > 0.01, "they are two things"
 
 
 def test_settling_is_the_last_time_outside(posed):
@@ -70,6 +80,7 @@ def test_rms_and_angles_are_in_degrees_and_metres(posed):
     )
     np.testing.assert_allclose(found.rms_attitude, 30, rtol=1e-6)
     np.testing.assert_allclose(found.rms_position, 0.25, rtol=1e-6)
+    np.testing.assert_allclose(found.rms_distance, 0.5, rtol=1e-6)
     np.testing.assert_allclose(found.initial_angle, 30, rtol=1e-6)
     np.testing.assert_allclose(bands.attitude, 30, rtol=1e-6)
 

@@ -63,6 +63,9 @@ def test_errors_against_the_reference() -> None:
     )
     np.testing.assert_allclose(made.attitude_distance, distance, rtol=1e-12)
     np.testing.assert_allclose(made.position_error, position, rtol=1e-12)
+    away = np.linalg.norm(T_est[:, :3, 3] - T[:, :3, 3], axis=1)
+    np.testing.assert_allclose(made.distance, away, rtol=1e-12)
+    assert (np.abs(away - position) > 0.1).any(), "they are two things"
     R_err = T_est[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
     angle = np.degrees(Rotation.from_matrix(R_err).magnitude())
     # Near 180 degrees the distance hardly depends on the angle: roundings of 1e-16 show as 1e-7.

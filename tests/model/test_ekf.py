@@ -183,10 +183,11 @@ def test_all_simulations_are_the_same_steps() -> None:
         window=jnp.ones(count, bool),
         position=jnp.asarray(0.2),
     )
-    runs = []
+    runs, places = [], []
     for _ in range(2):
         m = as_arrays(random_measurements(rng, count, 1, 0, missing=0.2), np.float64)
         truth, T = random_poses(rng, count), random_poses(rng, 1)[0]
+        places.append(truth[:, :3, 3])
         samples = jitted_samples(m, truth[:, :3, :3], truth[:, :3, 3])
         runs.append((samples, started(T, np.zeros(6), 0)))
     noises = [noise_of(PLAIN), noise_of(replace(PLAIN, vector=0.4, pose=2 * PLAIN.pose))]
@@ -205,6 +206,9 @@ def test_all_simulations_are_the_same_steps() -> None:
             np.testing.assert_allclose(together[i, j], alone, rtol=1e-10)
             assert np.isnan(track.gain).all()
         estimates, state = run_ekf(samples, initial, noises[0]), ekf_start(initial, noises[0])
+        away = np.linalg.norm(np.asarray(estimates.position) - places[i], axis=1)
+        track = errors_of(samples, initial, noises[0])
+        np.testing.assert_allclose(track.distance, away, atol=1e-10)
         for k in range(count):
             np.testing.assert_allclose(estimates.rotation[k], state.estimate.rotation, atol=1e-10)
             np.testing.assert_allclose(estimates.position[k], state.estimate.position, atol=1e-10)

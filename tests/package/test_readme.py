@@ -14,14 +14,18 @@ TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_the_example_runs_and_is_short(tmp_path, monkeypatch):
+def test_the_example_runs_and_is_short(tmp_path, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
-    assert len([line for line in code.splitlines() if line.strip()]) <= 15
+    assert len([line for line in code.splitlines() if line.strip()]) <= 20
     small = tmp_path / "tiny.toml"
     small.write_text(config.to_toml(tiny()), encoding="utf-8")
     names: dict = {}
     exec(code.replace('"quick"', repr(str(small))), names)  # the README's own text
-    assert names["estimates"].rotation.shape == (500, 3, 3)
+    # It converges, and shows it; a smaller search than the README's comes less near.
+    error = names["error"]
+    assert error[0] == pytest.approx(120)
+    assert error[-1] < 1
+    assert capsys.readouterr().out.endswith(f"from 120 to {error[-1]:.2f} degrees\n")
 
 
 def test_files_that_it_names_exist():

@@ -67,6 +67,100 @@ def test_a_mapping_names_the_columns(tmp_path: Path) -> None:
         Recording.from_csv(path, columns, time_unit="h")
 
 
+def sighted(folder: Path, *, more: str = "", head: str = "l3_x,l3_y,l3_z") -> Path:
+    """A CSV file with a vector and a landmark under the usual names."""
+    path = folder / "flight.csv"
+    path.write_text(
+        f"time,wx,wy,wz,vx,vy,vz,v0_x,v0_y,v0_z,{head},pressure\n"
+        "0,0,0,0,1,0,0,0,0,1,2,3,4,9\n"
+        "0.1,0,0,0,1,0,0,0,0,1,,,,9\n"
+    )
+    if more:
+        path.with_name("flight.csv.toml").write_text(more)
+    return path
+
+
+REFERENCES = "vector_references = [[0, 0, 1]]\nlandmark_references = [[5, 6, 7]]\n"
+
+
+def test_vectors_and_landmarks_have_usual_names_and_references_beside_the_file(
+    tmp_path: Path,
+) -> None:
+    recording = Recording.read(sighted(tmp_path, more=REFERENCES))
+    m = recording.measurements
+    np.testing.assert_array_equal(m.vectors[:, 0], [[0, 0, 1], [0, 0, 1]])
+    np.testing.assert_array_equal(m.vector_references[0], [[0, 0, 1]])
+    np.testing.assert_array_equal(m.landmarks[0, 0], [2, 3, 4])
+    np.testing.assert_array_equal(m.landmark_references[0], [[5, 6, 7]])
+    assert m.landmark_weights[1, 0] == 0  # an empty cell is not seen
+    assert recording.notes == ("columns that nothing is made of: pressure",)
+    # What Python says goes before it.
+    other = Recording.from_csv(tmp_path / "flight.csv", landmark_references=[[1, 1, 1]])
+    np.testing.assert_array_equal(other.measurements.landmark_references[0], [[1, 1, 1]])
+
+
+def test_the_file_beside_it_may_name_the_columns_and_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t;gx;gy;gz;mx;my;mz\n0;1;2;3;0;1;0\n1000;1;2;3;0;1;0\n")
+    path.with_name("a.csv.toml").write_text(
+        'time_unit = "ms"\ndelimiter = ";"\nvector_references = [[0, 1, 0]]\n'
+        "start = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0]]\n"
+        '[columns]\ntime = "t"\nangular_velocity = ["gx", "gy", "gz"]\n'
+        'vectors = [["mx", "my", "mz"]]\n'
+    )
+    recording = Recording.read(path)
+    np.testing.assert_array_equal(recording.time, [0, 1])
+    np.testing.assert_array_equal(recording.measurements.vectors[1], [[0, 1, 0]])
+    assert isinstance(recording.start, Start)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (
+            "",
+            r"nothing says where they point; allowed: the line vector_references = \[\[x, y, z\]\]",
+        ),
+        ("vector_references = [[0, 0, 1]]", "nothing says where they are; allowed: the line land"),
+        ("references = 1", "'references'; allowed: columns, time_unit"),
+        ("time_unit = 1", "time_unit = 1; allowed: a text"),
+        ("columns = 1", "columns = 1; allowed: a table"),
+        ("[columns]\nlandmark = 'a'", "columns.landmark; allowed: time, "),
+        ("[columns]\ntime = [3]", r"columns.time = \[3\]; allowed: names of columns"),
+        ("[columns]\ntime = 'time'", "columns: lacks angular_velocity"),
+        ("columns = [", "not valid TOML"),
+        (REFERENCES.replace("[[5, 6, 7]]", "[[5, 6]]"), "landmark_references"),
+    ],
+)
+def test_what_the_file_beside_it_lacks_or_may_not_say(
+    tmp_path: Path, more: str, words: str
+) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        Recording.read(sighted(tmp_path, more=more))
+
+
+def test_a_landmark_has_three_columns(tmp_path: Path) -> None:
+    with pytest.raises(
+        RecordingError, match="lacks l0_y, l0_z, l1_x; landmarks have three columns each"
+    ):
+        Recording.read(sighted(tmp_path, head="l0_x,l1_y,l1_z", more=REFERENCES))
+
+
+def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) -> None:
+    path = tmp_path / "drone.csv"
+    path.write_text("time,wx,wy,wz,vx,vy,vz,beacon_x\n0,0,0,0,1,0,0,0\n0.1,0,0,0,1,0,0,0\n")
+    recording = Recording.read(path)
+    words = (
+        "drone: has no vectors and no landmarks, so that nothing corrects an estimate "
+        r"\(columns that nothing is made of: beacon_x\); allowed in a CSV file: columns v0_x .* "
+        r"drone.csv.toml"
+    )
+    with pytest.raises(RecordingError, match=words):
+        recording.initial()
+    with pytest.raises(RecordingError, match=words):
+        recording.check_seen()
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -223,8 +223,12 @@ def test_one_vector_alone_turns_the_start_as_little_as_it_can() -> None:
 def test_a_start_needs_what_it_is_made_of() -> None:
     nothing = {name: None for name in motion() if "vector" in name or "landmark" in name}
     blind = Recording.from_arrays(**motion(**nothing))
-    with pytest.raises(RecordingError, match="no vector and no two landmarks"):
+    with pytest.raises(RecordingError, match="has no vectors and no landmarks"):
         blind.initial()
+    one = {"landmarks": np.ones((2, 1, 3)), "landmark_references": [[1, 1, 1]]}
+    still = {"time_step": 0.1, "angular_velocity": np.zeros((2, 3)), "velocity": np.zeros((2, 3))}
+    with pytest.raises(RecordingError, match=r"no vector and no two landmarks .* FILE.csv.toml"):
+        Recording.from_arrays(**still, **one).initial()
     moving = motion(start="rest")
     moving["phases"]["rest"] = ~moving["phases"]["rest"]
     with pytest.raises(RecordingError, match="begins in motion"):

@@ -26,7 +26,15 @@ from posegsa import config
 from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import style as figure_style
-from posegsa.judging.evaluation import CONSTANT, CONTENDERS, EKF, OPEN_LOOP, SWITCH, TUNED
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    CONTENDERS,
+    EKF,
+    EKF_VECTORS,
+    OPEN_LOOP,
+    SWITCH,
+    TUNED,
+)
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
 from posegsa.report.words import filter_words, verdict
@@ -108,9 +116,10 @@ def test_the_table_of_behaviour_is_the_evaluation():
             *(np.mean(m.transient), np.mean(m.steady)),
             *(np.median(m.settling_attitude), np.median(m.settling_position)),
             *(np.mean(m.rms_attitude), 100 * np.mean(m.rms_position)),
+            100 * np.mean(m.rms_distance),
             *(np.mean(m.bias_angular), np.mean(m.bias_linear)),
         ]
-        digits = np.array([2, 2, 2, 2, 2, 1, 3, 3])
+        digits = np.array([2, 2, 2, 2, 2, 1, 1, 3, 3])
         shown = [values(cell)[0] for cell in cells]
         assert (np.abs(np.subtract(shown, expected)) <= 0.51 * 10.0**-digits).all()
 
@@ -170,6 +179,30 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     assert "take the constant gain of 53.5 1/s" in text
     assert "the function mine.cost" in text
     assert "posegsa evaluate RUN" not in page().text
+
+
+def test_it_says_which_other_filters_do_better():
+    given = changed(evaluation(), TUNED, cost=np.linspace(10, 12, 40))
+    for name in CONTENDERS[1:]:
+        given = changed(given, name, cost=np.linspace(13, 14, 40))
+    text = page(result(evaluation=given)).text
+    assert "Other filters do better" not in text
+    assert "The schedule pays" in text
+    # Rarely far worse, so that only its median is lower.
+    rare = np.linspace(9, 10, 40)
+    rare[-3:] = 500
+    given = changed(given, EKF_VECTORS, cost=rare)
+    text = page(result(evaluation=given)).text
+    assert "invariant EKF, vector biases: a lower median (9.50 against 11.00)." in text
+    assert "The schedule pays" in text
+    assert "look at the medians: invariant EKF, vector biases has a lower one" in text
+    given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
+    found = page(result(evaluation=given))
+    assert "best open-loop gains: 1.25 less on average (95 % interval 1.20 to 1.30)" in found.text
+    assert "The schedule pays" not in found.text
+    assert "Better here by the mean: best open-loop gains. Gains by the clock" in found.text
+    assert "posegsa export RUN --format c" in found.texts, "as code"
+    assert "RUN is the folder of this page." in found.text
 
 
 def test_where_nothing_is_worse_nothing_is_said_and_without_figures_no_box_is_left():
@@ -328,6 +361,7 @@ def test_what_was_tuned_too_is_shown_with_its_bounds():
     found = page(result(*settings, also={"filter.gamma": 2.345678}))
     (row,) = found.table("What was tuned beside k1 to k22")[1:]
     assert row[0] == "filter.gamma"
+    assert "Tuned , and so other than listed: gamma = 2.346." in found.text
     assert values(row[1]) == [pytest.approx(2.345678, rel=1e-3)]
     assert not any(caption.startswith("What was tuned") for caption in page().tables)
 
@@ -340,7 +374,7 @@ def test_endurance_is_shown_by_windows_and_warned_of():
     shown = [[values(cell)[0] for cell in row] for row in rows]
     np.testing.assert_allclose(
         shown,
-        [[begin, end, a, ac, p, pc] for begin, end, a, p, ac, pc in given.rows()],
+        [[begin, end, a, ac, p, pc, d, dc] for begin, end, a, p, d, ac, pc, dc in given.rows()],
         atol=0.0051,
     )
     assert any(a.get("class") == "warnings" for _, a in found.elements)

@@ -104,6 +104,11 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         "gain.smoothing",
         "gain.error_scale",
     ]
+    # Those of the configuration for landmarks are nobody's own either.
+    kept = with_effect_on(config.load("landmarks"), vectors=0, landmarks=3, schedule="constant")
+    assert [one.key for one in kept.also] == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
+    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks .* or a fuzzy or smooth gain"):
+        with_effect_on(also("gain.smoothing"), vectors=1, landmarks=0, schedule="constant")
     for key, schedule in (
         ("scenario.landmarks.0.weight", "fuzzy"),
         ("scenario.vectors.1.weight", "fuzzy"),

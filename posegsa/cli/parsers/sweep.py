@@ -30,7 +30,8 @@ def add(commands) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=A,B,...",
-        help="values of a key, e.g. filter.gamma=1,5,10; may be given again, for every combination",
+        help="values of a key, e.g. filter.gamma=1,5,10; may be given again, for every "
+        "combination; what is set so is not searched",
     )
     add_count(parser, "--seeds", 1, "searches of each, with the seeds from run.seed on")
     parser.add_argument(

@@ -24,7 +24,8 @@ def add(commands) -> None:
         "tune",
         help="tune a gain schedule and judge it on unseen scenarios",
         description="Tunes a gain schedule and judges it on scenarios it was not tuned on. Writes "
-        f"{FILES}, figures/ to a folder.",
+        f"{FILES}, figures/ to a folder; on recordings (--recording) recorded.json and "
+        "recorded.txt instead.",
     )
     add_search_arguments(
         parser,

@@ -1,0 +1,94 @@
+"""What a TOML file beside a CSV file says of it, such as where its landmarks are.
+
+A CSV file holds what was measured, not what is known of the surroundings. `flight.csv.toml` beside
+`flight.csv` says that, so that a shell can name the recording by one path:
+
+    vector_references = [[0, 0, 1], [1, 0, 0]]
+    landmark_references = [[4, 0, 1], [0, 4, 1], [-4, 0, 2]]
+
+With `columns` it says what the columns are called, as `Recording.from_csv` takes it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from posegsa.config.reading import read_toml
+from posegsa.errors import ConfigError, RecordingError
+from posegsa.recordings.table import COLUMNS
+
+OF_THE_TABLE = "columns", "time_unit", "delimiter"
+"""Keys that say how the CSV file is read."""
+ARGUMENTS = (
+    *("vector_references", "vector_weights"),
+    *("landmark_references", "landmark_weights"),
+    "start",
+)
+"""Keys that are arguments of `Recording.from_arrays`."""
+COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks")
+
+
+def path_beside(path: Path) -> Path:
+    """Where the TOML file of a CSV file is, if there is one."""
+    return path.with_name(f"{path.name}.toml")
+
+
+def read_beside(path: Path) -> dict[str, Any]:
+    """What the TOML file beside a CSV file says; nothing without one.
+
+    Raises:
+        RecordingError: It cannot be read, or says what it may not.
+    """
+    beside = path_beside(path)
+    if not beside.is_file():
+        return {}
+    try:
+        said = read_toml(beside)
+    except ConfigError as error:
+        raise RecordingError(str(error)) from None
+    allowed = (*OF_THE_TABLE, *ARGUMENTS)
+    for key in said:
+        if key not in allowed:
+            raise RecordingError(f"{beside}: {key!r}; allowed: {', '.join(allowed)}")
+    for key in ("time_unit", "delimiter"):
+        if key in said and not isinstance(said[key], str):
+            raise RecordingError(f"{beside}: {key} = {said[key]!r}; allowed: a text")
+    if "columns" in said:
+        _check_columns(said["columns"], beside)
+    return said
+
+
+def check_references(path: Path, arguments: Mapping[str, Any]) -> None:
+    """Raise a RecordingError where vectors or landmarks of a CSV file have no references."""
+    for kind, what, unit in (("vector", "point", ""), ("landmark", "are", ", in m")):
+        measured = arguments.get(f"{kind}s")
+        if measured is None or arguments.get(f"{kind}_references") is not None:
+            continue
+        count = measured.shape[1]
+        example = ", ".join(["[x, y, z]"] * count)
+        raise RecordingError(
+            f"{path}: has columns of {kind}s, {count} in all, and nothing says where they {what}; "
+            f"allowed: the line {kind}_references = [{example}] in {path_beside(path)} (inertial "
+            f"frame{unit}), or in Python {kind}_references="
+        )
+
+
+def _check_columns(columns: object, beside: Path) -> None:
+    """Raise a RecordingError unless these are names of columns by argument."""
+    if not isinstance(columns, dict):
+        raise RecordingError(f"{beside}: columns = {columns!r}; allowed: a table, [columns]")
+    for argument, names in columns.items():
+        where = f"{beside}: columns.{argument}"
+        if argument not in COLUMN_ARGUMENTS:
+            raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}")
+        if not _are_names(names):
+            raise RecordingError(f"{where} = {names!r}; allowed: names of columns")
+    if missing := {"time", "angular_velocity"} - columns.keys():
+        raise RecordingError(f"{beside}: columns: lacks {', '.join(sorted(missing))}")
+
+
+def _are_names(value: object) -> bool:
+    """Whether it is a name, or a list of names, or of such lists, that is not empty."""
+    if isinstance(value, list):
+        return bool(value) and all(map(_are_names, value))
+    return isinstance(value, str)

@@ -1,0 +1,33 @@
+"""Whether a recording has anything that corrects an estimate: a vector or a landmark."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from posegsa.errors import RecordingError
+from posegsa.model.measurements import Measurements
+
+
+def check_something_is_seen(
+    name: str, measurements: Measurements, sensors: Collection[str], notes: tuple[str, ...]
+) -> None:
+    """Raise a RecordingError, which says how to go on, unless there is a vector or a landmark.
+
+    Args:
+        name: The recording's.
+        measurements: Its own.
+        sensors: Names of its raw signals.
+        notes: What a reader knows of it, such as columns that nothing was made of.
+    """
+    if np.shape(measurements.vectors)[1] or np.shape(measurements.landmarks)[1]:
+        return
+    told = f" ({'; '.join(notes)})" if notes else ""
+    imu = ""
+    if "accelerometer" in sensors:
+        imu = "; of accelerometer and magnetometer `posegsa replay imu` makes vectors"
+    raise RecordingError(
+        f"{name}: has no vectors and no landmarks, so that nothing corrects an estimate{told}; "
+        "allowed in a CSV file: columns v0_x v0_y v0_z of a vector and l0_x l0_y l0_z of a "
+        f"landmark, or others that {name}.csv.toml beside it names, in Python columns= of "
+        f"Recording.from_csv (docs/recordings.md){imu}"
+    )
