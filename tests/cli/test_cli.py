@@ -6,7 +6,6 @@ Where a process of its own is the point, in one: a whole run, a signal, the inst
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,8 +21,6 @@ from experiments import TINY
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.export import FORMATS
-from posegsa.judging.evaluation import CONTENDERS
-from posegsa.saving.run import load
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -153,32 +150,6 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--resume", "run", "--seed", "5"]) == 2
     assert "run.seed = 5" in capsys.readouterr().err
-
-
-@pytest.fixture
-def few_steps(monkeypatch):
-    """The Kalman filters' searches, cut short; their programs are those of `test_evaluate`."""
-    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 20)
-    monkeypatch.setattr("posegsa.judging.kalman.MOST", 20)
-
-
-@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps", "compile_fast")
-def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys):
-    folder = tmp_path / "run"
-    shutil.copytree(finished[0] / "posegsa-run", folder)
-    assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
-    said = capsys.readouterr()
-    for contender in CONTENDERS:
-        assert contender in said.out
-        assert contender in said.err, "long work says what it does"
-    assert "judging: done after" in said.err
-    evaluation = json.loads((folder / "evaluation.json").read_text())
-    assert evaluation["summary"]["scenarios"] == 5
-    assert evaluation["seed"] == 2
-    assert load(folder).evaluation.scenarios == 5
-    assert "invariant EKF" in (folder / "report.html").read_text()
-    assert (folder / "evaluation.txt").read_text().strip() in said.out
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

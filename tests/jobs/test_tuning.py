@@ -187,7 +187,6 @@ def test_the_summary_shows_training_beside_held_out(run):
         assert words in text
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_float64_is_one_setting_away(run):
     result = posegsa.tune(tiny("run.dtype=float64"))
     assert result.controller.output_terms.dtype == np.float64

@@ -13,10 +13,7 @@ from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune
 from posegsa.model.ekf import EkfNoise, ekf_errors
 from posegsa.search.keys import held_out_keys
 
-pytestmark = [
-    pytest.mark.usefixtures("compile_fast"),
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 TINY = tiny(
     *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),

@@ -21,6 +21,8 @@ from posegsa.search.build import tuning_problem
 from posegsa.search.population import LANES, PIECE, partition
 from posegsa.search.run import run_search
 
+pytestmark = pytest.mark.optimised
+
 OWN = ["search.agents=11", "run.training_scenarios=1"]
 """No number of devices here divides 11 agents."""
 
