@@ -43,7 +43,7 @@ def evaluated():
     """
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
-    patch.setattr(kalman, "MOST", 20)
+    patch.setattr(kalman, "MOST", 40)
     told: list[str] = []
     tuned = posegsa.tune(tiny())
     result = evaluate(tuned, scenarios=5, progress=told.append)

@@ -33,12 +33,13 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 
 @pytest.fixture(scope="module")
 def found():
-    """Two searches of one generation, on two scenarios."""
+    """Two searches of one generation, on two scenarios: the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
     patch.setattr(kalman, "MOST", 40)
-    one = quietly(TINY)
-    yield [tune_kalman(TINY, one, vector_biases=False) for _ in range(2)]
+    experiment = tiny()
+    one = quietly(experiment)
+    yield [tune_kalman(experiment, one, vector_biases=False) for _ in range(2)]
     patch.undo()
 
 
