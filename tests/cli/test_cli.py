@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import pytest
 from experiments import TINY
 
@@ -35,6 +36,8 @@ def posegsa(
         else [str(Path(sys.executable).with_name("posegsa"))]
     )
     environment = {k: v for k, v in os.environ.items() if compiled or k != "XLA_FLAGS"}
+    if compiled:
+        environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # as this file is compiled
     return subprocess.run(
         [*command, *arguments],
         cwd=cwd,
@@ -150,6 +153,27 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--resume", "run", "--seed", "5"]) == 2
     assert "run.seed = 5" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
+    joined = {}
+    monkeypatch.setattr("posegsa.cli.tune.join_processes", lambda **given: joined.update(given))
+    monkeypatch.setattr(jax, "process_index", lambda: 1)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
+    command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
+    command += SETTINGS
+    assert main(command) == 0
+    assert joined == {"coordinator": "127.0.0.1:9", "processes": 2, "process": 1}
+    assert not (tmp_path / "run").exists()
+    assert capsys.readouterr().out == ""
+
+
+def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    assert main(["tune", "--processes", "2"]) == 2
+    assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -17,10 +17,7 @@ from posegsa.judging.sweep import Sweep
 
 GAMMA = "filter.gamma"
 GAMMAS = [[2.0, 4.0], [5.0, 10.0]]
-pytestmark = [
-    pytest.mark.optimised,
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 
 @pytest.fixture(scope="module")
