@@ -7,6 +7,10 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+# Before NumPy and SciPy load: the threads of OpenBLAS wait for their share of a 4 x 4 matrix by
+# spinning, which took half the time of the tests against the reference.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 import jax
 import numpy as np
 import pytest
@@ -66,33 +70,27 @@ def dtype(request: pytest.FixtureRequest) -> Iterator[type[np.floating]]:
         yield request.param
 
 
-@pytest.fixture
-def compile_fast() -> Iterator[None]:
-    """Compile without most optimisations: what is run once need not be quick.
+@pytest.fixture(scope="module", autouse=True)
+def optimisation(request: pytest.FixtureRequest) -> None:
+    """Compile without most of LLVM's optimisations, except in a file that is marked `optimised`.
 
-    Only for programs that no other test has: they are found again whatever they were compiled with.
+    What a test runs for a moment need not be quick, and compiling it so takes twice the time. What
+    is compiled either way would be found again by the other files of a process, so it is forgotten
+    between them: once in a run, because the marked files come first.
     """
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
+    fast = request.node.get_closest_marker("optimised") is None
+    if jax.config.read("jax_disable_most_optimizations") != fast:
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", fast)
 
 
 WEEK = 7 * 24 * 3600
 """[s]"""
-HEAVY = ("test_tuning", "test_population", "test_gsa", "test_rollout", "test_filter")
-"""Begun first, so that no worker is left with one of them at the end."""
-COMPILED = ("test_cli", "test_evaluate", "test_devices", "test_report", "test_resume")
-"""What `test_tuning` compiles is needed here: begun when it is done."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put files in the order in which workers are to take them (`--no-loadscope-reorder`)."""
-
-    def rank(item: pytest.Item) -> int:
-        name = item.path.stem
-        return HEAVY.index(name) if name in HEAVY else len(HEAVY) + (name not in COMPILED)
-
-    items.sort(key=rank)
+    """Put the files that are marked `optimised` first (workers keep to the order)."""
+    items.sort(key=lambda item: item.get_closest_marker("optimised") is None)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -138,8 +138,8 @@ def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> F
     rng = np.random.default_rng(9)
 
     def vec3(size: float) -> se3.Vec3:
-        x, y, z = size * jnp.asarray(rng.normal(size=(3, *state.place[0].shape)))
-        return x, y, z
+        x, y, z = size * rng.normal(size=(3, *state.place[0].shape))
+        return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
 
     return state._replace(
         vector_biases=tuple(vec3(length / 3) for _ in range(count)), turning=vec3(0.5)

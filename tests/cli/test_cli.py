@@ -6,7 +6,6 @@ Where a process of its own is the point, in one: a whole run, a signal, the inst
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,14 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import pytest
 from experiments import TINY
 
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.export import FORMATS
-from posegsa.judging.evaluation import CONTENDERS
-from posegsa.saving.run import load
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -38,6 +36,8 @@ def posegsa(
         else [str(Path(sys.executable).with_name("posegsa"))]
     )
     environment = {k: v for k, v in os.environ.items() if compiled or k != "XLA_FLAGS"}
+    if compiled:
+        environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # as this file is compiled
     return subprocess.run(
         [*command, *arguments],
         cwd=cwd,
@@ -155,30 +155,25 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     assert "run.seed = 5" in capsys.readouterr().err
 
 
-@pytest.fixture
-def few_steps(monkeypatch):
-    """The Kalman filters' searches, cut short; their programs are those of `test_evaluate`."""
-    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 20)
-    monkeypatch.setattr("posegsa.judging.kalman.MOST", 20)
-
-
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps", "compile_fast")
-def test_evaluate_judges_a_finished_run(finished, tmp_path, capsys):
-    folder = tmp_path / "run"
-    shutil.copytree(finished[0] / "posegsa-run", folder)
-    assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
-    said = capsys.readouterr()
-    for contender in CONTENDERS:
-        assert contender in said.out
-        assert contender in said.err, "long work says what it does"
-    assert "judging: done after" in said.err
-    evaluation = json.loads((folder / "evaluation.json").read_text())
-    assert evaluation["summary"]["scenarios"] == 5
-    assert evaluation["seed"] == 2
-    assert load(folder).evaluation.scenarios == 5
-    assert "invariant EKF" in (folder / "report.html").read_text()
-    assert (folder / "evaluation.txt").read_text().strip() in said.out
+def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
+    joined = {}
+    monkeypatch.setattr("posegsa.cli.tune.join_processes", lambda **given: joined.update(given))
+    monkeypatch.setattr(jax, "process_index", lambda: 1)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
+    command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
+    command += SETTINGS
+    assert main(command) == 0
+    assert joined == {"coordinator": "127.0.0.1:9", "processes": 2, "process": 1}
+    assert not (tmp_path / "run").exists()
+    assert capsys.readouterr().out == ""
+
+
+def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    assert main(["tune", "--processes", "2"]) == 2
+    assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -44,7 +44,6 @@ def result(recordings: list[Recording]) -> RecordingResult:
     return posegsa.tune(config.from_dict(TINY), recordings=recordings[0], schedule="smooth")
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_other_filters_stand_beside_it_on_the_same_recordings(
     result: RecordingResult, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,7 +91,7 @@ def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps", "compile_fast")
+@pytest.mark.usefixtures("few_steps")
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     run: TuneResult, recordings: list[Recording]
 ) -> None:
@@ -160,7 +159,7 @@ def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps", "compile_fast")
+@pytest.mark.usefixtures("few_steps")
 def test_the_command_judges_runs_of_both_kinds(
     run: TuneResult,
     result: RecordingResult,

@@ -39,10 +39,7 @@ from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
 
-pytestmark = [
-    pytest.mark.usefixtures("compile_fast"),
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 SHORT = partial(
     tiny,

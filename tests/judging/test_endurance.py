@@ -28,7 +28,6 @@ def constant(gain: float) -> Candidate:
     return Candidate(ConstantGain(jnp.float32(gain)))
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_windows_double_and_errors_are_root_mean_squares() -> None:
     found = endurance(SHORT, constant(20), constant(3))
     np.testing.assert_allclose(found.begin, [0, 0.3, 0.6, 1.2])
@@ -54,7 +53,6 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
     assert found.position[-1] < 0.5 * found.constant_position[-1], "the gains differ"
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
     settings = ["run.endurance_times=3", "run.endurance_scenarios=1", "family.duration=[0.1, 0.2]"]
     found = endurance(config.override(SHORT, settings), constant(20), constant(3))

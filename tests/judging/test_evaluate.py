@@ -1,6 +1,7 @@
 """What `evaluate` says of a tiny run beside every baseline."""
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from experiments import tiny
 from scipy import stats
 
 import posegsa
+from posegsa.cli.command import main
 from posegsa.evaluating import evaluate
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import (
@@ -18,6 +20,7 @@ from posegsa.judging.evaluation import (
     CONTENDERS,
     EKF,
     EKF_VECTORS,
+    REPLAYED,
     TUNED,
     Evaluation,
     interval,
@@ -36,17 +39,14 @@ FILE = Path("evaluation.json")
 def evaluated():
     """A tiny run, evaluated against every baseline; the Kalman filters' searches are cut short.
 
-    As many scenarios as `tune` looks at: what has one shape is compiled once. Of what else is
-    compiled, most of all the Kalman filters, little is run.
+    As many scenarios as `tune` looks at: what has one shape is compiled once.
     """
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
-    patch.setattr(kalman, "MOST", 20)
+    patch.setattr(kalman, "MOST", 40)
     told: list[str] = []
     tuned = posegsa.tune(tiny())
-    jax.config.update("jax_disable_most_optimizations", True)
     result = evaluate(tuned, scenarios=5, progress=told.append)
-    jax.config.update("jax_disable_most_optimizations", False)
     yield tuned, result, told
     patch.undo()
 
@@ -78,6 +78,29 @@ def test_what_was_found_is_not_searched_again(evaluated):
         before = result.evaluation.contenders[name]
         assert contender.filter == before.filter
         np.testing.assert_array_equal(contender.metrics.cost, before.metrics.cost)
+
+
+def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, capsys):
+    """One baseline is still to be found."""
+    result, folder = evaluated[1], tmp_path / "run"
+    known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
+    before = dataclasses.replace(result.evaluation, contenders=known)
+    with monkeypatch.context() as patch:
+        patch.setattr("posegsa.saving.run.draw", lambda *_: {})
+        posegsa.save(dataclasses.replace(result, evaluation=before), folder)
+    assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
+    said = capsys.readouterr()
+    assert f"searching {REPLAYED} ..." in said.err
+    for contender in CONTENDERS:
+        assert contender in said.out
+        assert contender in said.err, "long work says what it does"
+    assert "judging: done after" in said.err
+    evaluation = json.loads((folder / "evaluation.json").read_text())
+    assert evaluation["summary"]["scenarios"] == 5
+    assert evaluation["seed"] == 2
+    assert posegsa.load(folder).evaluation.scenarios == 5
+    assert "invariant EKF" in (folder / "report.html").read_text()
+    assert (folder / "evaluation.txt").read_text().strip() in said.out
 
 
 def test_the_first_held_out_scenarios_are_those_that_tune_judged_on(evaluated):

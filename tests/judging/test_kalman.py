@@ -13,10 +13,7 @@ from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune
 from posegsa.model.ekf import EkfNoise, ekf_errors
 from posegsa.search.keys import held_out_keys
 
-pytestmark = [
-    pytest.mark.usefixtures("compile_fast"),
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 TINY = tiny(
     *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),
@@ -36,12 +33,13 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 
 @pytest.fixture(scope="module")
 def found():
-    """Two searches of one generation, on two scenarios."""
+    """Two searches of one generation, on two scenarios: the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
     patch.setattr(kalman, "MOST", 40)
-    one = quietly(TINY)
-    yield [tune_kalman(TINY, one, vector_biases=False) for _ in range(2)]
+    experiment = tiny()
+    one = quietly(experiment)
+    yield [tune_kalman(experiment, one, vector_biases=False) for _ in range(2)]
     patch.undo()
 
 

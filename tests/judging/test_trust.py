@@ -30,7 +30,6 @@ def test_with_the_gain_limit_a_result_is_not_sensitive(sound):
     assert not any("SENSITIVE" in w for w in sound.warnings())
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_without_it_the_chaos_is_marked():
     settings = ["filter.gain_limit=off", "filter.substeps=1", "search.optimiser=random_search"]
     # Boxes that only allow gains far over the stable ones.

@@ -91,7 +91,7 @@ def step(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
 jitted_step = jax.jit(step)
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("learnt", [0, 2], ids=["12 states", "18 states"])
 def test_agrees_with_the_matrix_form(learnt) -> None:
     """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
@@ -114,7 +114,7 @@ def test_agrees_with_the_matrix_form(learnt) -> None:
             state = jitted_step(state, jax.tree.map(lambda a, k=k: a[k], samples), noise)
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 def test_it_does_without_vectors() -> None:
     rng = np.random.default_rng(0)
     m = random_measurements(rng, 3, 0, 3)
@@ -129,7 +129,7 @@ def test_it_does_without_vectors() -> None:
     np.testing.assert_allclose(state.estimate.position, list(want)[-1].T[:3, 3], atol=1e-9)
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("size", [1e-9, 0.05, 0.2, 3.0])
 def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> None:
     rng = np.random.default_rng(5)
@@ -162,7 +162,7 @@ def test_the_reference_agrees_with_gtsam() -> None:
         np.testing.assert_allclose(theirs.covariance(), state.Sigma[:6, :6], rtol=0, atol=1e-10)
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 def test_a_step_is_the_same_jitted_and_not() -> None:
     rng = np.random.default_rng(1)
     m = as_arrays(random_measurements(rng, 1, 2, 1), np.float64)
@@ -172,7 +172,7 @@ def test_a_step_is_the_same_jitted_and_not() -> None:
     leaves_close(jitted_step(state, sample, noise), step(state, sample, noise), atol=1e-12)
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 def test_all_simulations_are_the_same_steps() -> None:
     """Scenarios and noises side by side, cost, errors, estimates: as the steps one by one."""
     rng = np.random.default_rng(2)
@@ -217,7 +217,7 @@ def test_all_simulations_are_the_same_steps() -> None:
             state = one_step(state, sample, noises[0])
 
 
-@pytest.mark.usefixtures("x64", "compile_fast")
+@pytest.mark.usefixtures("x64")
 def test_without_measurements_an_update_changes_nothing() -> None:
     rng = np.random.default_rng(3)
     m = random_measurements(rng, 1, 2, 1)
@@ -309,7 +309,6 @@ def watched(state: EkfState, samples: Samples, noise: EkfNoise) -> tuple[EkfStat
 starts = jax.jit(jax.vmap(ekf_start))
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
     """100 starts, biases and noises as the filter believes them: the mean NEES is of chi^2(6)."""
     noise = as_arrays(
@@ -326,7 +325,6 @@ def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
         assert low < mean[k] < high, (k, mean[k])
 
 
-@pytest.mark.usefixtures("compile_fast")
 def test_the_covariance_stays_positive_definite_in_float32() -> None:
     """Over 6000 steps, from wide beliefs, with sensors believed as they are to far too good."""
     wide = replace(

@@ -1,6 +1,7 @@
 """Scenario families: what is drawn, what is not touched, and that keys stay apart."""
 
 from dataclasses import fields, replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from builders import quietly
 from experiments import tiny
+from jax import Array
 
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
@@ -29,6 +31,29 @@ SHORT = Experiment(
     cost=config.CostConfig(transient_window=(0, 5), steady_window=(10, 19)),
 )
 
+OUTAGES = Outages(rate=0.1, duration=(1.0, 5.0))
+BURSTS = BurstsConfig(rate=0.2, duration=(0.5, 2.0), size=0.7)
+EVERYTHING = {
+    "attitude_error": (0.0, 180.0),
+    "position_error": (0.0, 10.0),
+    "bias_scale": (0.0, 2.0),
+    "noise_scale": (0.5, 2.0),
+    "landmark_spread": 1.0,
+    "motion_scale": (0.5, 2.0),
+    "vector_bias": 0.1,
+    "landmark_bias": 0.2,
+    "angular_velocity_drift": (0.0, 0.01),
+    "velocity_drift": (0.1, 0.2),
+    "outages": OUTAGES,
+    "bursts": BURSTS,
+    "landmark_interval": (0.02, 0.2),
+    "rest": (5.0, 15.0),
+    "duration": (10.0, 60.0),
+    "random_phase": True,
+}
+"""Every setting that varies something; the rest of the section says how."""
+COUNT = 2000
+
 one_drawn, draw_many = (
     jax.jit(draw_scenario),
     jax.jit(jax.vmap(draw_scenario, in_axes=(None, None, 0))),
@@ -48,9 +73,18 @@ def varied(dtype: str = "float32", **settings) -> Family:
     )
 
 
-def drawn(base, count: int = 200, **settings):
-    """Many scenarios of a family, leaves (count, ...)."""
-    return draw_many(base, varied(**settings), scenario_keys(jax.random.key(0), count))
+@cache
+def many_keys() -> Array:
+    return scenario_keys(jax.random.key(0), COUNT)
+
+
+def drawn(base, **settings) -> Scenario:
+    """Many scenarios of a family, arrays (COUNT, ...), in which everything else varies too.
+
+    So all of them are drawn by one program.
+    """
+    many = draw_many(base, varied(**{**EVERYTHING, **settings}), many_keys())
+    return jax.tree.map(np.asarray, many)
 
 
 def initial_angles(scenarios) -> np.ndarray:
@@ -77,8 +111,8 @@ def test_initial_angles_fill_their_range(base):
 
 
 def test_the_axis_of_the_initial_error_has_no_direction(base):
-    scenarios = drawn(base, 2000, attitude_error=(90.0, 90.0))
-    R_err = np.asarray(scenarios.rotation_estimate @ jnp.swapaxes(scenarios.rotation, -1, -2))
+    scenarios = drawn(base, attitude_error=(90.0, 90.0))
+    R_err = scenarios.rotation_estimate @ np.swapaxes(scenarios.rotation, -1, -2)
     axis = np.stack([R_err[:, 2, 1] - R_err[:, 1, 2], R_err[:, 0, 2] - R_err[:, 2, 0]]) / 2
     # Means of 2000 coordinates of unit vectors: standard deviation 0.013.
     assert np.abs(axis.mean(axis=1)).max() < 0.05
@@ -86,8 +120,8 @@ def test_the_axis_of_the_initial_error_has_no_direction(base):
 
 def test_initial_position_errors_fill_their_range(base):
     scenarios = drawn(base, position_error=(1.0, 10.0), attitude_error=(0.0, 180.0))
-    R_err = scenarios.rotation_estimate @ jnp.swapaxes(scenarios.rotation, -1, -2)
-    moved = jnp.einsum("sij,sj->si", R_err, scenarios.position)
+    R_err = scenarios.rotation_estimate @ np.swapaxes(scenarios.rotation, -1, -2)
+    moved = np.einsum("sij,sj->si", R_err, scenarios.position)
     length = np.linalg.norm(scenarios.position_estimate - moved, axis=-1)
     assert length.min() >= 1 - 1e-5
     assert length.max() <= 10 + 1e-5
@@ -101,7 +135,6 @@ def test_scales_spread_and_phases(base):
         noise_scale=(0.5, 2.0),
         motion_scale=(0.5, 2.0),
         landmark_spread=0.5,
-        random_phase=True,
     )
     for name in ("bias", "angular_noise", "vector_noise", "landmark_noise"):
         before, after = np.asarray(getattr(base, name)), np.asarray(getattr(scenarios, name))
@@ -116,27 +149,6 @@ def test_scales_spread_and_phases(base):
     assert np.std(np.asarray(scenarios.angular_velocity.phase)[:, 0, 0]) > 1
 
 
-OUTAGES = Outages(rate=0.1, duration=(1.0, 5.0))
-BURSTS = BurstsConfig(rate=0.2, duration=(0.5, 2.0), size=0.7)
-EVERYTHING = {
-    "attitude_error": (0.0, 180.0),
-    "position_error": (0.0, 10.0),
-    "bias_scale": (0.0, 2.0),
-    "noise_scale": (0.5, 2.0),
-    "landmark_spread": 1.0,
-    "motion_scale": (0.5, 2.0),
-    "vector_bias": 0.1,
-    "landmark_bias": 0.2,
-    "angular_velocity_drift": (0.0, 0.01),
-    "velocity_drift": (0.1, 0.2),
-    "outages": OUTAGES,
-    "bursts": BURSTS,
-    "landmark_interval": (0.02, 0.2),
-    "rest": (5.0, 15.0),
-    "duration": (10.0, 60.0),
-    "random_phase": True,
-}
-"""Every setting that varies something; the rest of the section says how."""
 CHANGED = {
     "attitude_error": ("rotation_estimate",),
     "bias_scale": ("bias",),
@@ -207,7 +219,7 @@ def test_after_its_end_a_scenario_counts_no_more() -> None:
 
 
 def test_outages_come_at_random_and_last_as_long_as_they_may(base):
-    windows = np.asarray(drawn(base, outages=OUTAGES).vector_outages, np.float64)
+    windows = np.asarray(drawn(base).vector_outages, np.float64)
     lengths = windows[..., 1] - windows[..., 0]
     assert lengths.min() >= 1 - 1e-3
     assert lengths.max() <= 5 + 1e-3
@@ -239,7 +251,7 @@ def test_nothing_happens_at_a_rate_of_zero(base):
 
 
 def test_bursts_hit_one_vector_in_any_direction_with_their_size(base):
-    bursts = drawn(base, bursts=BURSTS).bursts
+    bursts = drawn(base).bursts
     np.testing.assert_allclose(np.linalg.norm(bursts.offset, axis=-1), 0.7, rtol=1e-5)
     count = bursts.vector.size
     assert np.mean(bursts.vector) == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(count))
@@ -249,12 +261,12 @@ def test_bursts_hit_one_vector_in_any_direction_with_their_size(base):
 
 
 def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):
-    scenarios = drawn(base, 400, **EVERYTHING, rest_share=0.3)
+    scenarios = drawn(base, rest_share=0.3)
     for name, deviation in (("vector_bias", 0.1), ("landmark_bias", 0.2)):
         bias = np.asarray(getattr(scenarios, name))
-        assert bias.shape == (400, *np.shape(getattr(base, name)))
+        assert bias.shape == (COUNT, *np.shape(getattr(base, name)))
         assert bias.std() == pytest.approx(deviation, rel=5 / np.sqrt(2 * bias.size))
-        assert np.abs(bias.mean(axis=0)).max() < 5 * deviation / np.sqrt(400)
+        assert np.abs(bias.mean(axis=0)).max() < 5 * deviation / np.sqrt(COUNT)
     drift = np.asarray(scenarios.bias_drift)
     np.testing.assert_array_equal(drift[:, [0, 3]], drift[:, [2, 5]])  # one for all three axes
     period, end = np.asarray(scenarios.landmark_period), np.asarray(scenarios.end)
@@ -269,7 +281,7 @@ def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):
     rest = np.asarray(scenarios.rest)[:, -1]
     assert (rest[:, 0] == 0).all()
     resting = rest[:, 1] > 0
-    assert resting.mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.3 * 0.7 / 400))
+    assert resting.mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.3 * 0.7 / COUNT))
     assert 5 <= rest[resting, 1].min() < 6
     assert 14 < rest[resting, 1].max() <= 15
 
@@ -286,10 +298,9 @@ def test_a_key_means_the_same_scenario_in_both_precisions(base):
 
 def test_vmap_equals_a_loop(base):
     chosen = varied(**EVERYTHING)
-    many = scenario_keys(jax.random.key(2), 3)
-    together = draw_many(base, chosen, many)
-    for i in range(3):
-        alone = one_drawn(base, chosen, many[i])
+    together = drawn(base)
+    for i in (0, 1, COUNT - 1):
+        alone = one_drawn(base, chosen, many_keys()[i])
         for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
             np.testing.assert_allclose(a, b[i], rtol=1e-6, atol=1e-6)
 

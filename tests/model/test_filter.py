@@ -48,14 +48,17 @@ from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings, signal_settings
 
+COUNT = 30
+"""States that are stepped at once; of one number wherever it does not matter: one program."""
+
 # One step against the reference ------------------------------------------------------------------
 
 
 def check_against_reference(
     vectors: int, landmarks: int, missing: float = 0.3, **options: Any
 ) -> None:
-    """15 random states, each with its own measurements, weights, time step and gain."""
-    count, rng = 15, np.random.default_rng(vectors + 10 * landmarks)
+    """Random states, each with its own measurements, weights, time step and gain."""
+    count, rng = COUNT, np.random.default_rng(vectors + 10 * landmarks)
     raw = random_measurements(rng, count, vectors, landmarks, missing)
     T, b, state = random_estimates(rng, count)
     # With limit 1.5 the largest of these gains are cut, the smallest not.
@@ -106,11 +109,11 @@ def test_a_step_is_the_references_for_any_number_of_vectors_and_landmarks(
 @pytest.mark.usefixtures("x64")
 def test_a_sample_without_measurements_only_moves_by_the_velocity() -> None:
     rng = np.random.default_rng(0)
-    raw = random_measurements(rng, 30, 2, 2, missing=1.0)
-    T, b, state = random_estimates(rng, 30)
-    gain = jnp.full(30, 20.0)
+    raw = random_measurements(rng, COUNT, 2, 1, missing=1.0)
+    T, b, state = random_estimates(rng, COUNT)
+    gain = np.full(COUNT, 20.0)
     after, used = jitted_observe(state, jitted_prepare(as_arrays(raw, float)), gain, settings())
-    for k in range(30):
+    for k in range(COUNT):
         Y = np.concatenate([raw.angular_velocity[k], raw.velocity[k]])
         moved = T[k] @ reference.se3_exp((Y - b[k]) * raw.time_step[k])
         np.testing.assert_allclose(matrices(after)[k], moved, atol=1e-13)
@@ -121,7 +124,7 @@ def test_a_sample_without_measurements_only_moves_by_the_velocity() -> None:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_the_gain_used_is_the_least_of_gain_and_limit_averaged_over_substeps(substeps) -> None:
-    count, rng = 15, np.random.default_rng(0)
+    count, rng = COUNT, np.random.default_rng(0)
     raw = random_measurements(rng, count, 2, 1)
     T, b, state = random_estimates(rng, count)
     gains = 10 ** rng.uniform(-0.5, 2.5, count)
@@ -294,10 +297,10 @@ def test_an_estimated_bias_is_never_longer_than_its_bound() -> None:
 @pytest.mark.usefixtures("x64")
 def test_the_estimated_bias_of_a_missing_vector_stays() -> None:
     rng = np.random.default_rng(0)
-    m = as_arrays(random_measurements(rng, 30, 3, 2, missing=0.5), np.float64)
-    state = with_vector_biases(random_estimates(rng, 30)[2], 3, length=0.1)
+    m = as_arrays(random_measurements(rng, COUNT, 3, 2, missing=0.5), np.float64)
+    state = with_vector_biases(random_estimates(rng, COUNT)[2], 3, length=0.1)
     chosen = learning(leak=0.2, excitation=1e-3)
-    after, _ = jitted_observe(state, prepared_for(m, chosen), jnp.full(30, 5.0), chosen)
+    after, _ = jitted_observe(state, prepared_for(m, chosen), np.full(COUNT, 5.0), chosen)
     missing = np.asarray(m.vector_weights) == 0
     before, now = np.asarray(state.vector_bias), np.asarray(after.vector_bias)
     np.testing.assert_array_equal(now[missing], before[missing])
@@ -306,7 +309,7 @@ def test_the_estimated_bias_of_a_missing_vector_stays() -> None:
 
 @pytest.mark.usefixtures("x64")
 def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
-    m, _, state = random_samples(30)
+    m, _, state = random_samples(COUNT)
     state = with_vector_biases(state, 3, length=0.1)
     # The measured angular velocity is its bias, and always was.
     omega = np.array(state.bias)[:, :3]
@@ -314,19 +317,19 @@ def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
     x, y, z = jnp.asarray(omega.T)
     state = state._replace(turning=(x, y, z))
     chosen = learning()
-    still, _ = jitted_observe(state, prepared_for(m, chosen), jnp.full(30, 5.0), chosen)
+    still, _ = jitted_observe(state, prepared_for(m, chosen), np.full(COUNT, 5.0), chosen)
     np.testing.assert_allclose(still.vector_bias, state.vector_bias, rtol=0, atol=1e-15)
     # With a leak it is forgotten.
     forgets = learning(leak=0.5)
-    leaked, _ = jitted_observe(state, prepared_for(m, forgets), jnp.full(30, 5.0), forgets)
+    leaked, _ = jitted_observe(state, prepared_for(m, forgets), np.full(COUNT, 5.0), forgets)
     kept = (1 - 0.5 * np.asarray(m.time_step))[:, None, None]
     np.testing.assert_allclose(leaked.vector_bias, kept * state.vector_bias, rtol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
 def test_a_unit_of_length_is_the_same_observer_run_in_that_unit() -> None:
-    metres, (m, _, state) = 3.7, random_samples(30)
-    K = jnp.geomspace(0.5, 200.0, 30)
+    metres, (m, _, state) = 3.7, random_samples(COUNT)
+    K = np.geomspace(0.5, 200.0, COUNT)
     in_metres = settings(gamma_law="quadratic", substeps=2)
     in_metres = replace(in_metres, length=jnp.asarray(metres))
     found, used = jitted_observe(state, jitted_prepare(m), K, in_metres)
@@ -448,11 +451,11 @@ def prepared_for(m: Measurements, chosen: FilterSettings) -> Sample:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("learns", [False, True])
 def test_jit_equals_eager(learns) -> None:
-    m, _, state = random_samples(5)
+    m, _, state = random_samples(COUNT)
     chosen = settings()
     if learns:
         state, chosen = with_vector_biases(state, 3), learning(leak=0.1)
-    inputs = (state, prepared_for(m, chosen), jnp.linspace(1.0, 40.0, 5), chosen)
+    inputs = (state, prepared_for(m, chosen), np.linspace(1.0, 40.0, COUNT), chosen)
     leaves_close(jitted_observe(*inputs), observed(*inputs), atol=1e-12)
 
 
@@ -490,17 +493,16 @@ def test_float32_stays_float32(wide, gain_limit) -> None:
 
 def test_float32_agrees_with_float64_to_rounding() -> None:
     rng = np.random.default_rng(0)
-    raw, (T, b, _) = random_measurements(rng, 30, 2, 2), random_estimates(rng, 30)
+    raw, (T, b, _) = random_measurements(rng, COUNT, 2, 1), random_estimates(rng, COUNT)
+    inputs = (raw, T[:, :3, :3], T[:, :3, 3], b, np.linspace(1, 40, COUNT))
 
-    @jax.jit
-    def result(m: Measurements, T: Array, b: Array, gain: Array) -> Any:
-        state = initial_state(T[:, :3, :3], T[:, :3, 3], b)
-        return observed(state, prepared(m), gain, settings(gain.dtype))
+    def result(dtype: type[np.floating]) -> Any:
+        m, R, P, b, gain = as_arrays(inputs, dtype)
+        return jitted_observe(jitted_state(R, P, b), jitted_prepare(m), gain, settings(dtype))
 
-    inputs = (raw, T, b, np.linspace(1, 40, 30))
-    single = result(*as_arrays(inputs, np.float32))
+    single = result(np.float32)
     with jax.enable_x64(True):
-        double = result(*as_arrays(inputs, np.float64))
+        double = result(np.float64)
     # Numbers up to 40 (gains), with some tens of operations on them.
     leaves_close(single, double, rtol=1e-5, atol=1e-5)
 
@@ -541,7 +543,7 @@ def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(
 @pytest.mark.usefixtures("x64")
 @given(seed=st.integers(0, 2**31))
 def test_the_attitude_stays_a_rotation(seed) -> None:
-    m, _, state = random_samples(5, seed)
-    after, _ = jitted_observe(state, jitted_prepare(m), jnp.full(5, 20.0), settings())
+    m, _, state = random_samples(COUNT, seed)
+    after, _ = jitted_observe(state, jitted_prepare(m), np.full(COUNT, 20.0), settings())
     norm = np.linalg.norm(np.stack(after.attitude), axis=0)
-    np.testing.assert_allclose(norm, np.ones(5), rtol=1e-14)
+    np.testing.assert_allclose(norm, np.ones(COUNT), rtol=1e-14)

@@ -41,8 +41,6 @@ from posegsa.model.signal import (
 )
 from posegsa.search.build import signal_settings
 
-pytestmark = pytest.mark.quick
-
 N = 60
 
 

@@ -189,7 +189,6 @@ SMALL = [
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("compile_fast")
 def test_gradients_of_the_filter_against_central_differences() -> None:
     # One step of Adam on an experiment: its first moment is (1 - beta1) times the gradient.
     with jax.enable_x64(True):

@@ -26,6 +26,8 @@ from posegsa.optimisers import (
     tell,
 )
 
+pytestmark = pytest.mark.optimised
+
 SWARM, TARGET, KEY = (
     ParticleSwarm(agents=6, iterations=40),
     box([-1, -2], [1, 3]),

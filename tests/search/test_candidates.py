@@ -27,10 +27,7 @@ from posegsa.search.keys import scenario_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import run_search, search_batch
 
-pytestmark = [
-    pytest.mark.usefixtures("compile_fast"),
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 LEARNING = paper("filter.vector_bias=estimated", *lasting(0.3))
 PAIR = config.override(

@@ -1,4 +1,4 @@
-"""A search on several devices and in several processes: the same bits as on one."""
+"""A search on several devices, in several processes and in a batch: the same bits as alone."""
 
 import os
 import socket
@@ -13,13 +13,14 @@ from experiments import TINY, tiny
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.search import devices
 from posegsa.search import run as search
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import LANES, PIECE, partition
-from posegsa.search.run import run_search
+from posegsa.search.run import run_search, search_batch
+
+pytestmark = pytest.mark.optimised
 
 OWN = ["search.agents=11", "run.training_scenarios=1"]
 """No number of devices here divides 11 agents."""
@@ -45,11 +46,23 @@ def alone(task):
     return bits(run_search(task))
 
 
-@pytest.mark.parametrize("count", [2, 4])
-def test_a_search_is_the_same_on_any_number_of_devices(task, alone, count, monkeypatch):
-    mesh = devices.mesh_of(jax.devices()[:count])
+def test_a_search_is_the_same_on_several_devices(task, alone, monkeypatch):
+    """On four; on two, in processes of their own, below."""
+    mesh = devices.mesh_of(jax.devices()[:4])
     monkeypatch.setattr(search, "mesh_for", lambda simulations: mesh)
     assert bits(run_search(task)) == alone
+
+
+def test_a_batch_finds_what_a_search_alone_finds(task):
+    """The first of two with other seeds; all else of a batch is tested without optimisation."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)
+        other = tuning_problem(tiny(*OWN, "run.seed=5"))
+    single = run_search(task).search
+    first, second = (found.search for found in search_batch([task, other], None))
+    np.testing.assert_array_equal(first.history.best, single.history.best)
+    np.testing.assert_array_equal(first.best_position, single.best_position)
+    assert first.best_cost != second.best_cost
 
 
 def test_small_searches_stay_on_one_device_and_large_ones_use_all():
@@ -121,27 +134,6 @@ def test_two_processes_find_what_one_finds(task):
     history = np.asarray(single.history.best).tobytes().hex()
     wanted = f"found {history} {float(single.best_cost).hex()}"
     assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
-
-
-@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
-    joined = {}
-    monkeypatch.setattr("posegsa.cli.tune.join_processes", lambda **given: joined.update(given))
-    monkeypatch.setattr(jax, "process_index", lambda: 1)
-    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
-    command = ["tune", "--out", str(tmp_path / "run"), "--quiet", "--distributed", "--process", "1"]
-    command += ["--coordinator", "127.0.0.1:9", "--processes", "2"]
-    command += [word for setting in TINY for word in ("--set", setting)]
-    assert main(command) == 0
-    assert joined == {"coordinator": "127.0.0.1:9", "processes": 2, "process": 1}
-    assert not (tmp_path / "run").exists()
-    assert capsys.readouterr().out == ""
-
-
-def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
-    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
-    assert main(["tune", "--processes", "2"]) == 2
-    assert "--processes = 2; allowed: with --distributed" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,7 @@ from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import run_search
 
-pytestmark = [
-    pytest.mark.usefixtures("compile_fast"),
-    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 SHORT = tiny(
     *("scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]")

@@ -17,7 +17,11 @@ from posegsa.model.schedules import FuzzyGain, ScheduleInputs, SearchedRulesGain
 from posegsa.search.build import rule_indices
 from posegsa.search.parameters import ParameterSpace, in_order
 
+pytestmark = pytest.mark.optimised
+
 KINDS = [search_vectors, corner_vectors]
+COUNT = 500
+"""Vectors that are repaired at once; of one number, and so by one program."""
 REPAIRS = {
     "both": ((), (True, True)),
     "order": (("fuzzy.coverage=false",), (True, False)),
@@ -30,14 +34,23 @@ REPAIRS = {
 
 def all_terms(made: ParameterSpace, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Terms (count, 5, 3) of vectors (count, 22)."""
-    inputs, outputs = jax.jit(jax.vmap(made.terms))(jnp.asarray(vectors, made.lower.dtype))
+    inputs, outputs = terms_of(made, jnp.asarray(vectors, made.lower.dtype))
     return np.asarray(inputs), np.asarray(outputs)
+
+
+@jax.jit
+def terms_of(made: ParameterSpace, vectors: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(made.terms)(vectors)
+
+
+@jax.jit
+def read_back(made: ParameterSpace, vectors: jax.Array) -> jax.Array:
+    return jax.vmap(lambda k: made.vector(made.controller(k)))(vectors)
 
 
 def as_vectors(made: ParameterSpace, vectors: np.ndarray) -> np.ndarray:
     """Vectors (count, 22) as they read back from their controllers."""
-    back = jax.jit(jax.vmap(lambda k: made.vector(made.controller(k))))
-    return np.asarray(back(jnp.asarray(vectors, made.lower.dtype)))
+    return np.asarray(read_back(made, jnp.asarray(vectors, made.lower.dtype)))
 
 
 # Repairs ------------------------------------------------------------------------------------------
@@ -50,7 +63,7 @@ def as_vectors(made: ParameterSpace, vectors: np.ndarray) -> np.ndarray:
 def test_terms_against_the_reference(
     changes: tuple[str, ...], repairs: tuple[bool, bool], vectors: Callable[[int], np.ndarray]
 ) -> None:
-    drawn = vectors(300)
+    drawn = vectors(COUNT)
     low, high = reference.PAPER_LOWER, reference.PAPER_UPPER
     expected = [reference.repair(k, low, high, *repairs) for k in drawn]
     for terms, theirs in zip(
@@ -71,7 +84,7 @@ def test_the_papers_boxes_and_overlap_are_the_configured_ones() -> None:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("overlap", [0.0, 0.03])
 def test_another_overlap_against_the_reference(overlap: float) -> None:
-    drawn, low, high = search_vectors(100), reference.PAPER_LOWER, reference.PAPER_UPPER
+    drawn, low, high = search_vectors(COUNT), reference.PAPER_LOWER, reference.PAPER_UPPER
     inputs, _ = all_terms(space(f"fuzzy.overlap={overlap}"), drawn)
     expected = [reference.repair(k, low, high, overlap=overlap)[0] for k in drawn]
     np.testing.assert_array_equal(inputs, expected)
@@ -87,7 +100,7 @@ def test_repaired_values_stay_in_their_own_boxes(
         made = space(dtype=dtype)
         # Rounded to the dtype before, as the search's own vectors are.
         lower, upper = np.asarray(made.lower), np.asarray(made.upper)
-        drawn = np.clip(vectors(500).astype(dtype), lower, upper)
+        drawn = np.clip(vectors(COUNT).astype(dtype), lower, upper)
         repaired = as_vectors(made, drawn)
         assert (repaired >= lower).all()
         assert (repaired <= upper).all()
@@ -99,9 +112,11 @@ def test_repaired_values_stay_in_their_own_boxes(
 def test_repairing_twice_changes_nothing(vectors: Callable[[int], np.ndarray], dtype: str) -> None:
     with jax.enable_x64(dtype == "float64"):
         made = space(dtype=dtype)
-        once = as_vectors(made, vectors(500))
+        once = as_vectors(made, vectors(COUNT))
         np.testing.assert_array_equal(as_vectors(made, once), once)
-        for terms, again in zip(all_terms(made, vectors(500)), all_terms(made, once), strict=True):
+        for terms, again in zip(
+            all_terms(made, vectors(COUNT)), all_terms(made, once), strict=True
+        ):
             np.testing.assert_array_equal(again, terms)
         for terms in all_terms(made, once):
             assert jax.vmap(in_order)(jnp.asarray(terms)).all()
@@ -109,19 +124,24 @@ def test_repairing_twice_changes_nothing(vectors: Callable[[int], np.ndarray], d
 
 def gaps(terms: np.ndarray) -> np.ndarray:
     """Whether somewhere on [0, 1] no input term fires, for terms (count, 5, 3)."""
+    return np.asarray(gaps_of(jnp.asarray(terms)))
+
+
+@jax.jit
+def gaps_of(terms: jax.Array) -> jax.Array:
     x = jnp.linspace(0, 1, 4001)
 
     def of(triangles: jax.Array) -> jax.Array:
         each = [membership(x, slopes(*t)) for t in triangles]
         return jnp.any(jnp.max(jnp.stack(each), axis=0) <= 0)
 
-    return np.asarray(jax.jit(jax.vmap(of))(jnp.asarray(terms)))
+    return jax.vmap(of)(terms)
 
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("vectors", KINDS)
 def test_coverage_leaves_no_gap(vectors: Callable[[int], np.ndarray]) -> None:
-    inputs, _ = all_terms(space(), vectors(1000))
+    inputs, _ = all_terms(space(), vectors(COUNT))
     assert not gaps(inputs).any()
     # The overlap is 0.01 wherever the box allows it. In the paper's boxes it does not where the
     # right foot of VS is under 0.01 (S may start at 0, not below), nor where M's is under 0.11
@@ -323,9 +343,9 @@ def test_the_whole_part_of_each_further_number_is_the_term_of_a_rule() -> None:
 def test_heights_are_those_of_the_table_bit_for_bit() -> None:
     made = space("fuzzy.rules=searched", dtype="float32")
     rng = np.random.default_rng(1)
-    cells = rng.uniform(0, 5, (20, 25))
+    cells = rng.uniform(0, 5, (8, 25))
     cells[0] = 5 * rng.integers(0, 2, 25)  # the ends of the box
-    vectors = jnp.asarray(np.concatenate([search_vectors(20), cells], axis=1), jnp.float32)
+    vectors = jnp.asarray(np.concatenate([search_vectors(8), cells], axis=1), jnp.float32)
     error, rate = (jnp.asarray(rng.uniform(0, 1, 50), jnp.float32) for _ in range(2))
     same = jnp.zeros(50, jnp.float32)
 
