@@ -20,6 +20,8 @@ from posegsa.optimisers import GSA, advance, box, minimise, start
 from posegsa.optimisers.base import uniform
 from posegsa.optimisers.gsa import GSAState, acceleration, coarse_uniform, confine, masses
 
+pytestmark = pytest.mark.optimised  # its searches are long: they run for longer than they compile
+
 
 @partial(jax.jit, static_argnums=0)
 def tell(gsa: GSA, state: GSAState, costs: Array) -> GSAState:
