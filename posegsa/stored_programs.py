@@ -6,6 +6,9 @@ here that takes longer than to load and run it. A `stored` function asks for its
 tracing depends on: posegsa's source, the versions of the libraries, the machine, the options, and
 what is known of its arguments without their numbers.
 
+Programs are pickled, and are machine code besides: like JAX's own cache, the folder must be the
+user's alone.
+
 A program is found again only if all of that can be said in words (`_words`). A function of a user's
 own, for one, may change while its name does not: what depends on one is compiled as by `jax.jit`.
 """
