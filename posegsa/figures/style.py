@@ -162,7 +162,7 @@ def plain_numbers(axis: Axis, values: np.ndarray) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     few = values.max() < 300 * values.min()
-    between = (1, 3) if axis.axis_name == "x" else (1, 2, 5)
+    between = (1, 3) if axis is axis.axes.xaxis else (1, 2, 5)
     axis.set_major_locator(LogLocator(subs=between if few else (1,), numticks=6))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(FuncFormatter(lambda *_: ""))

@@ -272,7 +272,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
         (
             lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
-            "schema = 1, written by posegsa '0.1'; this version reads schema 3",
+            "schema = 1, written by posegsa '0.1'; this version reads schema 4",
         ),
         (
             lambda f: (f / "history.csv").write_text("a,b\n1,2\n"),
