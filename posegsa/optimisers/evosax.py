@@ -52,7 +52,9 @@ class Evosax(Optimiser):
         try:
             from evosax.algorithms import algorithms
         except ImportError:
-            raise ConfigError("evosax is not installed; pip install 'posegsa[compare]'") from None
+            raise ConfigError(
+                "evosax is not installed; in a clone of posegsa: pip install '.[compare]'"
+            ) from None
         if self.strategy not in algorithms:
             allowed = f"{self.optimiser}; allowed: {', '.join(sorted(algorithms))}"
             raise ConfigError(f"strategy = {self.strategy!r} of {allowed}")

@@ -47,7 +47,9 @@ class PyCMA(Optimiser):
         try:
             import cma  # noqa: F401 - only whether it is installed
         except ImportError:
-            message = "cma (pycma) is not installed; pip install 'posegsa[compare]'"
+            message = (
+                "cma (pycma) is not installed; in a clone of posegsa: pip install '.[compare]'"
+            )
             raise ConfigError(message) from None
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> PyCMAState:
