@@ -10,21 +10,22 @@
  *     #include <stdio.h>
  *     static posegsa_measurement now; // all zeros: nothing is measured
  *     int main(void) {
- *         const posegsa_real upright[4] = {1, 0, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
+ *         const posegsa_real turned[4] = {2, 1, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
- *         posegsa_init(&filter, upright{{ "" if attitude_only else ", origin" }});
- *         for (int k = 0; k < 100; ++k) { // a loop at 100 Hz
- *             now.angular_velocity[2] = POSEGSA_C(0.1); // what the sensors say
+ *         posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}); // 53 degrees off
+ *         for (int k = 0; k < 1000; ++k) { // at 100 Hz what the sensors say: at rest, upright
 {% if vectors %}
- *             now.vectors[0][2] = 1;
- *             now.vector_weights[0] = 1; // it was measured; 0 would be missing
+ *             for (int i = 0; i < 3 * POSEGSA_VECTORS; ++i)
+ *                 now.vectors[i / 3][i % 3] = posegsa_vectors[i / 3][i % 3];
+ *             for (int i = 0; i < POSEGSA_VECTORS; ++i) now.vector_weights[i] = 1; // not missing
 {% else %}
- *             now.landmarks[0][2] = 1;
- *             now.landmark_weights[0] = 1; // it was measured; 0 would be missing
+ *             for (int i = 0; i < 3 * POSEGSA_LANDMARKS; ++i)
+ *                 now.landmarks[i / 3][i % 3] = posegsa_landmarks[i / 3][i % 3];
+ *             for (int i = 0; i < POSEGSA_LANDMARKS; ++i) now.landmark_weights[i] = 1; // seen
 {% endif %}
  *             if (posegsa_step(&filter, &now, POSEGSA_C(0.01)) != POSEGSA_OK) return 1;
  *         }
- *         printf("%g\n", (double)filter.attitude[0]);
+ *         printf("%.3f\n", (double)filter.attitude[0]);
  *     }
  *
  * CONVENTIONS
