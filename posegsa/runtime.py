@@ -17,6 +17,7 @@ import numpy as np
 from posegsa.arguments import check_whole
 from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.errors import PosegsaWarning
+from posegsa.stored_programs import store_in
 from posegsa.version import VERSION
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
@@ -86,7 +87,6 @@ def enable_fast_path(devices: int | None = None) -> bool:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     flags = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
-    enable_compilation_cache()
     # Private, but there is no public way to ask; should it go, only the warning goes with it.
     bridge = importlib.import_module("jax._src.xla_bridge")
     if getattr(bridge, "backends_are_initialized", lambda: False)():
@@ -96,8 +96,11 @@ def enable_fast_path(devices: int | None = None) -> bool:
             PosegsaWarning,
             stacklevel=2,
         )
+        enable_compilation_cache()
+        store_in(None)  # programs are stored by XLA's options, and which it has read is unknown
         return False
     os.environ["XLA_FLAGS"] = flags
+    enable_compilation_cache()
     return True
 
 

@@ -11,6 +11,9 @@ user's alone.
 
 A program is found again only if all of that can be said in words (`_words`). A function of a user's
 own, for one, may change while its name does not: what depends on one is compiled as by `jax.jit`.
+So is everything from when a file of posegsa has changed under a process. What can't be seen is a
+function of posegsa's that a program has replaced by its own: that needs
+`JAX_ENABLE_COMPILATION_CACHE=false`.
 """
 
 import hashlib
@@ -18,7 +21,9 @@ import importlib.metadata
 import os
 import pickle
 import platform
+import sys
 import tempfile
+import threading
 import time
 import types
 from collections.abc import Callable, Sequence
@@ -43,19 +48,12 @@ R = TypeVar("R")
 
 _FOLDER: list[Path] = []
 """Where programs are stored; nothing where they are not."""
-_FORGOTTEN = 30 * 24 * 3600.0
-"""Time after which a program that no process has used is removed [s]."""
-_SUFFIX = ".program"
-_TRACED_UNDER = (
-    "jax_enable_x64",
-    "jax_default_matmul_precision",
-    "jax_default_prng_impl",
-    "jax_threefry_partitionable",
-    "jax_numpy_dtype_promotion",
-    "jax_numpy_rank_promotion",
-    "jax_disable_most_optimizations",
-)
-"""JAX's options on which a program may depend."""
+_FLAGS: list[str] = []
+"""XLA's options when storing began, which is before XLA reads them."""
+_FORGOTTEN, _ABANDONED = 30 * 24 * 3600.0, 24 * 3600.0
+"""Times after which a program that no process has used, and one half written, is removed [s]."""
+_SUFFIX, _WRITING = ".program", ".writing-program-"
+_PACKAGE = Path(__file__).parent
 _CONFIG: Any = jax.config  # whose options no stub lists
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -63,6 +61,7 @@ _PLAIN = (bool, int, float, str, bytes, type(None))
 def store_in(folder: Path | None) -> None:
     """Store programs in a folder that is there from now on, or none any more."""
     _FOLDER[:] = [] if folder is None else [folder]
+    _FLAGS[:] = [os.environ.get("XLA_FLAGS", "")]
     if folder is not None:
         _forget_old(folder)
 
@@ -96,42 +95,67 @@ class StoredFunction:
 
     def __init__(self, function: Callable[..., Any], static_argnums: tuple[int, ...]) -> None:
         self._function = function
-        self._jitted = jax.jit(function, static_argnums=static_argnums)
+        self._jitted = jax.jit(function, static_argnums=static_argnums, inline=True)
         self._static = static_argnums
         self._programs: dict[Any, Callable[..., Any]] = {}
         update_wrapper(self, function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """The function's value, by a stored program where there is one."""
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
-            return self._function(*args, **kwargs)  # part of a larger program
-        if kwargs or not _FOLDER or jax.process_count() > 1 or _CONFIG.jax_disable_jit:
+        if kwargs or not _FOLDER or not _stores():
             return self._jitted(*args, **kwargs)
         static = tuple(args[i] for i in self._static if i < len(args))
         traced = tuple(a for i, a in enumerate(args) if i not in self._static)
         leaves, tree = jax.tree.flatten(traced)
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
+            return self._jitted(*args)  # part of a larger program
         key = (static, tree, tuple(map(_kind, leaves)), _traced_under())
         program = self._programs.get(key)
         if program is None:
-            program = self._programs[key] = self._program(args, static, traced, key)
+            return self._first(args, static, traced, key)
         return program(*args) if program is self._jitted else program(*traced)
+
+    def _first(
+        self, args: tuple[Any, ...], static: tuple[Any, ...], traced: tuple[Any, ...], key: Any
+    ) -> Any:
+        """The value by a program that this process has not run yet.
+
+        One that XLA can't run after all, as it says only then, is forgotten.
+        """
+        program, path = self._program(args, static, traced, key)
+        self._programs[key] = program
+        if program is self._jitted:
+            return program(*args)
+        try:
+            return jax.block_until_ready(program(*traced))
+        except jax.errors.JaxRuntimeError:
+            with suppress(OSError):
+                path.unlink()
+            self._programs[key] = self._jitted
+            return self._jitted(*args)
+
+    def __reduce__(self) -> str:
+        """Pickled by its name, as a function is."""
+        return self._function.__qualname__
 
     def _program(
         self, args: tuple[Any, ...], static: tuple[Any, ...], traced: tuple[Any, ...], key: Any
-    ) -> Callable[..., Any]:
-        """The program of these arguments: from disk, or compiled and stored; else JAX's own way."""
+    ) -> tuple[Callable[..., Any], Path]:
+        """The program of these arguments, from disk or compiled and stored, else JAX's own way."""
         _, tree, kinds, options = key
         try:
             what = (self._function, static, tree, kinds, options)
             words = "\n".join((_here(), _words(what)))
         except _CannotSay:
-            return self._jitted
+            return self._jitted, Path()
+        if _files() != _SOURCE:
+            return self._jitted, Path()  # what this process runs is no longer what stands there
         path = _FOLDER[0] / (hashlib.sha256(words.encode()).hexdigest() + _SUFFIX)
         found = _load(path, tree, _devices(jax.tree.leaves(traced)))
         if found is None:
             found = _compiled(self._jitted.lower(*args))
             _save(path, found)
-        return found
+        return found, path
 
 
 class _CannotSay(Exception):
@@ -145,11 +169,7 @@ def _words(value: Any) -> str:
     if isinstance(value, Enum | np.dtype):
         return f"{type(value).__qualname__}({value})"
     if isinstance(value, type | types.FunctionType | types.BuiltinFunctionType):
-        name = f"{value.__module__}.{value.__qualname__}"
-        own = value.__module__.partition(".")[0] in ("posegsa", "jax", "numpy", "builtins")
-        if not own or "<" in name or getattr(value, "__closure__", None):
-            raise _CannotSay
-        return name
+        return _name(value)
     if isinstance(value, jax.tree_util.PyTreeDef):
         return f"[{_words(value.node_data())} {' '.join(map(_words, value.children()))}]"
     if isinstance(value, partial):
@@ -173,6 +193,20 @@ def _words(value: Any) -> str:
     raise _CannotSay
 
 
+def _name(value: Any) -> str:
+    """The name of a class or function of a library's, by which it is found."""
+    module, name = value.__module__ or "", value.__qualname__
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if isinstance(found, StoredFunction):
+        found = found._function
+    libraries = ("posegsa", "jax", "jaxlib", "numpy", "builtins")
+    if found is not value or module.partition(".")[0] not in libraries:
+        raise _CannotSay
+    return f"{module}.{name}"
+
+
 def _type(value: Any) -> str:
     return _words(type(value)) if type(value) not in (tuple, list) else type(value).__name__
 
@@ -187,21 +221,31 @@ def _kind(leaf: Any) -> Any:
     return type(leaf)
 
 
+def _stores() -> bool:
+    """Whether programs are stored as things stand, in this process and with JAX's options."""
+    plain = not (_CONFIG.jax_disable_jit or _CONFIG.jax_debug_nans or _CONFIG.jax_debug_infs)
+    return plain and _CONFIG.jax_default_device is None and jax.process_count() == 1
+
+
 def _traced_under() -> tuple[Any, ...]:
-    return tuple(str(getattr(_CONFIG, name, None)) for name in _TRACED_UNDER)
+    """JAX's options, but for those of its cache; on most no program here depends."""
+    return tuple(
+        str(getattr(_CONFIG, name, None)) for name in sorted(_CONFIG.values) if "cache" not in name
+    )
 
 
 @cache
 def _here() -> str:
     """All that is the same for every program of this process, in words."""
+    if [os.environ.get("XLA_FLAGS", "")] != _FLAGS:
+        raise _CannotSay  # XLA may have read others
     device = jax.devices()[0]
-    versions = {name: importlib.metadata.version(name) for name in ("jax", "jaxlib", "optax")}
     return _words(
         (
             VERSION,
-            _source(),
-            versions,
-            os.environ.get("XLA_FLAGS", ""),
+            _DIGEST,
+            {name: _version(name) for name in ("jax", "jaxlib", "numpy", "optax", "evosax")},
+            _FLAGS[0],
             (device.platform, device.device_kind, len(jax.devices())),
             device.client.platform_version,
             (platform.machine(), _instructions()),
@@ -209,13 +253,30 @@ def _here() -> str:
     )
 
 
-def _source() -> str:
-    """A digest of posegsa's own code."""
+def _version(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
+def _files() -> list[tuple[str, int, int]]:
+    """The files of posegsa's own code, with their size and when they were changed."""
+    found = ((str(path), path.stat()) for path in sorted(_PACKAGE.rglob("*.py")))
+    return [(path, stat.st_size, stat.st_mtime_ns) for path, stat in found]
+
+
+def _digest() -> str:
+    """A digest of what stands in them."""
     digest = hashlib.sha256()
-    package = Path(__file__).parent
-    for path in sorted(package.rglob("*.py")):
-        digest.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        digest.update(str(path.relative_to(_PACKAGE)).encode() + b"\0")
+        digest.update(path.read_bytes() + b"\0")
     return digest.hexdigest()
+
+
+_SOURCE, _DIGEST = _files(), _digest()
+"""As this process has imported them."""
 
 
 def _instructions() -> str:
@@ -232,14 +293,19 @@ def _compiled(lowered: Any) -> Callable[..., Any]:
 
     Nor does JAX keep it: one copy on disk is enough.
     """
-    enabled = _CONFIG.jax_enable_compilation_cache
-    _CONFIG.update("jax_enable_compilation_cache", False)
-    compilation_cache.reset_cache()  # JAX asks once whether it is enabled
-    try:
-        return lowered.compile()
-    finally:
-        _CONFIG.update("jax_enable_compilation_cache", enabled)
-        compilation_cache.reset_cache()
+    with _COMPILING:
+        enabled = _CONFIG.jax_enable_compilation_cache
+        _CONFIG.update("jax_enable_compilation_cache", False)
+        compilation_cache.reset_cache()  # JAX asks once whether it is enabled
+        try:
+            return lowered.compile()
+        finally:
+            _CONFIG.update("jax_enable_compilation_cache", enabled)
+            compilation_cache.reset_cache()
+
+
+_COMPILING = threading.Lock()
+"""JAX's option is the process's, not a thread's."""
 
 
 def _devices(leaves: Sequence[Any]) -> list[Any]:
@@ -254,16 +320,19 @@ def _devices(leaves: Sequence[Any]) -> list[Any]:
 def _load(path: Path, tree: Any, devices: Sequence[Any]) -> Callable[..., Any] | None:
     """A stored program for arguments of this structure; None if there is none that can be used."""
     try:
-        payload, skeleton = pickle.loads(path.read_bytes())
+        content = path.read_bytes()
+        checked, blob = content[:_CHECKSUM], content[_CHECKSUM:]
+        if hashlib.sha256(blob).digest() != checked:
+            return None
+        payload, skeleton = pickle.loads(blob)
         structure = jax.tree.structure((tree.unflatten(range(tree.num_leaves)), {}))
         found = serialize_executable.deserialize_and_load(
             payload, structure, jax.tree.structure(skeleton), execution_devices=devices
         )
+    except Exception:  # not there, or of a library that has changed: it is compiled anew
+        return None
+    with suppress(OSError):
         os.utime(path)
-    except FileNotFoundError:
-        return None
-    except Exception:  # damaged, or of a library that has changed: it is compiled anew
-        return None
     return found
 
 
@@ -272,16 +341,27 @@ def _save(path: Path, program: Any) -> None:
     try:
         payload, _, structure = serialize_executable.serialize(program)
         skeleton = structure.unflatten(range(structure.num_leaves))
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(pickle.dumps((payload, skeleton)))
-        Path(file.name).replace(path)
-    except Exception:  # it serves this process all the same
+        blob = pickle.dumps((payload, skeleton))
+    except Exception:  # JAX can't, such as a program with constants; it serves this process
         return
+    written: list[Path] = []
+    try:
+        with tempfile.NamedTemporaryFile(prefix=_WRITING, dir=path.parent, delete=False) as file:
+            written.append(Path(file.name))
+            file.write(hashlib.sha256(blob).digest() + blob)
+        written[0].replace(path)
+    except OSError:
+        for half in written:
+            half.unlink(missing_ok=True)
+
+
+_CHECKSUM = hashlib.sha256().digest_size
 
 
 def _forget_old(folder: Path) -> None:
     """Remove programs that no process has used for long: each change of the code leaves some."""
-    for path in folder.glob(f"*{_SUFFIX}"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _FORGOTTEN:
-                path.unlink()
+    for pattern, age in ((f"*{_SUFFIX}", _FORGOTTEN), (f"{_WRITING}*", _ABANDONED)):
+        for path in folder.glob(pattern):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > age:
+                    path.unlink()

@@ -84,14 +84,14 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
     if options.held_out is None:
         return (
             "Whether the schedule is better than constant gains and a Kalman filter, a recording "
-            "that was held out says: --held-out FILE, or --held-out-window of the same one."
+            "that was held out says: --held-out FILE, which may be the same with --held-out-window."
         )
     files = {"recording": options.held_out, "training": options.recording}
     parts = {"window": options.held_out_window, "training-window": options.window}
     words = [f"--{name} {shlex.quote(path)}" for name, paths in files.items() for path in paths]
-    words += [f"--{name} {a:g}:{b:g}" for name, part in parts.items() if part for a, b in [part]]
+    words += [f"--{name} {a!r}:{b!r}" for name, part in parts.items() if part for a, b in [part]]
     words += [f"--bridge {options.bridge}"] if options.bridge else []
-    words += [f"--longest-gap {options.longest_gap:g}"] if options.longest_gap else []
+    words += [f"--longest-gap {options.longest_gap!r}"] if options.longest_gap else []
     return (
         "Beside the best constant gains and a Kalman filter, in about twice the time of this "
         f"search:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"

@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.recordings.table import COLUMNS
@@ -62,9 +64,10 @@ def check_references(path: Path, arguments: Mapping[str, Any]) -> None:
     """Raise a RecordingError where vectors or landmarks of a CSV file have no references."""
     for kind, what, unit in (("vector", "point", ""), ("landmark", "are", ", in m")):
         measured = arguments.get(f"{kind}s")
-        if measured is None or arguments.get(f"{kind}_references") is not None:
+        given = arguments.get(f"{kind}_references") is not None
+        if measured is None or given or np.ndim(measured) != 3:
             continue
-        count = measured.shape[1]
+        count = np.shape(measured)[1]
         example = ", ".join(["[x, y, z]"] * count)
         raise RecordingError(
             f"{path}: has columns of {kind}s, {count} in all, and nothing says where they {what}; "

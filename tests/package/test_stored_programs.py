@@ -5,20 +5,27 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, wraps
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from experiments import tiny
 from jax import random
 
 from posegsa import stored_programs
+from posegsa.judging.metrics import _begin, _onward, error_tracks
+from posegsa.model.rollout import simulate
 from posegsa.model.se3 import rotation_matrix
 from posegsa.optimisers import GSA
+from posegsa.optimisers.driver import _advance
+from posegsa.optimisers.loop import _stored_start
+from posegsa.search.build import _drawn, tuning_problem
+from posegsa.search.run import run_search
 from posegsa.stored_programs import StoredFunction, store_in, stored
-
-pytestmark = pytest.mark.quick
 
 
 @jax.tree_util.register_dataclass
@@ -35,7 +42,9 @@ def to_power(given, times):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """Programs are stored here; functions of this file count as posegsa's own."""
-    for one in (to_power, Given, drawn_with):
+    here = {one.__name__: one for one in (to_power, Given, drawn_with)}
+    monkeypatch.setitem(sys.modules, "posegsa.tests", SimpleNamespace(**here))
+    for one in here.values():
         monkeypatch.setattr(one, "__module__", "posegsa.tests")
     store_in(tmp_path)
     yield tmp_path
@@ -117,7 +126,7 @@ def test_arrays_on_several_devices(folder):
     assert len(programs(folder)) == 2
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "other", "pickle"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "other", "pickle", "one byte"])
 def test_a_damaged_program_is_compiled_anew(folder, damage):
     given = Given(jnp.arange(3.0), 3)
     first = anew()(given, 0.3)["result"]
@@ -129,6 +138,7 @@ def test_a_damaged_program_is_compiled_anew(folder, damage):
             "empty": b"",
             "other": b"no program",
             "pickle": pickle.dumps((b"", {})),
+            "one byte": whole[:-900] + bytes([whole[-900] ^ 1]) + whole[-899:],
         }[damage]
     )
     np.testing.assert_array_equal(anew()(given, 0.3)["result"], first)
@@ -184,6 +194,113 @@ def test_words_tell_structures_apart():
         words(object())
     with pytest.raises(stored_programs._CannotSay):
         words(lambda x: x)
+    with pytest.raises(stored_programs._CannotSay):
+        words([].append)
+
+    @wraps(rotation_matrix)
+    def of_a_user(x):
+        return 2 * x
+
+    with pytest.raises(stored_programs._CannotSay):
+        words(of_a_user)
+
+
+def test_a_program_that_cannot_be_run_after_all_is_forgotten(folder, monkeypatch):
+    given = Given(jnp.ones(3), 3)
+    anew()(given, 0.3)
+
+    def broken(*_):
+        def run(*_):
+            raise jax.errors.JaxRuntimeError("INTERNAL: Function not found")
+
+        return run
+
+    monkeypatch.setattr(stored_programs, "_load", broken)
+    again = anew()
+    for _ in range(2):
+        np.testing.assert_array_equal(again(given, 2.0)["result"], 2 * given.numbers)
+    assert programs(folder) == []
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        partial(jax.default_device, jax.devices()[1]),
+        partial(jax.debug_nans, True),
+        partial(jax.disable_jit, True),
+    ],
+    ids=["device", "NaN", "no jit"],
+)
+def test_options_under_which_nothing_is_stored(folder, option):
+    given = Given(np.ones(3, np.float32), 3)
+    with option():
+        found = anew()(given, np.float32(2))["result"]
+    np.testing.assert_array_equal(found, 2 * given.numbers)
+    assert programs(folder) == []
+
+
+def test_code_that_has_changed_under_the_process_is_not_stored(folder, monkeypatch):
+    monkeypatch.setattr(stored_programs, "_SOURCE", [])
+    anew()(Given(jnp.ones(3), 3), 0.3)
+    assert programs(folder) == []
+
+
+def test_options_that_xla_may_not_have_read(folder, monkeypatch):
+    stored_programs._here.cache_clear()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_prefer_vector_width=128")
+    anew()(Given(jnp.ones(3), 3), 0.3)
+    assert programs(folder) == []
+
+
+def test_a_full_disk_leaves_nothing_behind(folder, monkeypatch):
+    def full(path, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(type(folder), "replace", full)
+    anew()(Given(jnp.ones(3), 3), 0.3)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_program_that_is_another_users_is_used_all_the_same(folder, monkeypatch):
+    given = Given(jnp.ones(3), 3)
+    anew()(given, 0.3)
+
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(stored_programs.os, "utime", refuse)
+    monkeypatch.setattr(stored_programs, "_compiled", refuse)
+    np.testing.assert_array_equal(anew()(given, 2.0)["result"], 2 * given.numbers)
+
+
+def test_stored_functions_are_pickled_by_name():
+    assert pickle.loads(pickle.dumps(simulate)) is simulate
+
+
+def test_a_search_is_the_same_compiled_stored_and_loaded(tmp_path):
+    """The programs of a whole search and of what judges it, on two devices."""
+
+    def run():
+        # As another process has them: nothing is known of what this one compiled.
+        for one in (_advance, _drawn, _stored_start, _begin, _onward):
+            cast(Any, one)._programs.clear()
+        problem = tuning_problem(tiny("search.agents=64"))
+        search = run_search(problem).search
+        return search, error_tracks(problem.space.candidate(search.best_position), problem.held_out)
+
+    jax.clear_caches()  # what JAX's own cache had can't be stored
+    store_in(tmp_path)
+    try:
+        cold, loaded = run(), run()
+    finally:
+        store_in(None)
+    plain = run()
+    assert len(programs(tmp_path)) >= 5
+    for other in (cold, loaded):
+        for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(other), strict=True):
+            both = (a, b) if not jnp.issubdtype(a.dtype, jax.dtypes.prng_key) else ()
+            if both:
+                np.testing.assert_array_equal(*both)
 
 
 PROCESS = """
