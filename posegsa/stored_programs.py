@@ -164,7 +164,7 @@ class _CannotSay(Exception):
 
 def _words(value: Any) -> str:
     """What a program depends on, in words: the same in each process, and for nothing else."""
-    if isinstance(value, _PLAIN):
+    if isinstance(value, _PLAIN) or value is type(None):
         return repr(value)
     if isinstance(value, Enum | np.dtype):
         return f"{type(value).__qualname__}({value})"

@@ -138,5 +138,5 @@ def test_without_its_library_it_is_read_but_not_run(
         lambda: posegsa.compare(experiment, optimisers=["gsa", name], evaluations=24, repeats=1),
         lambda: minimise(FUNCTION, FUNCTION.box, experiment.search, KEY),
     ):
-        with pytest.raises(ConfigError, match=rf"{library}.*pip install 'posegsa\[compare\]'"):
+        with pytest.raises(ConfigError, match=rf"{library}.*pip install '\.\[compare\]'"):
             run()
