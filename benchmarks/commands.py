@@ -47,7 +47,7 @@ COMMANDS: dict[str, list[str]] = {
     "posegsa --help": ["-m", "posegsa", "--help"],
     "posegsa tune --seed x": ["-m", "posegsa", "tune", "--seed", "x"],
     "import posegsa": ["-c", "import posegsa"],
-    "tune quick": ["-m", "posegsa", "tune", "quick", "--out", "quick", "--overwrite"],
+    "tune quick": ["-m", "posegsa", "tune", "quick", "--out", "quick-run", "--overwrite"],
     "tune quick --no-figures": [
         *("-m", "posegsa", "tune", "quick", "--no-figures", "--out", "bare", "--overwrite"),
     ],
@@ -63,12 +63,12 @@ COMMANDS: dict[str, list[str]] = {
         "1000",
     ],
     "export quick --format c": [
-        *("-m", "posegsa", "export", "quick", "--format", "c", "--out", "a.h", "--overwrite"),
+        *("-m", "posegsa", "export", "quick-run", "--format", "c", "--out", "a.h", "--overwrite"),
     ],
     "Python: tune('quick')": ["-c", EXAMPLE],
 }
-WARM_RUNS = 3
-"""Runs of which the best is told, as what else the machine does only adds."""
+WARM_RUNS = 1
+"""Runs of which the best is told."""
 
 
 def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float, float]:

@@ -37,7 +37,7 @@ def load(path: str | Path) -> Experiment:
     """
     allowed = "the path of a TOML file, or the name of a configuration"
     check_type("path", path, str, os.PathLike, allowed=allowed)
-    if _NAME.fullmatch(str(path)) and not Path(path).exists():
+    if _NAME.fullmatch(str(path)) and not Path(path).is_file():
         path = shipped.find(str(path))
     data = read_toml(path)
     if is_imu(data):
