@@ -16,10 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 from machine import machine
 from readme import ROOT, write_block
 from run_tables import duration
@@ -54,21 +53,19 @@ COMMANDS: dict[str, list[str]] = {
     "tune, 8 scenarios of 15 s, 100 x 250": [
         *("-m", "posegsa", "tune", "eight.toml", "--out", "eight", "--overwrite"),
     ],
-    "evaluate quick --scenarios 1000": [
-        "-m",
-        "posegsa",
-        "evaluate",
-        "quick",
-        "--scenarios",
-        "1000",
-    ],
     "export quick --format c": [
         *("-m", "posegsa", "export", "quick-run", "--format", "c", "--out", "a.h", "--overwrite"),
     ],
     "Python: tune('quick')": ["-c", EXAMPLE],
+    "evaluate quick --scenarios 1000": [
+        "-m",
+        "posegsa",
+        "evaluate",
+        "quick-run",
+        "--scenarios",
+        "1000",
+    ],
 }
-WARM_RUNS = 1
-"""Runs of which the best is told."""
 
 
 def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float, float]:
@@ -89,21 +86,22 @@ def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float
     return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime), took
 
 
-def measured(python: str) -> dict[str, dict[str, list[float]]]:
-    """CPU time and time [s] of each command, cold and warm; and what of `eight` is its search."""
-    found = {}
+Found = dict[str, dict[str, list[float]]]
+
+
+def measure(python: str, keep: Callable[[Found], None]) -> None:
+    """CPU time and time [s] of each command, cold and warm; kept after each."""
+    found: Found = {}
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "eight.toml").write_text(EIGHT, encoding="utf-8")
         for i, (name, words) in enumerate(COMMANDS.items()):
             cache = folder / f"cache-{i}"
             cold = run(python, words, folder, cache)
-            warm = min(run(python, words, folder, cache) for _ in range(WARM_RUNS))
+            warm = run(python, words, folder, cache)
             found[name] = {"cold": list(cold), "warm": list(warm)}
             print(f"{name}: {cold[0]:.2f} s of CPU cold, {warm[0]:.2f} s warm", flush=True)
-        result = json.loads((folder / "eight" / "result.json").read_text(encoding="utf-8"))
-        found["of it searching"] = {"warm": [np.nan, result["search_seconds"]]}
-    return found
+            keep(found)
 
 
 def table(stored: dict) -> Iterator[str]:
@@ -116,16 +114,12 @@ def table(stored: dict) -> Iterator[str]:
             found = stored["versions"][name].get(command)
             if found is None:
                 continue
-            cells = [
-                duration(found[state][i]) if state in found and np.isfinite(found[state][i]) else ""
-                for i in range(2)
-                for state in ("cold", "warm")
-            ]
+            cells = [duration(found[state][i]) for i in range(2) for state in ("cold", "warm")]
             yield f"| {command} | {name} | {' | '.join(cells)} |"
     about = stored["machine"]
     yield ""
     yield (
-        f"Made by `python benchmarks/commands.py --write`; warm: the best of {WARM_RUNS}. "
+        f"Made by `python benchmarks/commands.py --write`. "
         f"{about['cpu']}, {about['cores']} cores; jax {about['jax']}, Python {about['python']}; "
         f"load before {about['load']}; {about['date']}."
     )
@@ -143,14 +137,16 @@ def main() -> None:
     version, jax_version = said.stdout.split()
     load = f"{os.getloadavg()[0]:.1f}"
     stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {"versions": {}}
-    stored["versions"].pop(options.name or version, None)
-    stored["versions"][options.name or version] = measured(options.python)
     stored["machine"] = machine(jax_version, len(os.sched_getaffinity(0)), load)
-    text = "\n".join(table(stored))
-    print(text)
-    if options.write:
-        STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
-        write_block("commands", text, PAGE)
+
+    def keep(found: Found) -> None:
+        stored["versions"][options.name or version] = found
+        if options.write:
+            STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+            write_block("commands", "\n".join(table(stored)), PAGE)
+
+    measure(options.python, keep)
+    print("\n".join(table(stored)))
 
 
 if __name__ == "__main__":
