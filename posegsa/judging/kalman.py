@@ -170,4 +170,4 @@ class _Objective(NamedTuple):
 
 @stored
 def _tracks(samples: Samples, initial: FilterState, noise: EkfNoise) -> ErrorTrack:
-    return jax.vmap(lambda some, first: ekf_errors(some, first, noise))(samples, initial)
+    return ekf_errors(samples, initial, noise, together=True)

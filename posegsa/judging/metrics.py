@@ -80,13 +80,11 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
     parts = []
     for first in range(0, there, SCENARIOS):
-        some = np.arange(first, first + SCENARIOS) % there
-        initial = jax.tree.map(lambda a, some=some: a[some], batch.initial)
+        initial = jax.tree.map(lambda a, first=first: _piece(a, first, SCENARIOS), batch.initial)
+        some = jax.tree.map(lambda a, first=first: _piece(a, first, SCENARIOS), batch.samples)
         loop, pieces = _begin(candidate, initial), []
         for start in range(0, samples, SAMPLES):
-            index = np.minimum(np.arange(start, start + SAMPLES), samples - 1)
-            both = np.ix_(some, index)
-            piece = jax.tree.map(lambda a, both=both: a[both], batch.samples)
+            piece = jax.tree.map(lambda a, k=start, some=some: _piece(a.T, k, SAMPLES).T, some)
             count = np.int32(min(SAMPLES, samples - start))
             loop, errors = _onward(candidate, piece, loop, batch.settings, batch.signal, count)
             pieces.append(jax.device_get(errors))
@@ -97,6 +95,14 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
         over_all = dict(zip(("attitude", "position", "gain", "distance"), over_time, strict=True))
         parts.append(pieces[-1]._replace(**over_all))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
+
+
+def _piece(a: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Entries from the `first` one on, `count` of them; past the end the last one again."""
+    there = a[first : first + count]
+    if len(there) == count:
+        return there
+    return np.concatenate([there, np.broadcast_to(a[-1:], (count - len(there), *a.shape[1:]))])
 
 
 @stored
@@ -114,9 +120,7 @@ def _onward(
     count: np.int32,
 ) -> tuple[ClosedLoop, ErrorTrack]:
     own = candidate.applied(settings, signal)
-    return jax.vmap(
-        lambda some, now: errors_onward(candidate.schedule, some, now, *own, jnp.asarray(count))
-    )(samples, loop)
+    return errors_onward(candidate.schedule, samples, loop, *own, jnp.asarray(count))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such

@@ -64,6 +64,7 @@ from collections.abc import Callable
 from functools import reduce
 from typing import Any, NamedTuple, TypeAlias
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -77,7 +78,7 @@ from posegsa.model.cost import (
 )
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.filter import FilterState
-from posegsa.model.loops import scan_rows
+from posegsa.model.loops import scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.rollout import (
     ErrorTrack,
@@ -359,10 +360,13 @@ def ekf_recorded_cost(
     return squares.cost(recorded.position_weight)
 
 
-def ekf_errors(samples: Samples, initial: FilterState, noise: EkfNoise) -> ErrorTrack:
+def ekf_errors(
+    samples: Samples, initial: FilterState, noise: EkfNoise, *, together: bool = False
+) -> ErrorTrack:
     """The true errors of one simulation over all its samples (pure, jittable).
 
-    The filter has no gain K: the track's is NaN.
+    The filter has no gain K: the track's is NaN. Of S simulations `together`, all leaves but the
+    noise's have one more axis (S, ...) in front.
     """
 
     def look(
@@ -370,7 +374,8 @@ def ekf_errors(samples: Samples, initial: FilterState, noise: EkfNoise) -> Error
     ) -> tuple[tuple[()], tuple[Array, Array, Vec3]]:
         return total, (*pose_errors(state.estimate, now.truth), state.estimate.place)
 
-    last, _, (attitude, position, place) = _simulate(look, samples, initial, noise)
+    last, _, errors = _simulate(look, samples, initial, noise, together=together)
+    attitude, position, place = errors
     return ErrorTrack(
         attitude=attitude,
         position=position,
@@ -437,6 +442,7 @@ def _simulate(
     initial: FilterState,
     noise: EkfNoise,
     *,
+    together: bool = False,
     extra: Any = (),
     total: Any = (),
 ) -> tuple[EkfState, Any, Any]:
@@ -447,7 +453,12 @@ def _simulate(
         total, stored = look(total, state, now, entry)
         return (propagate(update(state, now.sample, noise), now.sample, noise), total), stored
 
-    (last, total), stored = scan_rows(body, (ekf_start(initial, noise), total), (samples, extra))
+    if together:
+        first = jax.vmap(lambda one: ekf_start(one, noise))(initial)
+        over_time = scan_together
+    else:
+        first, over_time = ekf_start(initial, noise), scan_rows
+    (last, total), stored = over_time(body, (first, total), (samples, extra))
     return last, total, stored
 
 

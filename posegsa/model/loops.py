@@ -33,6 +33,32 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     return scan(on_row, start, rows, count)
 
 
+def scan_together(
+    step: Step, start: Any, inputs: Any, count: Array | None = None
+) -> tuple[Any, Any]:
+    """`scan_rows` of S simulations at once: inputs have leaves (S, N), what is carried (S, ...).
+
+    The step is one simulation's; it stores at least one number, all of one dtype, and what is
+    stored of all has leaves (S, N). `vmap` of `scan_rows` gives the same, but there the n numbers
+    of a step lie in memory as (S, n), where one number of all simulations is no vector, and each
+    number is stored by itself: three times slower on CPUs. Here they lie as (n, S).
+    """
+    leaves, structure = jax.tree.flatten(inputs)
+    rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
+
+    def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
+        return step(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
+
+    def on_rows(carries: Any, rows: Array) -> tuple[Any, Array]:
+        after, stored = jax.vmap(on_row, in_axes=(0, 1))(carries, rows)
+        return after, jnp.stack(jax.tree.leaves(stored))
+
+    _, what = jax.eval_shape(jax.vmap(on_row, in_axes=(0, 1)), start, rows[0])
+    last, stored = scan(on_rows, start, rows, count)
+    each = [stored[:, i].T for i in range(stored.shape[1])]
+    return last, jax.tree.unflatten(jax.tree.structure(what), each)
+
+
 def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
     """`lax.scan` over inputs with leaves (N, ...), cut into loops where steps store something.
 

@@ -23,7 +23,7 @@ from posegsa.model.cost import (
     sample_error,
 )
 from posegsa.model.filter import FilterSettings, FilterState, observe, ready, see
-from posegsa.model.loops import scan_rows
+from posegsa.model.loops import scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
@@ -175,12 +175,14 @@ def _simulate(
     signal: SignalSettings,
     *,
     count: Array | None = None,
+    together: bool = False,
     extra: Any = (),
     total: Any = (),
 ) -> tuple[ClosedLoop, Any, Any]:
     """Run the closed loop on over the samples; `look` says what is summed up and stored of each.
 
-    Samples from `count` on change nothing, if it is given.
+    Samples from `count` on change nothing, if it is given. Of S simulations `together`, all leaves
+    have one more axis (S, ...) in front.
 
     Returns:
         The loop after them, the sum that began as `total`, and what `look` stored, stacked over
@@ -194,7 +196,8 @@ def _simulate(
         total, stored = look(total, loop.state, record, now, entry)
         return (after, total), stored
 
-    (last, total), stored = scan_rows(body, (loop, total), (samples, extra, gammas), count)
+    over_time = scan_together if together else scan_rows
+    (last, total), stored = over_time(body, (loop, total), (samples, extra, gammas), count)
     return last, total, stored
 
 
@@ -333,7 +336,8 @@ def simulate_errors(
 ) -> ErrorTrack:
     """The true errors of one simulation over all its samples (pure, jittable)."""
     loop = begin(schedule, initial)
-    return errors_onward(schedule, samples, loop, settings, signal)[1]
+    last, _, errors = _simulate(_true_errors, schedule, samples, loop, settings, signal)
+    return _error_track(samples, last, errors)
 
 
 def errors_onward(
@@ -342,22 +346,32 @@ def errors_onward(
     loop: ClosedLoop,
     settings: FilterSettings,
     signal: SignalSettings,
-    count: Array | None = None,
+    count: Array,
 ) -> tuple[ClosedLoop, ErrorTrack]:
-    """The true errors over more samples of a simulation, and its loop after them.
+    """The true errors over more samples of S simulations, and their loops after them.
 
-    Samples from `count` on change nothing, if it is given, and what is stored of them means
-    nothing: so pieces of any length run as one program (pure, jittable).
+    All leaves of samples, loop and what is returned have an axis (S, ...) in front. Samples from
+    `count` on change nothing, and what is stored of them means nothing: so pieces of any length run
+    as one program (pure, jittable).
     """
+    last, _, errors = _simulate(
+        _true_errors, schedule, samples, loop, settings, signal, count=count, together=True
+    )
+    return last, _error_track(samples, last, errors)
 
-    def look(
-        total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[Array, Array, Array, Vec3]]:
-        return total, (*pose_errors(state, now.truth), record.gain_used, state.place)
 
-    last, _, errors = _simulate(look, schedule, samples, loop, settings, signal, count=count)
+def _true_errors(
+    total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
+) -> tuple[tuple[()], tuple[Array, Array, Array, Vec3]]:
+    """Stores what an `ErrorTrack` is made of."""
+    return total, (*pose_errors(state, now.truth), record.gain_used, state.place)
+
+
+def _error_track(
+    samples: Samples, last: ClosedLoop, errors: tuple[Array, Array, Array, Vec3]
+) -> ErrorTrack:
     attitude, position, gain, place = errors
-    return last, ErrorTrack(
+    return ErrorTrack(
         attitude=attitude,
         position=position,
         gain=gain,

@@ -112,6 +112,9 @@ def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool =
         together = scenarios
     for_each_shard = _divided(scenarios, shards)
     groups = _divided(scenarios, min(together, for_each_shard))
+    if piecewise and _divided(scenarios, groups) == 2:
+        # XLA's loops over two scenarios are not vectorised: three times as slow as one by one.
+        groups = scenarios
     # All shards get as many pieces if the chunks are a multiple of this.
     step = shards // math.gcd(groups, shards)
     chunks = step * _divided(_divided(agents, PIECE) if piecewise else 1, step)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jax import Array, lax
 
-from posegsa.model.loops import LONGEST_LOOP, _loop_lengths, scan, scan_rows
+from posegsa.model.loops import LONGEST_LOOP, _loop_lengths, scan, scan_rows, scan_together
 
 
 def inputs(count: int) -> dict[str, Array]:
@@ -43,6 +43,29 @@ def test_loops_inside_each_other_are_one_loop(count: int, step: Any) -> None:
             assert a.dtype == b.dtype
             # Whole numbers are the same; fused multiply-adds may differ.
             np.testing.assert_allclose(a, b, rtol=0 if a.dtype == np.int32 else 1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("until", [257, 100])
+def test_simulations_together_are_each_by_itself(until: int) -> None:
+    a, b = np.random.default_rng(1).normal(size=(2, 3, 257)).astype(np.float32)
+    start = {"sum": jnp.array([0.5, -1.0, 2.0], jnp.float32), "count": jnp.arange(3)}
+    given, count = {"a": jnp.asarray(a), "b": jnp.asarray(b)}, jnp.asarray(until)
+
+    def step(carry: Any, one: Any) -> tuple[Any, Any]:
+        after, (product, _) = storing(carry, one)
+        return after, {"product": product, "sum": carry["sum"]}
+
+    last, stored = jax.jit(lambda x: scan_together(step, start, x, count))(given)
+    assert stored["sum"].shape == (3, 257)
+    for i in range(3):
+        own, first = (jax.tree.map(lambda leaf, i=i: leaf[i], tree) for tree in (given, start))
+        want_last, want = lax.scan(step, first, jax.tree.map(lambda leaf: leaf[:until], own))
+        for name in ("product", "sum"):
+            np.testing.assert_allclose(
+                stored[name][i, :until], want[name], rtol=1e-5, atol=1e-6, err_msg=name
+            )
+        assert last["count"][i] == want_last["count"]
+        np.testing.assert_allclose(last["sum"][i], want_last["sum"], rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")
