@@ -152,16 +152,20 @@ def evaluate(
         problem = tuning_problem(experiment, cost)
         found = _all_found(result, problem, say)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
+        held_out = scenario_batch(experiment, problem.scenario, unseen)
         contenders = {}
         for name, description in steps.each("judging", list(found.items()), itemgetter(0)):
             say(f"judging: {name}")
             if description.kind == "Kalman":
-                held_out = kalman_scenarios(
-                    experiment, problem.scenario, unseen, vector_biases=name == EKF_VECTORS
+                as_measured = kalman_scenarios(
+                    experiment,
+                    problem.scenario,
+                    unseen,
+                    vector_biases=name == EKF_VECTORS,
+                    own=held_out,
                 )
-                tracks = kalman_tracks(description, held_out)
+                tracks = kalman_tracks(description, as_measured)
             else:
-                held_out = scenario_batch(experiment, problem.scenario, unseen)
                 tracks = error_tracks(candidate_of(description, problem.space.schedules), held_out)
             contenders[name] = contender(tracks, held_out, description, cost)
         return replace(result, evaluation=evaluation(contenders, held_out, seed))

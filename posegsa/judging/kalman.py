@@ -49,11 +49,22 @@ BOUNDS = {
 
 
 def kalman_scenarios(
-    experiment: config.Experiment, one: Scenario, scenario_keys: Array, *, vector_biases: bool
+    experiment: config.Experiment,
+    one: Scenario,
+    scenario_keys: Array,
+    *,
+    vector_biases: bool,
+    own: ScenarioBatch | None = None,
 ) -> ScenarioBatch:
-    """Scenarios of an experiment as the Kalman filter reads them: each vector as measured."""
-    each_vector = config.override(experiment, ["filter.vector_bias=estimated"])
-    batch = scenario_batch(each_vector, one, scenario_keys)
+    """Scenarios of an experiment as the Kalman filter reads them: each vector as measured.
+
+    `own` are the experiment's own of these keys, if there are any: they are not made twice.
+    """
+    if own is not None and experiment.filter.vector_bias == "estimated":
+        batch = own
+    else:
+        each_vector = config.override(experiment, ["filter.vector_bias=estimated"])
+        batch = scenario_batch(each_vector, one, scenario_keys)
     if vector_biases:
         return batch
     return batch._replace(initial=batch.initial._replace(vector_biases=(), turning=()))

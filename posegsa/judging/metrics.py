@@ -10,6 +10,7 @@ from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
 from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
+from posegsa.search.pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 from posegsa.stored_programs import stored
@@ -80,29 +81,22 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
     parts = []
     for first in range(0, there, SCENARIOS):
-        initial = jax.tree.map(lambda a, first=first: _piece(a, first, SCENARIOS), batch.initial)
-        some = jax.tree.map(lambda a, first=first: _piece(a, first, SCENARIOS), batch.samples)
+        initial, some = jax.tree.map(
+            lambda a, first=first: piece(a, first, SCENARIOS), (batch.initial, batch.samples)
+        )
         loop, pieces = _begin(candidate, initial), []
         for start in range(0, samples, SAMPLES):
-            piece = jax.tree.map(lambda a, k=start, some=some: _piece(a.T, k, SAMPLES).T, some)
+            now = jax.tree.map(lambda a, start=start: piece(a, start, SAMPLES, axis=1), some)
             count = np.int32(min(SAMPLES, samples - start))
-            loop, errors = _onward(candidate, piece, loop, batch.settings, batch.signal, count)
+            loop, errors = _onward(candidate, now, loop, batch.settings, batch.signal, count)
             pieces.append(jax.device_get(errors))
         over_time = (
             np.concatenate(each, axis=1)[:, :samples]
-            for each in zip(*(piece[:4] for piece in pieces), strict=True)
+            for each in zip(*(errors[:4] for errors in pieces), strict=True)
         )
         over_all = dict(zip(("attitude", "position", "gain", "distance"), over_time, strict=True))
         parts.append(pieces[-1]._replace(**over_all))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
-
-
-def _piece(a: np.ndarray, first: int, count: int) -> np.ndarray:
-    """Entries from the `first` one on, `count` of them; past the end the last one again."""
-    there = a[first : first + count]
-    if len(there) == count:
-        return there
-    return np.concatenate([there, np.broadcast_to(a[-1:], (count - len(there), *a.shape[1:]))])
 
 
 @stored

@@ -178,9 +178,14 @@ def _windows(occasions: Occasions, count: int, key: Array) -> Array:
     return jnp.stack([ends - lengths, ends], axis=-1)
 
 
+def draw_with_noise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Array]:
+    """One scenario of a family, and the key of its measurements' noise (pure, jittable)."""
+    of_family, of_noise = random.split(key)
+    return draw_scenario(scenario, family, of_family), of_noise
+
+
 def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
     """One scenario of a family with its true motion and its measurements (pure, jittable)."""
-    of_family, of_noise = random.split(key)
-    drawn = draw_scenario(scenario, family, of_family)
+    drawn, of_noise = draw_with_noise(scenario, family, key)
     truth = integrate(drawn)
     return drawn, truth, measure(drawn, truth, of_noise)

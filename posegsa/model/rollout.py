@@ -122,6 +122,7 @@ def samples_of(
     vectors: VectorSettings,
     rotation: Array | None = None,
     position: Array | None = None,
+    time: Array | None = None,
 ) -> Samples:
     """Measurements, and the truth where it is known, in the form of the loop (pure, jittable).
 
@@ -130,9 +131,11 @@ def samples_of(
         vectors: what the filter makes of vectors.
         rotation: (N, 3, 3) true R.
         position: (N, 3) true P [m].
+        time: (N,) [s]; by default the time steps' sum, from 0.
     """
-    step = measurements.time_step
-    time = jnp.cumsum(step) - step
+    if time is None:
+        step = measurements.time_step
+        time = jnp.cumsum(step) - step
     truth = None
     if rotation is not None and position is not None:
         w, x, y, z = unstack(quaternion(rotation))

@@ -2,30 +2,33 @@
 
 import math
 import warnings
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.random import wrap_key_data
 from jax.typing import DTypeLike
 
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type
 from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.model.cost import CostWeights
-from posegsa.model.family import Family, Occasions, realise
+from posegsa.model.family import Family, Occasions, draw_with_noise
 from posegsa.model.filter import FilterSettings, VectorBias, initial_state
 from posegsa.model.fuzzy import Rules
-from posegsa.model.rollout import samples_of
-from posegsa.model.scenario import Bursts, Scenario, Sines, Truth
+from posegsa.model.rollout import Samples, samples_of
+from posegsa.model.scenario import Bursts, Scenario, Sines, Underway, sense_onward, underway
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.candidates import Schedules, SearchSpace
-from posegsa.search.keys import held_out_keys, training_keys
+from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
+from posegsa.search.pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.stored_programs import stored
 
@@ -91,50 +94,82 @@ def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch
     )
 
 
+DRAWN, PIECE = 16, 1024
+"""Scenarios and samples that are made at once, however many are wanted, so that one program makes
+those of every length."""
+
+
 def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) -> ScenarioBatch:
-    """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate."""
+    """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
+
+    On the host, where taking some of the scenarios compiles nothing.
+    """
     dtype = jnp.dtype(experiment.run.dtype)
-    settings = filter_settings(experiment)
-    # On the host, where taking some of the scenarios compiles nothing.
-    drawn = jax.device_get(_drawn(one, family(experiment, dtype), settings, keys))
+    settings, drawn_from = filter_settings(experiment), family(experiment, dtype)
+    words, count = np.asarray(jax.random.key_data(keys)), len(keys)
+    parts = [
+        _made(one, drawn_from, settings, piece(words, first, DRAWN))
+        for first in range(0, count, DRAWN)
+    ]
+    kept = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
     if experiment.family.duration == "off":
-        drawn["end"] = None
+        kept["end"] = None
     return ScenarioBatch(
-        **drawn,
+        **kept,
         weights=cost_weights(experiment.cost, one.samples, dtype),
         settings=settings,
         signal=signal_settings(experiment.gain, dtype),
     )
 
 
+def _made(
+    one: Scenario, family: Family, settings: FilterSettings, keys: np.ndarray
+) -> dict[str, Any]:
+    """What `ScenarioBatch` keeps of DRAWN scenarios, of their keys' data (DRAWN, 2)."""
+    drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), family, settings, keys)
+    pieces = []
+    for start in range(0, one.samples, PIECE):
+        last = np.int32(min(PIECE, one.samples - start) - 1)
+        samples, bias, at = _sensed(drawn, settings, of_noise, at, last)
+        pieces.append(jax.device_get(samples))
+    joined = jax.tree.map(lambda *a: np.concatenate(a, axis=1)[:, : one.samples], *pieces)
+    return jax.device_get(kept) | {"samples": joined, "bias": np.asarray(bias)}
+
+
 @stored
 def _drawn(
-    scenario: Scenario, family: Family, settings: FilterSettings, keys: Array
-) -> dict[str, Any]:
-    return jax.vmap(lambda key: prepare_scenario(scenario, family, settings, key)[1])(keys)
+    scenario: Scenario, family: Family, settings: FilterSettings, keys: np.ndarray
+) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
+    """The scenarios of keys' data (S, 2), their noise's keys, and what is kept but the samples."""
+
+    def draw(key: Array) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
+        drawn, of_noise = draw_with_noise(scenario, family, wrap_key_data(key, impl=GENERATOR))
+        initial = initial_state(
+            drawn.rotation_estimate,
+            drawn.position_estimate,
+            drawn.bias_estimate,
+            learnt_vectors=0 if settings.vector_bias is None else scenario.vectors.shape[0],
+        )
+        kept = {"initial": initial, "vector_bias": drawn.vector_bias, "end": drawn.end}
+        return drawn, of_noise, underway(drawn), kept
+
+    return jax.vmap(draw)(jnp.asarray(keys))
 
 
-def prepare_scenario(
-    scenario: Scenario, family: Family, settings: FilterSettings, key: Array
-) -> tuple[Truth, dict[str, Any]]:
-    """One scenario of a family: its true motion, and what `ScenarioBatch` keeps of it."""
-    drawn, truth, sensed = realise(scenario, family, key)
-    initial = initial_state(
-        drawn.rotation_estimate,
-        drawn.position_estimate,
-        drawn.bias_estimate,
-        learnt_vectors=0 if settings.vector_bias is None else scenario.vectors.shape[0],
-    )
-    kept = {
-        "samples": samples_of(
-            sensed.measurements, settings.vectors, truth.rotation, truth.position
-        ),
-        "initial": initial,
-        "bias": sensed.bias[-1],
-        "vector_bias": drawn.vector_bias,
-        "end": drawn.end,
-    }
-    return truth, kept
+@stored
+def _sensed(
+    scenarios: Scenario, settings: FilterSettings, keys: Array, at: Underway, last: np.int32
+) -> tuple[Samples, Array, Underway]:
+    """The next PIECE samples of each of S scenarios, and b at the one that is the `last` wanted."""
+
+    def sense(one: Scenario, key: Array, at: Underway) -> tuple[Samples, Array, Underway]:
+        truth, sensed, after = sense_onward(one, at, one.samples, key)
+        samples = samples_of(
+            sensed.measurements, settings.vectors, truth.rotation, truth.position, truth.time
+        )
+        return samples, sensed.bias[last], after
+
+    return jax.vmap(sense)(scenarios, keys, at)
 
 
 def _array(values: Any, dtype: DTypeLike) -> Array:

@@ -28,7 +28,7 @@ from posegsa.search.build import (
     search_space,
     tuning_problem,
 )
-from posegsa.search.keys import keys, scenario_keys
+from posegsa.search.keys import keys, scenario_keys, training_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import Progress
 
@@ -69,6 +69,18 @@ def test_the_number_of_scenarios_does_not_change_the_first_ones():
     key = keys(3).training
     few, many = (jax.random.key_data(scenario_keys(key, n)) for n in (2, 9))
     assert (few == many[:2]).all()
+
+
+def test_neither_their_number_nor_their_length_changes_a_bit_of_what_scenarios_begin_with():
+    short = tiny()
+    long = short.replace(**{"scenario.duration": 2 * short.scenario.duration})
+    few, many = (
+        scenario_batch(e, scenario(e), training_keys(3, n)) for e, n in ((short, 2), (long, 17))
+    )
+    for a, b in zip(jax.tree.leaves(few.samples), jax.tree.leaves(many.samples), strict=True):
+        np.testing.assert_array_equal(a, b[:2, : a.shape[1]])
+    for a, b in zip(jax.tree.leaves(few.initial), jax.tree.leaves(many.initial), strict=True):
+        np.testing.assert_array_equal(a, b[:2])
 
 
 def test_history_and_counts(run):
