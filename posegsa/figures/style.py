@@ -82,11 +82,18 @@ styled = _look()
 """Decorator: matplotlib's own defaults and the style above, while a figure is built."""
 
 
-def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
+def grid(
+    rows: int, columns: int, height: float, *, above: float = 0.0, **keywords: Any
+) -> tuple[Figure, np.ndarray]:
+    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`.
+
+    `above` is the height of what stands above the first row beside titles and legend [in].
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    from posegsa.figures.room import Room
+
+    figure = Figure(figsize=(WIDTH, height), layout=Room(above))
     axes = figure.subplots(rows, columns, squeeze=False, **keywords)
     for ax in axes.flat:
         style_ticks(ax)
@@ -119,12 +126,12 @@ def legend_above(figure: Figure, ax: Axes) -> None:
     entries = dict(zip(labels, handles, strict=True))
     widths = [len(label) + _HANDLE for label in entries]
     columns = len(widths) if sum(widths) <= _LEGEND else max(1, _LEGEND // max(widths))
-    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
+    figure.legend(entries.values(), entries.keys(), loc="upper center", ncols=columns)
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
     """The scale of a panel's colours, beside it."""
-    bar = figure.colorbar(drawn, ax=ax, pad=0.02)
+    bar = figure.colorbar(drawn, ax=ax, pad=0.025, fraction=0.03, aspect=30)
     bar.set_label(label)
     style_ticks(bar.ax)
     return bar
@@ -192,13 +199,14 @@ def finite(values: ArrayLike) -> np.ndarray:
 def png(figure: Figure) -> bytes:
     """A figure as a PNG file at the resolution for print.
 
-    The layout is made here, once: `savefig` would draw the whole figure once more to make it.
+    The layout is made here, and put aside meanwhile: `savefig` draws a figure that has one twice.
     """
     file, layout = io.BytesIO(), figure.get_layout_engine()
     figure.set_dpi(DPI)
     if layout is not None:
         layout.execute(figure)
-        figure.set_layout_engine("none")
+    with _look():  # in which no layout is the default
+        figure.set_layout_engine(None)
     figure.savefig(file, format="png", dpi=DPI)
     figure.set_layout_engine(layout)
     return file.getvalue()
