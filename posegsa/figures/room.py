@@ -16,7 +16,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.layout_engine import LayoutEngine
-from matplotlib.text import Annotation
+from matplotlib.text import Annotation, Text
 
 POINT = 1 / 72
 """[in]."""
@@ -103,7 +103,7 @@ def _right(ax: Axes) -> float:
     if _is_bar(ax):
         return _beside(ax.yaxis, "labelright")
     beside = [
-        _width(text.get_text(), text.get_fontsize()) + text.xyann[0] * POINT
+        _width(text.get_text(), _points(text)) + text.xyann[0] * POINT
         for text in ax.texts
         if isinstance(text, Annotation) and text.xycoords == ("axes fraction", "data")
     ]
@@ -127,7 +127,7 @@ def _bottom(ax: Axes) -> float:
 def _top(ax: Axes) -> float:
     """Its title, and half of the number at its upper end."""
     title = ax.get_title()
-    height = _lines(title) * LINE * ax.title.get_fontsize() * POINT + NEXT if title else 0.0
+    height = _lines(title) * LINE * _points(ax.title) * POINT + NEXT if title else 0.0
     offset = LINE * _size(ax.yaxis) * POINT if ax.yaxis.get_major_formatter().get_offset() else 0.0
     return height + max(offset, 0.5 * _size(ax.yaxis) * POINT)
 
@@ -142,7 +142,7 @@ def _label(axis: Axis) -> float:
     """Height of an axis' label, across its lines."""
     label = axis.get_label()
     text = label.get_text()
-    return NEXT + _lines(text) * LINE * label.get_fontsize() * POINT if text else 0.0
+    return NEXT + _lines(text) * LINE * _points(label) * POINT if text else 0.0
 
 
 def _numbers(axis: Axis, shown: str) -> list[str]:
@@ -161,8 +161,13 @@ def _size(axis: Axis) -> float:
     return FontProperties(size=size).get_size_in_points()
 
 
+def _points(text: Text) -> float:
+    """Size of a text [pt]."""
+    return float(text.get_fontsize())
+
+
 def _legend(legend: Any) -> float:
-    entries, size = len(legend.get_texts()), legend.get_texts()[0].get_fontsize()
+    entries, size = len(legend.get_texts()), _points(legend.get_texts()[0])
     rows = math.ceil(entries / legend._ncols)
     return (1.5 * rows + 0.8) * size * POINT
 

@@ -6,17 +6,19 @@ along a half cosine (I. Loshchilov, F. Hutter, "SGDR", ICLR 2017, Eq. 5, without
 a constant step keeps circling a minimum with kinks.
 """
 
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array, random
 from jax.typing import DTypeLike
 from pydantic import Field
 
 from posegsa.optimisers.base import Optimiser, uniform
 from posegsa.settings.fields import Count, Epsilon, Positive, Section, Share
+
+if TYPE_CHECKING:
+    import optax
 
 MAX_BETA = 0.999999
 """At 1 the running mean's bias correction is 0 / 0; in float32, so it is just below."""
@@ -27,7 +29,7 @@ class AdamState(NamedTuple):
     """State of all descents between two iterations."""
 
     position: Array  # (agents, dimensions) in the unit box
-    moments: optax.OptState  # m and v of the source, (agents, dimensions) each
+    moments: Any  # optax': m and v of the source, (agents, dimensions) each
     iteration: Array  # () int32, iterations done
     key: Array  # random key of what is still to be drawn
 
@@ -86,7 +88,9 @@ class Adam(DescentSettings, Optimiser):
     def _at(self, position: Array, key: Array) -> AdamState:
         return AdamState(position, self._adam().init(position), jnp.asarray(0, jnp.int32), key)
 
-    def _adam(self) -> optax.GradientTransformation:
+    def _adam(self) -> "optax.GradientTransformation":
+        import optax  # here, for it takes a quarter of the time in which posegsa is imported
+
         return optax.scale_by_adam(self.beta1, self.beta2, self.epsilon)
 
     def tell(self, state: AdamState, costs: Array, gradients: Array) -> AdamState:
