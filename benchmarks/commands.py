@@ -2,7 +2,8 @@
 
 Cold is with an empty cache folder, as on the first day; warm is with what the cold run left there.
 CPU time is that of all threads. Another version's commands are measured by its interpreter, such as
-one of a virtual environment in which it is installed, and both stand in the table.
+one of a virtual environment in which it is installed, and both stand in the table; a command that
+it does not have yet is left out.
 
     python benchmarks/commands.py [--write]
     python benchmarks/commands.py --python ../old/.venv/bin/python --name 0.5.0 --write
@@ -97,8 +98,12 @@ def measure(python: str, keep: Callable[[Found], None]) -> None:
         (folder / "eight.toml").write_text(EIGHT, encoding="utf-8")
         for i, (name, words) in enumerate(COMMANDS.items()):
             cache = folder / f"cache-{i}"
-            cold = run(python, words, folder, cache)
-            warm = run(python, words, folder, cache)
+            try:
+                cold = run(python, words, folder, cache)
+                warm = run(python, words, folder, cache)
+            except RuntimeError as error:
+                print(f"{name}: left out, {error}", flush=True)
+                continue
             found[name] = {"cold": list(cold), "warm": list(warm)}
             print(f"{name}: {cold[0]:.2f} s of CPU cold, {warm[0]:.2f} s warm", flush=True)
             keep(found)
