@@ -10,7 +10,7 @@ from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
 from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
-from posegsa.search.pieces import piece
+from posegsa.search.equal_pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 from posegsa.stored_programs import stored

@@ -26,9 +26,9 @@ from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.candidates import Schedules, SearchSpace
+from posegsa.search.equal_pieces import piece
 from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
-from posegsa.search.pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.stored_programs import stored
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posegsa.search.pieces import piece
+from posegsa.search.equal_pieces import piece
 
 
 @given(there=st.integers(1, 20), count=st.integers(1, 8), axis=st.integers(0, 1))
