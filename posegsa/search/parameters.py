@@ -78,10 +78,15 @@ class ParameterSpace:
 
     def raw_terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,) as it stands, without any repair."""
+        inputs, outputs = self._triangles(k)
+        return _stacked(inputs), _stacked(outputs)
 
-        def terms(searched: Array, ends: tuple[float, float]) -> Array:
+    def _triangles(self, k: Array) -> tuple[list[list[Array]], list[list[Array]]]:
+        """The same, number by number."""
+
+        def terms(searched: Array, ends: tuple[float, float]) -> list[list[Array]]:
             low, high = (jnp.asarray(end, k.dtype) for end in ends)
-            return jnp.stack([jnp.stack(t) for t in triangles(tuple(searched), low, high)])
+            return [list(triangle) for triangle in triangles(tuple(searched), low, high)]
 
         return terms(k[:HALF], INPUT_RANGE), terms(k[HALF:WHOLE], self.gain_range)
 
@@ -162,9 +167,11 @@ NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
 
 @stored
 def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
-    inputs, outputs = space.raw_terms(k)
-    if space.ordering:
-        inputs, outputs = ordered(jnp.stack([inputs, outputs]))
+    # Number by number, because XLA:CPU, where it makes one function of a small search, computes what
+    # stands before an array's elements are joined anew for each use: three to the power of the
+    # exchanges in a row, which took minutes to compile.
+    both = space._triangles(k)
+    inputs, outputs = (_stacked(_in_order(t) if space.ordering else t) for t in both)
     if space.coverage:
         lower_inputs, _ = space.raw_terms(space.lower)
         inputs = covering(inputs, lower_inputs[:, 0], space.overlap)
@@ -187,9 +194,18 @@ def ordered(terms: Array) -> Array:
     The second sort keeps the first: sorting the columns of a matrix with ascending rows keeps the
     rows ascending.
     """
-    triangles = _sorted([terms[..., i] for i in range(3)])
-    terms = jnp.stack(triangles, axis=-1)
-    return jnp.stack(_sorted([terms[..., i, :] for i in range(TERM_COUNT)]), axis=-2)
+    return _stacked(_in_order([[terms[..., i, j] for j in range(3)] for i in range(TERM_COUNT)]))
+
+
+def _in_order(terms: list[list[Array]]) -> list[list[Array]]:
+    """`ordered`, of the 5 triangles' numbers."""
+    columns = zip(*map(_sorted, terms), strict=True)
+    return [list(row) for row in zip(*(_sorted(list(column)) for column in columns), strict=True)]
+
+
+def _stacked(terms: list[list[Array]]) -> Array:
+    """Terms (..., 5, 3) of their numbers (...)."""
+    return jnp.stack([jnp.stack(triangle, axis=-1) for triangle in terms], axis=-2)
 
 
 _EXCHANGES = {
