@@ -167,9 +167,9 @@ NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
 
 @stored
 def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
-    # Number by number, because XLA:CPU, where it makes one function of a small search, computes what
-    # stands before an array's elements are joined anew for each use: three to the power of the
-    # exchanges in a row, which took minutes to compile.
+    # Number by number: where XLA:CPU makes one function of a whole search, a small one, it computes
+    # what stands before the elements of an array are joined anew for each use. That is three to the
+    # power of the exchanges in a row, and took minutes to compile.
     both = space._triangles(k)
     inputs, outputs = (_stacked(_in_order(t) if space.ordering else t) for t in both)
     if space.coverage:

@@ -1,4 +1,4 @@
-"""A search on several devices, in several processes and in a batch: the same bits as alone."""
+"""A search on several devices, in several processes, in a batch, in other pieces: the same bits."""
 
 import os
 import socket
@@ -7,23 +7,34 @@ import sys
 import warnings
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from experiments import TINY, tiny
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import search_vectors
 
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.search import devices
 from posegsa.search import run as search
-from posegsa.search.build import tuning_problem
-from posegsa.search.population import LANES, PIECE, partition
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.population import (
+    LANES,
+    PIECE,
+    evaluate_population,
+    partition,
+    population_costs,
+)
 from posegsa.search.run import run_search, search_batch
 
 pytestmark = pytest.mark.optimised
 
-OWN = ["search.agents=11", "run.training_scenarios=1"]
-"""No number of devices here divides 11 agents."""
+OWN = [
+    *("search.agents=11", "run.training_scenarios=3"),
+    *("filter.substeps=1", "filter.cross_vector=false"),
+]
+"""No number of devices here divides 11 agents; of a filter there is no more than they need."""
 
 
 def bits(found) -> list[bytes]:
@@ -134,6 +145,24 @@ def test_two_processes_find_what_one_finds(task):
     history = np.asarray(single.history.best).tobytes().hex()
     wanted = f"found {history} {float(single.best_cost).hex()}"
     assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
+    task: TuningProblem, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vectors = jnp.asarray(search_vectors(37), "float32")
+    mesh = devices.mesh_of(jax.devices()[:count])
+    in_pieces = evaluate_population(vectors, task.training, task.space)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    axis = None if mesh is None else devices.AXIS
+
+    def at_once(vectors, problem, space):
+        return population_costs(vectors, problem, space, axis=axis)
+
+    everything = devices.spread((vectors, task.training, task.space), mesh)
+    together = devices.collect(jax.jit(devices.on_each(mesh)(at_once))(*everything))
+    np.testing.assert_array_equal(together, in_pieces)
 
 
 @pytest.mark.parametrize(
