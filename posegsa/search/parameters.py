@@ -171,7 +171,9 @@ def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
     # what stands before the elements of an array are joined anew for each use. That is three to the
     # power of the exchanges in a row, and took minutes to compile.
     both = space._triangles(k)
-    inputs, outputs = (_stacked(_in_order(t) if space.ordering else t) for t in both)
+    if space.ordering:
+        both = [_in_order(terms) for terms in both]
+    inputs, outputs = map(_stacked, both)
     if space.coverage:
         lower_inputs, _ = space.raw_terms(space.lower)
         inputs = covering(inputs, lower_inputs[:, 0], space.overlap)
@@ -221,7 +223,8 @@ def _sorted(values: list[Array]) -> list[Array]:
     """Arrays of one shape, put in ascending order element by element."""
     for i, j in _EXCHANGES[len(values)]:
         a, b = values[i], values[j]
-        values[i], values[j] = choose(a > b, b, a), choose(a > b, a, b)
+        exchange = a > b
+        values[i], values[j] = choose(exchange, b, a), choose(exchange, a, b)
     return values
 
 
