@@ -58,14 +58,16 @@ def tunable(experiment: Section) -> dict[str, _Place]:
 def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
     if isinstance(value, tuple):
         for i, each in enumerate(value):
-            yield from _places(each, f"{path}.{i}")
+            if isinstance(each, tuple | Section):
+                yield from _places(each, f"{path}.{i}")
     if not isinstance(value, Section):
         return
     for name, field in type(value).model_fields.items():
         inner, key = getattr(value, name), f"{path}.{name}" if path else name
         marks = [mark for mark in field.metadata if isinstance(mark, Tunable)]
         if not marks:
-            yield from _places(inner, key)
+            if isinstance(inner, tuple | Section):
+                yield from _places(inner, key)
         elif marks[0].has_effect(value):
             if isinstance(inner, tuple):
                 for i in range(len(inner)):

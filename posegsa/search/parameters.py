@@ -78,10 +78,15 @@ class ParameterSpace:
 
     def raw_terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,) as it stands, without any repair."""
+        inputs, outputs = self._triangles(k)
+        return _stacked(inputs), _stacked(outputs)
 
-        def terms(searched: Array, ends: tuple[float, float]) -> Array:
+    def _triangles(self, k: Array) -> tuple[list[list[Array]], list[list[Array]]]:
+        """The same, number by number."""
+
+        def terms(searched: Array, ends: tuple[float, float]) -> list[list[Array]]:
             low, high = (jnp.asarray(end, k.dtype) for end in ends)
-            return jnp.stack([jnp.stack(t) for t in triangles(tuple(searched), low, high)])
+            return [list(triangle) for triangle in triangles(tuple(searched), low, high)]
 
         return terms(k[:HALF], INPUT_RANGE), terms(k[HALF:WHOLE], self.gain_range)
 
@@ -162,9 +167,13 @@ NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
 
 @stored
 def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
-    inputs, outputs = space.raw_terms(k)
+    # Number by number: where XLA:CPU makes one function of a whole search, a small one, it computes
+    # what stands before the elements of an array are joined anew for each use. That is three to the
+    # power of the exchanges in a row, and took minutes to compile.
+    both = space._triangles(k)
     if space.ordering:
-        inputs, outputs = ordered(jnp.stack([inputs, outputs]))
+        both = [_in_order(terms) for terms in both]
+    inputs, outputs = map(_stacked, both)
     if space.coverage:
         lower_inputs, _ = space.raw_terms(space.lower)
         inputs = covering(inputs, lower_inputs[:, 0], space.overlap)
@@ -187,9 +196,18 @@ def ordered(terms: Array) -> Array:
     The second sort keeps the first: sorting the columns of a matrix with ascending rows keeps the
     rows ascending.
     """
-    triangles = _sorted([terms[..., i] for i in range(3)])
-    terms = jnp.stack(triangles, axis=-1)
-    return jnp.stack(_sorted([terms[..., i, :] for i in range(TERM_COUNT)]), axis=-2)
+    return _stacked(_in_order([[terms[..., i, j] for j in range(3)] for i in range(TERM_COUNT)]))
+
+
+def _in_order(terms: list[list[Array]]) -> list[list[Array]]:
+    """`ordered`, of the 5 triangles' numbers."""
+    columns = zip(*map(_sorted, terms), strict=True)
+    return [list(row) for row in zip(*(_sorted(list(column)) for column in columns), strict=True)]
+
+
+def _stacked(terms: list[list[Array]]) -> Array:
+    """Terms (..., 5, 3) of their numbers (...)."""
+    return jnp.stack([jnp.stack(triangle, axis=-1) for triangle in terms], axis=-2)
 
 
 _EXCHANGES = {
@@ -205,7 +223,8 @@ def _sorted(values: list[Array]) -> list[Array]:
     """Arrays of one shape, put in ascending order element by element."""
     for i, j in _EXCHANGES[len(values)]:
         a, b = values[i], values[j]
-        values[i], values[j] = choose(a > b, b, a), choose(a > b, a, b)
+        exchange = a > b
+        values[i], values[j] = choose(exchange, b, a), choose(exchange, a, b)
     return values
 
 

@@ -26,6 +26,13 @@ from posegsa.export import FORMATS
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
 
+def environment(compiled: bool) -> dict[str, str]:
+    """Of a process; `compiled`, it finds the programs of these tests."""
+    if compiled:
+        return {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # as this file is compiled
+    return {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+
+
 def posegsa(
     *arguments: str, cwd=None, as_module: bool = True, compiled: bool = False
 ) -> subprocess.CompletedProcess[str]:
@@ -35,13 +42,10 @@ def posegsa(
         if as_module
         else [str(Path(sys.executable).with_name("posegsa"))]
     )
-    environment = {k: v for k, v in os.environ.items() if compiled or k != "XLA_FLAGS"}
-    if compiled:
-        environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # as this file is compiled
     return subprocess.run(
         [*command, *arguments],
         cwd=cwd,
-        env=environment,
+        env=environment(compiled),
         capture_output=True,
         text=True,
         check=False,
@@ -126,12 +130,10 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
-    long += ["--set", "filter.substeps=1", "--set", "filter.cross_vector=false"]
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
         cwd=tmp_path,
-        env=environment,
+        env=environment(compiled=True),
         stderr=subprocess.PIPE,
         text=True,
     )

@@ -42,7 +42,7 @@ def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
     evaluate = inspect.signature(posegsa.evaluate)
     monkeypatch.setattr(posegsa, "evaluate", lambda *a, **k: evaluate.bind(*a, **k).args[0])
     experiment = tiny("run.seed=1")
-    result = example("tune_and_export")["main"](experiment, tmp_path / "tuned", scenarios=5)
+    result = example("tune_and_export")["main"](experiment, tmp_path / "tuned", scenarios=3)
     assert "best constant gains" in capsys.readouterr().out
     written = {path.name for path in (tmp_path / "tuned").iterdir()}
     assert {"report.html", "result.json", "gain.h", "gain.fis"} <= written

@@ -110,7 +110,7 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
             again = posegsa.recording_errors(estimates, recording).rmse()
             assert scores[i].errors == again
         assert judged.baselines[EKF][i].errors["judged"].samples == 200
-    assert "on 2 simulated scenarios" in judged.summary()
+    assert "on 3 simulated scenarios" in judged.summary()
     assert f"{CONSTANT}, held out" in judged.summary()
     assert "No recording was held out" not in judged.summary()
     # What the run has been judged beside before is not searched again.

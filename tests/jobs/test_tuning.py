@@ -48,7 +48,7 @@ def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
     result, _, _ = run
     experiment = result.experiment
     training = scenario_batch(
-        experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 2)
+        experiment, scenario(experiment), scenario_keys(keys(experiment.run.seed).training, 3)
     )
     space = posegsa.parameter_space(experiment)
     k = space.checked(result.parameters)[None]
@@ -116,7 +116,7 @@ def test_the_best_constant_gain_is_the_best_of_those_tried(run):
 
     result, _, _ = run
     training = scenario_batch(
-        result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 2)
+        result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 3)
     )
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
     every = Candidate(ConstantGain(jax.numpy.asarray(gains)))

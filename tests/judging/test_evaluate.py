@@ -46,7 +46,7 @@ def evaluated():
     patch.setattr(kalman, "MOST", 40)
     told: list[str] = []
     tuned = posegsa.tune(tiny())
-    result = evaluate(tuned, scenarios=5, progress=told.append)
+    result = evaluate(tuned, scenarios=3, progress=told.append)
     yield tuned, result, told
     patch.undo()
 
@@ -61,7 +61,7 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     assert set(told[: -len(CONTENDERS)]) == searched, "what `tune` found is not searched again"
     assert told[-len(CONTENDERS) :] == [f"judging: {name}" for name in CONTENDERS]
     starts = [c.metrics.initial_angle for c in contenders.values()]
-    assert all(len(s) == 5 for s in starts)
+    assert all(len(s) == 3 for s in starts)
     for start in starts:
         np.testing.assert_allclose(start, starts[0], atol=1e-3)
     for name, contender in contenders.items():
@@ -72,7 +72,7 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
 def test_what_was_found_is_not_searched_again(evaluated):
     _, result, _ = evaluated
     told: list[str] = []
-    again = evaluate(result, scenarios=5, progress=told.append)
+    again = evaluate(result, scenarios=3, progress=told.append)
     assert told == [f"judging: {name}" for name in CONTENDERS]
     for name, contender in again.evaluation.contenders.items():
         before = result.evaluation.contenders[name]
@@ -88,7 +88,7 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, cap
     with monkeypatch.context() as patch:
         patch.setattr("posegsa.saving.run.draw", lambda *_: {})
         posegsa.save(dataclasses.replace(result, evaluation=before), folder)
-    assert main(["evaluate", str(folder), "--scenarios", "5", "--seed", "2"]) == 0
+    assert main(["evaluate", str(folder), "--scenarios", "3", "--seed", "2"]) == 0
     said = capsys.readouterr()
     assert f"searching {REPLAYED} ..." in said.err
     for contender in CONTENDERS:
@@ -96,9 +96,9 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, cap
         assert contender in said.err, "long work says what it does"
     assert "judging: done after" in said.err
     evaluation = json.loads((folder / "evaluation.json").read_text())
-    assert evaluation["summary"]["scenarios"] == 5
+    assert evaluation["summary"]["scenarios"] == 3
     assert evaluation["seed"] == 2
-    assert posegsa.load(folder).evaluation.scenarios == 5
+    assert posegsa.load(folder).evaluation.scenarios == 3
     assert "invariant EKF" in (folder / "report.html").read_text()
     assert (folder / "evaluation.txt").read_text().strip() in said.out
 
@@ -121,7 +121,7 @@ def test_another_seed_is_another_held_out_set():
             training_keys(experiment.run.seed, experiment.run.training_scenarios),
         )
     )
-    assert len(own | other | training) == 2002
+    assert len(own | other | training) == 2003
 
 
 def test_differences_are_paired(evaluated):
@@ -130,7 +130,7 @@ def test_differences_are_paired(evaluated):
     found = evaluation.difference(CONSTANT)
     assert found.mean == pytest.approx(np.mean(tuned - constant))
     assert found.low < found.mean < found.high
-    half = stats.t.ppf(0.975, 4) * np.std(tuned - constant, ddof=1) / math.sqrt(5)
+    half = stats.t.ppf(0.975, 2) * np.std(tuned - constant, ddof=1) / math.sqrt(3)
     assert found.high - found.mean == pytest.approx(half)
 
 
@@ -151,15 +151,15 @@ def test_a_diverged_contender_is_told_and_not_averaged_away(evaluated):
     evaluation = evaluated[1].evaluation
     first = evaluation.contenders[CONSTANT]
     cost = first.metrics.cost.copy()
-    cost[3] = np.inf
+    cost[2] = np.inf
     diverged = first.metrics.diverged.copy()
-    diverged[3] = True
+    diverged[2] = True
     metrics = first.metrics._replace(cost=cost, diverged=diverged)
     contenders = evaluation.contenders | {CONSTANT: first._replace(metrics=metrics)}
     bad = dataclasses.replace(evaluation, contenders=contenders)
     assert bad.cost(CONSTANT).mean == math.inf
     assert math.isnan(bad.difference(CONSTANT).low)
-    assert "20.0" in bad.table()
+    assert "33.3" in bad.table()
     again = from_json(Evaluation, to_json(bad, SCHEMA), SCHEMA, FILE)
     assert again.cost(CONSTANT).mean == math.inf
 
@@ -177,7 +177,7 @@ def test_a_percentile_does_not_hide_divergence(evaluated):
     evaluation = evaluated[1].evaluation
     first = evaluation.contenders[CONSTANT]
     cost = first.metrics.cost.copy()
-    cost[3] = np.inf
+    cost[2] = np.inf
     contenders = evaluation.contenders | {
         CONSTANT: first._replace(metrics=first.metrics._replace(cost=cost))
     }
@@ -194,4 +194,4 @@ def test_the_table_holds_every_contender(evaluated):
     heads = [line[: len(max(CONTENDERS, key=len))].strip() for line in text.splitlines()]
     for name in CONTENDERS:
         assert heads.count(name) == 2
-    assert "5 held-out scenarios" in text
+    assert "3 held-out scenarios" in text

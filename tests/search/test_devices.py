@@ -1,29 +1,36 @@
-"""A search on several devices, in several processes and in a batch: the same bits as alone."""
+"""A search on several devices, in a batch, in other pieces: the same bits as alone."""
 
-import os
-import socket
-import subprocess
-import sys
 import warnings
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import TINY, tiny
+from experiments import tiny
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import search_vectors
 
-from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.errors import PosegsaWarning
 from posegsa.search import devices
 from posegsa.search import run as search
-from posegsa.search.build import tuning_problem
-from posegsa.search.population import LANES, PIECE, partition
+from posegsa.search.build import TuningProblem, tuning_problem
+from posegsa.search.population import (
+    LANES,
+    PIECE,
+    evaluate_population,
+    partition,
+    population_costs,
+)
 from posegsa.search.run import run_search, search_batch
 
 pytestmark = pytest.mark.optimised
 
-OWN = ["search.agents=11", "run.training_scenarios=1"]
-"""No number of devices here divides 11 agents."""
+OWN = [
+    *("search.agents=11", "run.training_scenarios=3"),
+    *("filter.substeps=1", "filter.cross_vector=false"),
+]
+"""No number of devices here divides 11 agents; of a filter there is no more than they need."""
 
 
 def bits(found) -> list[bytes]:
@@ -47,7 +54,7 @@ def alone(task):
 
 
 def test_a_search_is_the_same_on_several_devices(task, alone, monkeypatch):
-    """On four; on two, in processes of their own, below."""
+    """On four; on two, in processes of their own, in `test_joined_processes`."""
     mesh = devices.mesh_of(jax.devices()[:4])
     monkeypatch.setattr(search, "mesh_for", lambda simulations: mesh)
     assert bits(run_search(task)) == alone
@@ -90,66 +97,19 @@ def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
         assert cut.scenarios != 2  # which is slow
 
 
-WORKER = """
-import os, sys, warnings
-from posegsa.runtime import fast_path_flags
-os.environ["XLA_FLAGS"] = fast_path_flags(devices=1)
-import jax, numpy as np
-from posegsa import config
-from posegsa.search import devices
-from posegsa.search.run import run_search
-from posegsa.search.build import tuning_problem
-index, address, *settings = sys.argv[1:]
-devices.join_processes(address, 2, int(index))
-assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
-warnings.simplefilter("ignore")
-mesh = devices.mesh_for(1)
-assert mesh.devices.size == 2, "processes that have joined use all devices"
-found = run_search(tuning_problem(config.override(config.Experiment(), settings))).search
-print("found", np.asarray(found.history.best).tobytes().hex(), float(found.best_cost).hex())
-"""
+@pytest.mark.parametrize("count", [1, 2])
+def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
+    task: TuningProblem, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vectors = jnp.asarray(search_vectors(37), "float32")
+    mesh = devices.mesh_of(jax.devices()[:count])
+    in_pieces = evaluate_population(vectors, task.training, task.space)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    axis = None if mesh is None else devices.AXIS
 
+    def at_once(vectors, problem, space):
+        return population_costs(vectors, problem, space, axis=axis)
 
-def test_two_processes_find_what_one_finds(task):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-c", WORKER, str(i), address, *TINY, *OWN],
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for i in range(2)
-    ]
-    try:
-        told = [process.communicate(timeout=180) for process in running]
-    finally:
-        for process in running:
-            process.kill()
-    assert [process.returncode for process in running] == [0, 0], told
-    single = run_search(task).search
-    history = np.asarray(single.history.best).tobytes().hex()
-    wanted = f"found {history} {float(single.best_cost).hex()}"
-    assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (("127.0.0.1:1", None, None), "all three"),
-        (("127.0.0.1", 2, 0), "HOST:PORT"),
-        (("127.0.0.1:1", 2, 2), "process = 2; allowed: a whole number from 0 to 1"),
-        (("127.0.0.1:1", 2, 0.5), "process = 0.5; allowed: a whole number from 0 to 1"),
-        (("127.0.0.1:1", 0, 0), "processes = 0; allowed: a whole number from 1"),
-        (("127.0.0.1:1", "2", 0), "processes = '2'; allowed: a whole number from 1"),
-        (("127.0.0.1:1", True, 0), "processes = True; allowed: a whole number from 1"),
-        ((9, 2, 0), "coordinator: a int; allowed: text, HOST:PORT"),
-    ],
-)
-def test_processes_that_cannot_join_are_told_why(given, message):
-    with pytest.raises(ArgumentError, match=message):
-        devices.join_processes(*given)
+    everything = devices.spread((vectors, task.training, task.space), mesh)
+    together = devices.collect(jax.jit(devices.on_each(mesh)(at_once))(*everything))
+    np.testing.assert_array_equal(together, in_pieces)

@@ -1,7 +1,8 @@
 """From a vector k1..k22 to terms: repairs against the reference, and what they promise."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -157,6 +158,25 @@ def test_coverage_leaves_no_gap(vectors: Callable[[int], np.ndarray]) -> None:
 def test_without_coverage_most_vectors_leave_gaps() -> None:
     inputs, _ = all_terms(space(*REPAIRS["order"][0]), search_vectors(2000))
     assert gaps(inputs).mean() == pytest.approx(0.73, abs=0.03)
+
+
+def primitives(jaxpr: Any) -> Iterator[str]:
+    """What a program does, in order, those that it calls included."""
+    for equation in jaxpr.eqns:
+        yield equation.primitive.name
+        called = equation.params.get("jaxpr")
+        if called is not None:
+            yield from primitives(called.jaxpr)
+
+
+def test_numbers_are_joined_only_once_they_are_in_order() -> None:
+    """Else XLA:CPU took minutes, and gigabytes, to compile a random search of six agents."""
+    k = jnp.zeros(22, jnp.float32)
+    made = space(*REPAIRS["order"][0], dtype="float32")
+    done = list(primitives(jax.make_jaxpr(made.terms)(k).jaxpr))
+    joined = min(i for i, name in enumerate(done) if name in ("stack", "concatenate"))
+    assert "select_n" not in done[joined:]
+    assert done.count("select_n") == 2 * 2 * (5 * 3 + 3 * 9), "two for each exchange"
 
 
 @pytest.mark.usefixtures("x64")

@@ -1,4 +1,7 @@
-"""Many agents on many scenarios in one call: the same as one by one, however they are cut."""
+"""Many agents on many scenarios in one call: the same as one by one; compiled once.
+
+However they are cut, they have the same bits: `test_devices`.
+"""
 
 import logging
 
@@ -11,15 +14,16 @@ from setups import lasting, paper, posed, repaired_terms, search_vectors, search
 from posegsa.model.rollout import simulate_cost
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.candidates import Candidate
-from posegsa.search.devices import AXIS, collect, mesh_of, on_each, spread
 from posegsa.search.population import (
     ScenarioBatch,
     costs_by_scenario,
     evaluate_population,
-    population_costs,
 )
 
-pytestmark = pytest.mark.optimised
+
+def problem_of(*settings: str, dtype: str = "float32") -> ScenarioBatch:
+    """Three scenarios of a second and a half: of one shape, so that one program draws them."""
+    return posed(paper(*lasting(1.5), *settings, dtype=dtype), scenarios=3)
 
 
 def costs_of(vectors: np.ndarray, problem: ScenarioBatch, *settings: str) -> np.ndarray:
@@ -39,7 +43,7 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one(
 ) -> None:
     vectors = search_vectors(4)
     with jax.enable_x64(dtype == "float64"):
-        problem = posed(paper(*lasting(1.5), dtype=dtype), scenarios=3)
+        problem = problem_of(dtype=dtype)
         made = searched(dtype=dtype)
         one = jax.jit(
             lambda k, tracks, initial: (
@@ -74,27 +78,8 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one(
     assert each.std(axis=1).min() > 1e-3 * each.mean()
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(
-    count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    vectors = jnp.asarray(search_vectors(37), "float32")
-    posed_problem = posed(paper(*lasting(1.5), dtype="float32"), scenarios=3)
-    made, mesh = searched(dtype="float32"), mesh_of(jax.devices()[:count])
-    in_pieces = evaluate_population(vectors, posed_problem, made)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    axis = None if mesh is None else AXIS
-
-    def at_once(vectors, problem, space):
-        return population_costs(vectors, problem, space, axis=axis)
-
-    everything = spread((vectors, posed_problem, made), mesh)
-    together = collect(jax.jit(on_each(mesh)(at_once))(*everything))
-    np.testing.assert_array_equal(together, in_pieces)
-
-
 def test_costs_by_scenario_are_scenarios_by_agents() -> None:
-    problem = posed(paper(*lasting(1.5), dtype="float32"), scenarios=3)
+    problem = problem_of()
     gains = jnp.asarray([2.0, 20.0])
     costs = np.asarray(costs_by_scenario(Candidate(ConstantGain(gains)), problem))
     assert costs.shape == (3, 2)
@@ -113,7 +98,7 @@ def test_a_disordered_agent_costs_infinity_where_order_is_not_repaired() -> None
     by_triangle[[12, 13]] = [9.0, 3.0]  # k13 > k14, foot and peak of one term
     by_term[[13, 16]] = [19.0, 12.0]  # k14 > k17, peaks of two
     by_term[14] = 25.0
-    problem = posed(paper(*lasting(0.3), *off, dtype="float32"))
+    problem = problem_of(*off)
     vectors = np.stack([in_order, by_triangle, by_term])
     costs = costs_of(vectors, problem, *off)
     assert np.isfinite(costs).tolist() == [True, False, False]
@@ -146,11 +131,10 @@ OTHER_NUMBERS = (
 
 
 def test_other_numbers_are_not_compiled_anew(caplog: pytest.LogCaptureFixture) -> None:
-    vectors = search_vectors(3)
+    vectors = search_vectors(4)  # as many as above
 
     def costs(*settings: str) -> np.ndarray:
-        problem = posed(paper(*lasting(0.3), *settings, dtype="float32"))
-        return costs_of(vectors, problem, *settings)
+        return costs_of(vectors, problem_of(*settings), *settings)
 
     def compiled() -> list[str]:
         return [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]

@@ -12,8 +12,6 @@ from setups import paper, posed, search_vectors, searched, without_limit
 from posegsa.optimisers import GSA, minimise
 from posegsa.search.population import ScenarioBatch, evaluate_population, population_costs
 
-pytestmark = pytest.mark.optimised  # what is chaos takes another course without
-
 DTYPES = ["float32", "float64"]
 
 
