@@ -24,6 +24,7 @@ from posegsa.saving.checkpoint import read
 from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
 from posegsa.saving.interrupt import StopRequest
 from posegsa.saving.resume import experiment_to_resume
+from posegsa.search import pieces
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import first_search, run_search
 
@@ -99,6 +100,29 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         # The signal is seen when the running chunk, here an iteration, is done.
         assert begun.checkpoint.search(first_search(task)).iteration == at + 1
     assert_same(search_in(tmp_path, task, begun=begun), whole)
+
+
+def test_a_signal_within_an_iteration_stops_there_if_it_goes_in_pieces(
+    task, whole, tmp_path, monkeypatch
+):
+    """What the iteration would have brought is lost; the last whole one is saved."""
+    monkeypatch.setattr(pieces, "WORK", 6 * 200)  # one of two scenarios
+    seen, asked = [], StopRequest()
+
+    def tell(progress) -> None:
+        seen.append((progress.iteration, progress.share))
+        if seen[-1] == (2, 0.5):
+            asked.signal_number = signal.SIGTERM
+
+    with (
+        pytest.raises(SearchInterrupted, match="after iteration 2 of 8, best cost"),
+        CheckpointWriter(tmp_path, LONG, asked) as keep,
+    ):
+        run_search(task, tell, keep=keep, pause=keep.stop_if_asked)
+    assert seen[-3:] == [(1, 1.0), (2, 0.0), (2, 0.5)]
+    begun = newest_checkpoint(tmp_path).checkpoint.search(first_search(task))
+    assert begun.iteration == 2
+    assert_same(run_search(task, search=begun).search, whole)
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
