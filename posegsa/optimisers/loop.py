@@ -247,9 +247,10 @@ def _prepared(phase: Optimiser, state: Any, costs: Array, before: Any, part: Arr
 def _told_prepared(
     phase: Optimiser, box: Box, search: Search, seen: list[Array], prepared: Any
 ) -> Search:
-    return _recorded(
-        phase, box, search, *seen, own=lambda *told: phase.tell_prepared(*told, prepared)
-    )
+    def own(state: Any, costs: Array) -> Any:
+        return phase.tell_prepared(state, costs, prepared)
+
+    return _recorded(phase, box, search, *seen, own=own)
 
 
 def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:

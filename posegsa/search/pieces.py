@@ -8,8 +8,10 @@ A simulation is the same in whatever piece, to the last bit, and so is the searc
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh
@@ -86,6 +88,8 @@ def places(count: int, size: int) -> list[int]:
 
 Leaves = list[Array]
 """Leaves (A, ...) of the candidates of A agents."""
+Agents = Any
+"""Search vectors (A, d), or `Leaves` that were made of them; of the host or traced."""
 
 
 class PiecewiseCosts:
@@ -120,7 +124,7 @@ class PiecewiseCosts:
         """Both functions below, as `optimisers.advance` takes them."""
         return Differentiable(self.costs, self.costs_and_gradients)
 
-    def costs(self, vectors: ArrayLike) -> np.ndarray:
+    def costs(self, vectors: ArrayLike) -> Array:
         """Costs (A,) of search vectors (A, d)."""
         given = np.asarray(vectors)
         size = self._agents(len(given), gradients=False)
@@ -133,9 +137,9 @@ class PiecewiseCosts:
         for begin in begins:
             here = slice(begin, begin + size)
             costs[here] = self._costs(given[here], jax.tree.map(lambda a, i=here: a[i], agents))
-        return costs
+        return jnp.asarray(costs)
 
-    def _made(self, vectors: np.ndarray, size: int) -> np.ndarray | Leaves:
+    def _made(self, vectors: np.ndarray, size: int) -> Agents:
         """The agents of vectors (A, d) as a piece of so many takes them.
 
         A compiled search makes those of a small population where it simulates them, which may round
@@ -145,7 +149,7 @@ class PiecewiseCosts:
             return vectors
         return jax.tree.map(np.asarray, collect(_candidates(vectors, self._space)))
 
-    def costs_and_gradients(self, vectors: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def costs_and_gradients(self, vectors: ArrayLike) -> tuple[Array, Array]:
         """Costs (A,) of search vectors (A, d), and their gradients (A, d)."""
         given = np.asarray(vectors)
         size = self._agents(len(given), gradients=True)
@@ -156,7 +160,7 @@ class PiecewiseCosts:
             here = slice(begin, begin + size)
             costs[here], gradients[here] = self._gradients(given[here])
             self.between()
-        return costs, gradients
+        return jnp.asarray(costs), jnp.asarray(gradients)
 
     def between(self) -> None:
         """Say that one more call is done, here or of the optimiser's own step."""
@@ -203,7 +207,7 @@ class PiecewiseCosts:
             self._packed[group] = spread(packed_batch(some), self._mesh)
         return self._packed[group]
 
-    def _costs(self, vectors: np.ndarray, agents: np.ndarray | Leaves) -> np.ndarray:
+    def _costs(self, vectors: np.ndarray, agents: Agents) -> np.ndarray:
         """Costs (a,) of the vectors (a, d) of a piece, and the agents made of them."""
         found = []
         for batch, groups in zip(self._scenarios, self._groups(len(vectors)), strict=True):
@@ -217,7 +221,7 @@ class PiecewiseCosts:
         together = _together(self._objective, vectors, training, further, self._space)
         return np.asarray(collect(together))
 
-    def _simulated(self, agents: np.ndarray | Leaves, group: tuple[int, int, int]) -> np.ndarray:
+    def _simulated(self, agents: Agents, group: tuple[int, int, int]) -> np.ndarray:
         """Costs (s, a) of agents on the scenarios of a group."""
         static = self._objective, self._mesh
         return np.asarray(collect(_simulated(*static, agents, self._given(group), self._space)))
@@ -235,7 +239,7 @@ class PiecewiseCosts:
 
 
 @stored
-def _candidates(vectors: Array, space: SearchSpace) -> Leaves:
+def _candidates(vectors: Any, space: SearchSpace) -> Leaves:
     """The agents of vectors (A, d)."""
     return jax.tree.leaves(jax.vmap(space.candidate)(vectors))
 
@@ -250,13 +254,13 @@ def _candidate_of(leaves: Leaves, space: SearchSpace) -> Candidate:
 def _simulated(
     objective: SearchObjective,
     mesh: Mesh | None,
-    agents: Array | Leaves,
+    agents: Agents,
     packed: Packed,
     space: SearchSpace,
 ) -> Array:
     """Costs (S, a) of agents, or of vectors (a, d), on S scenarios."""
 
-    def on_device(agents: Array | Leaves, packed: Packed, space: SearchSpace) -> Array:
+    def on_device(agents: Agents, packed: Packed, space: SearchSpace) -> Array:
         if isinstance(agents, list):
             made = _candidate_of(agents, space)
         else:
@@ -269,7 +273,7 @@ def _simulated(
 @stored(static_argnums=(0,))
 def _together(
     objective: SearchObjective,
-    vectors: Array,
+    vectors: Any,
     costs: Array,
     further: Array | None,
     space: SearchSpace,
@@ -282,7 +286,7 @@ def _together(
 def _with_gradients(
     objective: SearchObjective,
     mesh: Mesh | None,
-    vectors: Array,
+    vectors: Any,
     training: Packed,
     space: SearchSpace,
     beside: Packed | None,
@@ -290,7 +294,7 @@ def _with_gradients(
     """Costs (a,) of vectors (a, d), and their gradients (a, d)."""
 
     def on_device(
-        vectors: Array, training: Packed, space: SearchSpace, beside: Packed | None
+        vectors: Any, training: Packed, space: SearchSpace, beside: Packed | None
     ) -> tuple[Array, Array]:
         return objective(training, space, beside).costs_and_gradients(vectors)
 
