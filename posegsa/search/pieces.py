@@ -75,10 +75,13 @@ def agents_in_piece(agents: int, each: int, most: int, least: int) -> int:
     return min(agents, math.ceil(agents / (pieces * least)) * least)
 
 
-def scenarios_in_piece(agents: int, scenarios: int, length: int, most: int) -> int:
-    """Scenarios in a piece of so many agents, on S scenarios of N samples: all, if they fit."""
+def scenarios_in_piece(agents: int, scenarios: int, length: int, most: int, least: int) -> int:
+    """Scenarios in a piece of so many agents, on S scenarios of N samples: all, if they fit.
+
+    At least `least`, or all, which may be more than the most work.
+    """
     pieces = math.ceil(scenarios / max(1, most // (agents * length)))
-    return math.ceil(scenarios / pieces)
+    return min(scenarios, max(least, math.ceil(scenarios / pieces)))
 
 
 def places(count: int, size: int) -> list[int]:
@@ -117,6 +120,8 @@ class PiecewiseCosts:
         self._space, self._mesh = spread(problem.space, mesh), mesh
         self._objective, self._told = objective, told
         self._packed: dict[tuple[int, int, int], Packed] = {}
+        # A compiled loop of one turn is none: its numbers may be rounded otherwise.
+        self._turns = 2 * (1 if mesh is None else mesh.size)
         self._done = self._calls = 0
 
     @property
@@ -183,7 +188,7 @@ class PiecewiseCosts:
         """Agents in a piece."""
         if gradients:
             return agents_in_piece(agents, self._each * self._dimensions, most_work(), 1)
-        return agents_in_piece(agents, self._each, most_work(), PIECE)
+        return agents_in_piece(agents, self._each, most_work(), self._turns * PIECE)
 
     def _groups(self, agents: int) -> list[list[tuple[int, int, int]]]:
         """How each batch of scenarios is cut for pieces of so many agents.
@@ -193,7 +198,8 @@ class PiecewiseCosts:
         groups = []
         for number, batch in enumerate(self._scenarios):
             count, length = batch.samples.time.shape
-            size = scenarios_in_piece(agents, count, length, most_work())
+            least = self._turns if agents <= self._turns * PIECE else 1
+            size = scenarios_in_piece(agents, count, length, most_work(), least)
             groups.append([(number, begin, begin + size) for begin in places(count, size)])
         return groups
 

@@ -18,13 +18,12 @@ from posegsa.errors import (
     SearchError,
     SearchInterrupted,
 )
-from posegsa.optimisers import GSA, lengthened
+from posegsa.optimisers import GSA, gsa, lengthened
 from posegsa.saving import checkpointing
 from posegsa.saving.checkpoint import read
 from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
 from posegsa.saving.interrupt import StopRequest
 from posegsa.saving.resume import experiment_to_resume
-from posegsa.search import pieces
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import first_search, run_search
 
@@ -106,12 +105,12 @@ def test_a_signal_within_an_iteration_stops_there_if_it_goes_in_pieces(
     task, whole, tmp_path, monkeypatch
 ):
     """What the iteration would have brought is lost; the last whole one is saved."""
-    monkeypatch.setattr(pieces, "WORK", 6 * 200)  # one of two scenarios
+    monkeypatch.setattr(gsa, "PART", gsa.PULL_SECONDS * 6**2 * 22 / 1.5)  # two parts of GSA's step
     seen, asked = [], StopRequest()
 
     def tell(progress) -> None:
-        seen.append((progress.iteration, progress.share))
-        if seen[-1] == (2, 0.5):
+        seen.append((progress.iteration, round(3 * progress.share)))
+        if seen[-1] == (2, 1):
             asked.signal_number = signal.SIGTERM
 
     with (
@@ -119,7 +118,7 @@ def test_a_signal_within_an_iteration_stops_there_if_it_goes_in_pieces(
         CheckpointWriter(tmp_path, LONG, asked) as keep,
     ):
         run_search(task, tell, keep=keep, pause=keep.stop_if_asked)
-    assert seen[-3:] == [(1, 1.0), (2, 0.0), (2, 0.5)]
+    assert seen[-5:] == [(1, 1), (1, 2), (1, 3), (2, 0), (2, 1)], "the costs, and two parts"
     begun = newest_checkpoint(tmp_path).checkpoint.search(first_search(task))
     assert begun.iteration == 2
     assert_same(run_search(task, search=begun).search, whole)

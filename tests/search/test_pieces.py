@@ -22,14 +22,18 @@ from posegsa.search.run import run_search, search_batch
 pytestmark = pytest.mark.optimised
 
 SAMPLES = 200
-AGENTS = 300
-"""More than are simulated at once, and no multiple of that."""
+SCENARIOS, AGENTS = 9, 1100
+"""More than the smallest piece on the four devices that tests have, 8 and 1024."""
 
 
 def problem(*settings: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)
-        common = (f"search.agents={AGENTS}", "search.iterations=3", "run.training_scenarios=3")
+        common = (
+            f"search.agents={AGENTS}",
+            "search.iterations=3",
+            f"run.training_scenarios={SCENARIOS}",
+        )
         return tuning_problem(tiny(*common, *settings))
 
 
@@ -47,8 +51,8 @@ def whole(task):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    """128 agents on two scenarios at most, and five parts of GSA's step."""
-    monkeypatch.setattr(pieces, "WORK", 2 * 128 * SAMPLES)
+    """The smallest pieces, and five parts of GSA's step."""
+    monkeypatch.setattr(pieces, "WORK", SAMPLES)
     monkeypatch.setattr(gsa, "PART", gsa.PULL_SECONDS * AGENTS**2 * 22 / 4.5)
 
 
@@ -57,9 +61,9 @@ def test_pieces_give_the_bits_of_the_whole_and_say_how_far_they_are(task, whole)
     assert is_large(task)
     told = []
     assert_same(run_search(task, told.append).search, whole)
-    # Three chunks of the agents, two groups of the three scenarios, five parts: eleven calls.
+    # Two chunks of the agents, two groups of the scenarios, five parts: nine calls.
     shares = [progress.share for progress in told if progress.iteration == 1]
-    assert shares == pytest.approx([0, *(np.arange(1, 12) / 11)])
+    assert shares == pytest.approx([0, *(np.arange(1, 10) / 9)])
     assert told[-1].iteration == 3
     assert told[-1].share == 0
 
@@ -90,7 +94,7 @@ def test_gradients_go_in_pieces_too(monkeypatch):
     whole = run_search(task).search
     found = []
     for agents in (1, 2):
-        monkeypatch.setattr(pieces, "WORK", agents * 3 * 22 * SAMPLES)
+        monkeypatch.setattr(pieces, "WORK", agents * SCENARIOS * 22 * SAMPLES)
         assert is_large(task)
         found.append(run_search(task).search)
     assert_same(*found)
@@ -103,14 +107,15 @@ def test_gradients_go_in_pieces_too(monkeypatch):
     scenarios=st.integers(1, 2000),
     length=st.integers(2, 10**5),
     most=st.integers(10**5, 10**9),
+    turns=st.integers(2, 16),
 )
-def test_pieces_cover_everything_within_the_bound(agents, scenarios, length, most):
-    least = pieces.PIECE
+def test_pieces_cover_everything_within_the_bound(agents, scenarios, length, most, turns):
+    least = turns * pieces.PIECE
     some = agents_in_piece(agents, scenarios * length, most, least)
-    part = scenarios_in_piece(some, scenarios, length, most)
+    part = scenarios_in_piece(some, scenarios, length, most, turns if some <= least else 1)
     assert some <= agents
     assert some == agents or some % least == 0
-    assert some * part * length <= most or (some <= least and part == 1)
+    assert some * part * length <= most or (some <= least and part <= turns)
     assert part == scenarios or some <= least
     for count, size in ((agents, some), (scenarios, part)):
         begins = places(count, size)
