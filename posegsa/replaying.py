@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from posegsa.arguments import check_type, several
+from posegsa.arguments import check_type, refuse, several
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
 from posegsa.figures.choice import chosen_figures
 from posegsa.figures.replay import REPLAY_FIGURES
@@ -37,11 +37,14 @@ def replay(
         figures: Names of those to draw there; by default all.
 
     Raises:
-        ArgumentError: An argument is of another type.
+        ArgumentError: An argument is of another type, or means nothing without `out`.
         MeasurementError: A recording can't be started.
         RunFolderError: `out` holds replays already, or can't be written.
     """
     drawn = chosen_figures(figures, REPLAY_FIGURES)
+    for name, stated in (("overwrite", overwrite), ("figures", figures is not None)):
+        if stated and out is None:
+            refuse(f"{name} without out", "both, or neither")
     if result == SHIPPED:
         result = load_imu()
     allowed = 'a TuneResult, a RecordingResult, an ImuConfig or "imu"'

@@ -86,7 +86,8 @@ class PoseFilter:
     Whoever has no such sensor gives zeros.
 
     An update that is refused changes nothing: the next one may go on from there, with the time
-    that has passed. Arrays that are returned are the caller's own.
+    that has passed. Arrays that are returned are the caller's own. A filter can be pickled, as for
+    another process, which compiles it anew.
 
     Args:
         source: What the gain comes from: a tuned result, which brings settings and references too
@@ -338,8 +339,8 @@ class PoseFilter:
             checkpoint: From `checkpoint`, or as `numpy.load` reads it back.
 
         Raises:
-            ArgumentError: It is none, is of another format, or of a filter with other laws, rules
-                or numbers.
+            ArgumentError: It is none, is of another format, of a filter with other laws, rules or
+                numbers, or holds what no filter remembers, such as NaN.
         """
         check_type("checkpoint", checkpoint, Mapping, allowed="a mapping of arrays")
         own = self.checkpoint()
@@ -349,6 +350,16 @@ class PoseFilter:
         for name, what in (("structure", "laws or rules"), ("parameters", "numbers")):
             if not np.array_equal(given[name], own[name]):
                 refuse(f"checkpoint: of a filter with other {what}", "one of this filter's own")
+        if (given["clock"] < 0).any():
+            refuse("checkpoint: clock holds a negative time", "times from 0 on")
+        known = {name: np.isfinite(given[name]) for name in ("record", "velocities", "clock")}
+        if given["clock"][0] == 0:  # before the first sample there is, say, no error before
+            known["record"] |= ~np.isfinite(self._start)
+        for name, finite in known.items():
+            if not finite.all():
+                refuse(f"checkpoint: {name} holds NaN or infinity", "finite numbers")
+        if not (given["ages"] >= 0).all():
+            refuse("checkpoint: ages holds NaN or a negative number", "numbers from 0 on")
         self._record, self._ages = given["record"], given["ages"]
         self._velocities = tuple(given["velocities"])
         self._time, self._time_step = given["clock"].tolist()

@@ -9,11 +9,19 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 
 from posegsa.cli.parsers import compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parsers.parser import Parser
 from posegsa.cli.progress import say
-from posegsa.errors import PosegsaError, PosegsaWarning, SaveError, SearchInterrupted
+from posegsa.config import shipped
+from posegsa.errors import (
+    PosegsaError,
+    PosegsaWarning,
+    RunFolderError,
+    SaveError,
+    SearchInterrupted,
+)
 from posegsa.saving import interrupt
 from posegsa.version import VERSION
 
@@ -88,6 +96,7 @@ def _numbers(result) -> str:
 
 def _run(options: argparse.Namespace) -> int:
     """Import the command that was named, and what it needs, and run it."""
+    _check_names(options)
     if options.command != "configs":
         from posegsa import runtime  # imports JAX, which takes longer than to list configurations
 
@@ -95,6 +104,16 @@ def _run(options: argparse.Namespace) -> int:
         # It has two warnings about a home that can't be written; ours has one line.
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
     return import_module(f"posegsa.cli.{options.command}").run(options)
+
+
+def _check_names(options: argparse.Namespace) -> None:
+    """Refuse a CONFIG or RUN that is not there before anything is imported that takes long."""
+    given = vars(options)
+    if given.get("config") is not None:
+        shipped.path_of(given["config"])
+    run = given.get("run")
+    if run is not None and options.command != "replay" and not Path(run).exists():
+        raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -29,6 +29,8 @@ BETWEEN_DRAWN = 0.1
 """Time between two states of a line that is drawn [s]."""
 BAR = 20
 """Characters of the bar."""
+FIRST_PIECES = 5.0
+"""Time after which the pieces of a first iteration tell how long a search will take [s]."""
 LONG = 10.0
 """Time that a search must take for it to be said beforehand [s]."""
 
@@ -102,8 +104,9 @@ class Display:
             self._clear()
             return
         took = f"{ended} after {span(self.clock() - self._begun)}"
-        count = f" {done:.0f}/{parts}" if best_cost is not None else ""
-        best = f", best cost {best_cost:.4g}" if best_cost is not None else ""
+        count = f" {int(done)}/{parts}" if best_cost is not None else ""
+        known = best_cost is not None and math.isfinite(best_cost)
+        best = f", best cost {best_cost:.4g}" if known else ""
         self.say(f"{name}{count}: {took}{best}")
 
     def _words(self, now: float) -> str:
@@ -171,16 +174,16 @@ class TuneDisplay(Display):
 
     def __call__(self, progress: "Progress") -> None:
         """Show where the search stands."""
-        iteration, iterations, best_cost, seconds = progress
+        iteration, iterations, best_cost, seconds, share = progress
         if self._from is None:
             self._from = iteration
-        done = iteration - self._from
-        if done > 0 and not self._said:
+        done = iteration + share - self._from
+        if (done >= 1 or (done > 0 and seconds >= FIRST_PIECES)) and not self._said:
             self._said = True
             whole = seconds / done * (iterations - self._from)
             if whole >= LONG and not self.quiet:
                 self.say(f"about {span(whole)} to search; {self.judging}")
-        self.show(Step("searching", iteration, iterations, best_cost=best_cost))
+        self.show(Step("searching", iteration + share, iterations, best_cost=best_cost))
 
 
 class CompareDisplay(Display):

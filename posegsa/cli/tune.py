@@ -50,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
 def _tune_on_recordings(options: argparse.Namespace) -> int:
     if options.distributed:
         raise ArgumentError("--recording with --distributed; allowed: one of them")
+    _refuse_held_out_window(options)
     _refuse_figures(options)
     experiment, schedule = _experiment(options), options.schedule
     out = OUT if options.out is None and options.resume is None else options.out
@@ -109,6 +110,7 @@ def _tune_imu(options: argparse.Namespace) -> int:
             "is constant, and which is searched in one process"
         )
     _refuse_figures(options)
+    _refuse_held_out_window(options)
     given = [] if options.iterations is None else [f"search.iterations={options.iterations}"]
     filter = config.override_imu(config.load_imu(options.config), [*options.set, *given])
     bridge, out = (options.bridge, options.longest_gap), options.out or OUT
@@ -137,6 +139,11 @@ def _tune_imu(options: argparse.Namespace) -> int:
 def _say_if_finished(options: argparse.Namespace, show: TuneDisplay) -> None:
     if options.resume is not None and not show.began:
         print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
+
+
+def _refuse_held_out_window(options: argparse.Namespace) -> None:
+    if options.held_out_window is not None and options.held_out is None:
+        raise ArgumentError("--held-out-window; allowed: with --held-out")
 
 
 def _refuse_figures(options: argparse.Namespace) -> None:

@@ -21,7 +21,6 @@ from posegsa.errors import ConfigError
 from posegsa.optimisers import Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
 
-_NAME = re.compile(r"[a-z0-9_]+")
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
 
 
@@ -37,8 +36,7 @@ def load(path: str | Path) -> Experiment:
     """
     allowed = "the path of a TOML file, or the name of a configuration"
     check_type("path", path, str, os.PathLike, allowed=allowed)
-    if _NAME.fullmatch(str(path)) and not Path(path).is_file():
-        path = shipped.find(str(path))
+    path = shipped.path_of(path)
     data = read_toml(path)
     if is_imu(data):
         raise ConfigError(

@@ -1,8 +1,11 @@
 """The configurations that come with posegsa, by name: the files of configs/."""
 
+import re
 from pathlib import Path
 
 from posegsa.errors import ConfigError
+
+_NAME = re.compile(r"[a-z0-9_]+")
 
 
 def names() -> list[str]:
@@ -22,6 +25,17 @@ def find(name: str) -> Path:
             f"{', '.join(names())}"
         )
     return _folder() / f"{name}.toml"
+
+
+def path_of(given: str | Path) -> str | Path:
+    """The file that a user means: its path, or the name of a configuration of posegsa.
+
+    Raises:
+        ConfigError: It is neither.
+    """
+    if _NAME.fullmatch(str(given)) and not Path(given).is_file():
+        return find(str(given))
+    return given
 
 
 def about(name: str) -> str:

@@ -196,9 +196,14 @@ def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) ->
 
 
 def unmasked(value: Any) -> Any:
-    """NaN where a masked array is masked, since it holds any number there; else what is given."""
+    """NaN where a masked array is masked, since it holds any number there; else what is given.
+
+    Also where it is one of several in a list, such as the rows of an array.
+    """
     if isinstance(value, np.ma.MaskedArray):
         return np.ma.filled(value.astype(np.float64), np.nan)
+    if isinstance(value, list | tuple):
+        return [unmasked(one) for one in value]
     return value
 
 

@@ -6,6 +6,7 @@ second, and the result as a third. The program is compiled once for all filters 
 their numbers are its arguments.
 """
 
+import pickle
 import zlib
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -115,6 +116,7 @@ class OnlineLoop:
 
     def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
         loop = begin(parameters.schedule, example)
+        self._made_of = parameters, example
         self._schedule = parameters.schedule
         self.dtype = np.dtype(example.place[0].dtype)
         self.record = Layout(_first_record(loop))
@@ -132,6 +134,12 @@ class OnlineLoop:
         """Numbers in a packed sample."""
         self._program = _compiled(layout, before, sample, self.dtype.name)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as what it was made of: a compiled program stays in its process."""
+        # As bytes of their own: NumPy's and JAX's float64 is kept only where JAX has it.
+        with jax.enable_x64(self.dtype == np.float64):
+            return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
+
     def start(self, initial: FilterState) -> np.ndarray:
         """The packed record before the first sample, at an estimate."""
         with jax.enable_x64(self.dtype == np.float64):
@@ -142,6 +150,12 @@ class OnlineLoop:
         given = np.concatenate([record[: self._before], sample])
         with jax.enable_x64(self.dtype == np.float64):
             return np.asarray(self._program(given, self._on_device))
+
+
+def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
+    """The loop of what was pickled."""
+    with jax.enable_x64(dtype == "float64"):
+        return OnlineLoop(*pickle.loads(made_of))
 
 
 def _first_record(loop: ClosedLoop) -> OnlineRecord:

@@ -108,6 +108,7 @@ def advance(
     until: Until | None = None,
     *,
     python_objective: bool = False,
+    between: Callable[[], object] | None = None,
 ) -> Search:
     """Run a search on, from the iteration it has reached to `stop`.
 
@@ -132,6 +133,9 @@ def advance(
         until: When to stop before that; by default never.
         python_objective: The objective is an ordinary Python function of a NumPy array, called once
             for each iteration. Where gradients are wanted it returns costs and gradients.
+        between: Run the loop in Python, not to be compiled as a whole, and the optimiser's own step
+            in its `parts`; called after each part, and what it raises ends the search within the
+            iteration. The bits are the same.
 
     Returns:
         The search with `stop` iterations done, or fewer if it had nothing more to do.
@@ -139,27 +143,36 @@ def advance(
     Raises:
         ArgumentError: If the objective does not return one cost per agent.
     """
-    in_python = python_objective or optimiser.on_host
+    in_python = python_objective or optimiser.on_host or between is not None
     repeat = _while if in_python else lax.while_loop
     phases, begin = optimiser.phases, 0
     states = [search.state] if len(phases) == 1 else list(search.state)
     for i, phase in enumerate(phases):
         if i > 0:
-            states[i] = lax.cond(  # once, in whatever chunks
-                (search.iteration == begin) & (jnp.asarray(stop) > begin),
-                phase.begin_at,
-                lambda state, _: state,
-                states[i],
-                to_unit(box, search.best_position),
+            begins = (search.iteration == begin) & (jnp.asarray(stop) > begin)  # in one chunk
+            states[i] = (_begun_in_python if in_python else _begun)(
+                phase, begins, states[i], box, search.best_position
             )
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, objective, box, python_objective, in_python),
+            partial(_step, phase, objective, box, python_objective, in_python, between),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
     return search._replace(state=_joined(states))
+
+
+def _begun(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
+    """The state of a phase, moved to a position in the box if it begins now."""
+    return lax.cond(begins, phase.begin_at, lambda state, _: state, state, to_unit(box, position))
+
+
+def _begun_in_python(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
+    """`_begun`, in Python."""
+    if not begins:
+        return state
+    return (_begun if phase.on_host else _compiled_begun)(phase, begins, state, box, position)
 
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
@@ -190,19 +203,54 @@ def _step(
     box: Box,
     python_objective: bool,
     in_python: bool,
+    between: Callable[[], object] | None,
     search: Search,
 ) -> Search:
     """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
     compiled = in_python and not phase.on_host
-    asked, told = (_compiled_ask, _compiled_tell) if compiled else (ask, tell)
-    positions = asked(phase, box, search)
+    positions = (_compiled_ask if compiled else ask)(phase, box, search)
     if python_objective:
         found = objective(np.asarray(positions))
     else:
         given = objective if isinstance(objective, Differentiable) else reverse_mode(objective)
         found = (given.costs_and_gradients if phase.wants_gradients else given.costs)(positions)
     costs, *gradients = found if isinstance(found, tuple) else (found,)
-    return told(phase, box, search, *_numbers(phase, box, costs, *gradients))
+    seen = _numbers(phase, box, costs, *gradients)
+    parts = phase.parts(len(box.lower))
+    if between is not None and parts > 1:
+        return _told_in_parts(phase, box, search, seen, parts, between)
+    return (_compiled_tell if compiled else tell)(phase, box, search, *seen)
+
+
+def _told_in_parts(
+    phase: Optimiser,
+    box: Box,
+    search: Search,
+    seen: list[Array],
+    parts: int,
+    between: Callable[[], object],
+) -> Search:
+    """`tell`, with the optimiser's own step in parts."""
+    costs, prepared = _compiled_finite(phase, search, seen[0]), None
+    for part in range(parts):
+        number = jnp.asarray(part, jnp.int32)
+        prepared = _compiled_prepare(phase, search.state, costs, prepared, number)
+        jax.block_until_ready(prepared)
+        between()
+    return _compiled_tell_prepared(phase, box, search, seen, prepared)
+
+
+def _prepared(phase: Optimiser, state: Any, costs: Array, before: Any, part: Array) -> Any:
+    return phase.prepare(state, costs, before, part)
+
+
+def _told_prepared(
+    phase: Optimiser, box: Box, search: Search, seen: list[Array], prepared: Any
+) -> Search:
+    def own(state: Any, costs: Array) -> Any:
+        return phase.tell_prepared(state, costs, prepared)
+
+    return _recorded(phase, box, search, *seen, own=own)
 
 
 def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:
@@ -270,11 +318,23 @@ def tell(
     Raises:
         ArgumentError: If there is not one cost, and where needed one gradient, per agent.
     """
-    costs, *slopes = _numbers(optimiser, box, costs, gradients)
+    return _recorded(
+        optimiser, box, search, *_numbers(optimiser, box, costs, gradients), own=optimiser.tell
+    )
+
+
+def _recorded(
+    optimiser: Optimiser,
+    box: Box,
+    search: Search,
+    costs: Array,
+    *slopes: Array,
+    own: Callable[..., Any],
+) -> Search:
+    """The search after an iteration; `own` maps its optimiser's state, and what it is told."""
     finite = jnp.isfinite(costs)
     worst = jnp.max(costs, where=finite, initial=-jnp.inf)
-    instead = _failure_cost(optimiser.failure_cost, search, costs)
-    told = [jnp.where(finite, costs, instead)]
+    told = [_finite_costs(optimiser, search, costs)]
     judged = finite
     for gradient in slopes:
         in_unit = gradient * (box.upper - box.lower)[None, :]
@@ -294,7 +354,7 @@ def tell(
         non_finite=failures,
     )
     return Search(
-        state=optimiser.tell(search.state, *told),
+        state=own(search.state, *told),
         best_position=jnp.where(better, champion_position, search.best_position),
         best_cost=best_cost,
         iteration=search.iteration + 1,
@@ -303,9 +363,19 @@ def tell(
     )
 
 
+def _finite_costs(optimiser: Optimiser, search: Search, costs: Array) -> Array:
+    """Costs (agents,) as the optimiser is told them."""
+    instead = _failure_cost(optimiser.failure_cost, search, costs)
+    return jnp.where(jnp.isfinite(costs), costs, instead)
+
+
 _stored_start = stored(_started, static_argnums=(0,))
-_compiled_ask = jax.jit(ask, static_argnums=0)
-_compiled_tell = jax.jit(tell, static_argnums=0)
+_compiled_ask = stored(ask, static_argnums=(0,))
+_compiled_tell = stored(tell, static_argnums=(0,))
+_compiled_begun = stored(_begun, static_argnums=(0,))
+_compiled_finite = stored(_finite_costs, static_argnums=(0,))
+_compiled_prepare = stored(_prepared, static_argnums=(0,))
+_compiled_tell_prepared = stored(_told_prepared, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:

@@ -125,7 +125,9 @@ def search_with_checkpoints(
         cost = cost_name(problem.cost)
         writer = CheckpointWriter(folder, experiment, request, before, cost, recorded)
         with resumable(lambda: f"interrupted {writer.where()}"), writer:
-            found = run_search(problem, progress, search=search, keep=writer)
+            found = run_search(
+                problem, progress, search=search, keep=writer, pause=writer.stop_if_asked
+            )
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -225,7 +227,7 @@ class CheckpointWriter:
         # What took so long would be lost if the process had to end before the next chunk does.
         if took > LONGEST_CHUNK or self._is_due():
             self._save()
-        self._stop_if_asked()
+        self.stop_if_asked()
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """Save what there is; an error of JAX's becomes a SearchError that says how to go on."""
@@ -235,7 +237,7 @@ class CheckpointWriter:
         if isinstance(error, jax.errors.JaxRuntimeError):
             raise SearchError(f"the search failed {self.where()}: {error}") from error
         if error is None:
-            self._stop_if_asked()
+            self.stop_if_asked()
 
     def _is_due(self) -> bool:
         """Whether a checkpoint is due: the first, the last, after an interval, before a stop."""
@@ -248,8 +250,14 @@ class CheckpointWriter:
             or self._iteration >= self.experiment.search.total_iterations
         )
 
-    def _stop_if_asked(self) -> None:
+    def stop_if_asked(self) -> None:
+        """Stop the search if a signal has asked for that; an iteration that is not whole is lost.
+
+        Raises:
+            SearchInterrupted: It has.
+        """
         if self.request.signal_number is not None:
+            self._save()
             raise SearchInterrupted(f"interrupted {self.where()}", self.request.signal_number)
 
     def _save(self) -> None:
@@ -296,9 +304,10 @@ class CheckpointWriter:
             return "before its first iteration; nothing is saved"
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
         iterations = self.experiment.search.total_iterations
+        best = f", best cost {self._best:.4g}" if math.isfinite(self._best) else ""
         return (
-            f"after iteration {self._iteration} of {iterations}{saved}, "
-            f"best cost {self._best:.4g}; {how_to_resume(self.folder, self.recorded)}"
+            f"after iteration {self._iteration} of {iterations}{saved}{best}; "
+            f"{how_to_resume(self.folder, self.recorded)}"
         )
 
 

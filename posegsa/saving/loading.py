@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from posegsa.arguments import refuse
 from posegsa.errors import RunFolderError
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
@@ -24,17 +25,20 @@ def save(
         result: From `tune`, `evaluate` or `by_hand`.
         folder: Where; made if missing.
         overwrite: Replace another run's files there.
-        figures: Of simulations, names of those to draw; by default all.
+        figures: Names of those to draw; by default all. Not of a result on recordings, which has
+            none.
 
     Returns:
         The folder.
 
     Raises:
         RunFolderError: It holds a run already, or can't be written.
-        ArgumentError: There is no figure of such a name.
+        ArgumentError: There is no figure of such a name, or the result is one on recordings.
     """
     if not isinstance(result, RecordingResult):
         return run.save(result, folder, overwrite=overwrite, figures=figures)
+    if figures is not None:
+        refuse("figures of a result on recordings", "none; posegsa.replay draws them")
     with locked_folder(folder, overwrite=overwrite) as locked:
         write_recorded(result, locked)
     return locked

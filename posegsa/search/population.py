@@ -251,12 +251,27 @@ def population_costs(
     `agent_costs`'.
     """
     agents = jax.vmap(space.candidate)(vectors)
-    costs = over_scenarios(agent_costs(agents, batch, axis, cost), objective)
-    if beside is not None:
-        further = over_scenarios(agent_costs(agents, beside, axis, cost), objective)
+    costs = agent_costs(agents, batch, axis, cost)
+    further = None if beside is None else agent_costs(agents, beside, axis, cost)
+    return costs_of_agents(vectors, costs, further, space, objective)
+
+
+def costs_of_agents(
+    vectors: Array,
+    costs: Array,
+    further: Array | None,
+    space: SearchSpace,
+    objective: ObjectiveConfig,
+) -> Array:
+    """Cost (A,) of A search vectors (A, d) from their costs (S, A) on S scenarios (jittable).
+
+    `further` are their costs on scenarios beside these, if there are any.
+    """
+    together = over_scenarios(costs, objective)
+    if further is not None:
         share = objective.simulated_share
-        costs = (1 - share) * costs + share * further
-    return jnp.where(jax.vmap(space.valid)(vectors), costs, jnp.inf)
+        together = (1 - share) * together + share * over_scenarios(further, objective)
+    return jnp.where(jax.vmap(space.valid)(vectors), together, jnp.inf)
 
 
 costs_by_scenario = stored(agent_costs, static_argnums=(2, 3))

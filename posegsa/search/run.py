@@ -14,24 +14,24 @@ from jax import Array
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
-from posegsa import config, steps
+from posegsa import steps
 from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.optimisers import (
-    Differentiable,
     Search,
-    forward_mode,
     in_chunks,
     runner,
     start,
 )
 from posegsa.optimisers.driver import CHUNKS, Runner
+from posegsa.optimisers.loop import advance
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
-from posegsa.search.packing import Packed, packed
+from posegsa.search.objective import SearchObjective, packed_batch
+from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
-from posegsa.search.population import ScenarioBatch, TrackCost, population_costs
+from posegsa.search.pieces import PiecewiseCosts, is_large, most_work, work
 
 LONGEST_CHUNK = 2.0
 """Time after which a search reports all the same, if an iteration does not take longer [s]."""
@@ -48,16 +48,22 @@ class Progress(NamedTuple):
     """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
+    share: float = 0.0
+    """Share of the next iteration that is done, where it goes in pieces (`search.pieces`)."""
 
 
 def tell_share(progress: Progress) -> None:
     """Tell how far a search is that is a part of something longer (`posegsa.steps`)."""
-    steps.share(progress.iteration / progress.iterations)
+    steps.share((progress.iteration + progress.share) / progress.iterations)
 
 
 Keep = Callable[[Search, float, float], object]
 """Told the search before it begins and after each chunk, with the time that this process has
 searched and compiled [s]; what it raises stops the search."""
+
+
+Told = Callable[[float], object]
+"""Told what share of an iteration is done, where it goes in pieces."""
 
 
 class Found(NamedTuple):
@@ -69,21 +75,34 @@ class Found(NamedTuple):
 
 
 def run_timed(
-    run: Runner,
+    make: Callable[[Told], Runner],
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
     keep: Keep | None = None,
+    pause: Callable[[], object] | None = None,
+    *,
+    piecewise: bool = False,
 ) -> Found:
     """Compile a search, run it in chunks from where it stands, and time both.
 
     Args:
-        run: Takes the search on; where it is there already, only compiles.
+        make: Makes what takes the search on, or where it is there already only compiles.
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
         progress: As `tune`'s.
         keep: Looks at the search on its way, such as to save it.
+        pause: Called between the pieces of an iteration; what it raises stops the search there.
+        piecewise: Its iterations have pieces, so that each is a chunk of its own.
     """
+
+    def told(share: float) -> None:
+        if pause is not None:
+            pause()
+        best, seconds = float(np.min(here.best_cost)), time.monotonic() - compiled
+        tell(Progress(done, iterations, best_cost=best, seconds=seconds, share=share))
+
+    run = make(told)
     keep, tell = keep or (lambda *_: None), progress or (lambda _: None)
     keep(collect(search), 0.0, 0.0)
     begun = time.monotonic()
@@ -95,7 +114,7 @@ def run_timed(
     tell(Progress(done, iterations, best_cost=float(np.min(here.best_cost)), seconds=0.0))
     even = -(-iterations // CHUNKS)
     alone = jax.process_count() == 1  # else all must stop at the same iterations
-    fits = 1 if alone else even  # one iteration first, to learn the pace
+    fits = 1 if alone or piecewise else even  # one iteration first, to learn the pace
 
     def size(done: int) -> int:
         return min(even - done % even, fits)
@@ -106,7 +125,7 @@ def run_timed(
         keep(here, now - compiled, compiled - begun)
         best = float(np.min(here.best_cost))
         tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
-        if alone:
+        if alone and not piecewise:
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
         done, before = stop, time.monotonic()
@@ -125,6 +144,7 @@ def run_search(
     *,
     search: Search | None = None,
     keep: Keep | None = None,
+    pause: Callable[[], object] | None = None,
 ) -> Found:
     """Search a problem's parameter space; nothing held out is looked at.
 
@@ -133,21 +153,47 @@ def run_search(
         progress: As `tune`'s.
         search: A search of this problem to go on with; by default a new one.
         keep: As `run_timed`'s.
+        pause: As `run_timed`'s.
     """
     optimiser, search = problem.experiment.search, search or first_search(problem)
     for phase in optimiser.phases:
         if price := phase.price(len(problem.space.box.lower)):
             warnings.warn(price, PosegsaWarning, stacklevel=2)
-    if not optimiser.on_host:
-        return _run_on_devices(problem, search, progress, keep)
-    run = runner(optimiser, on_all_devices(problem), problem.space.box, python_objective=True)
-    return run_timed(run, search, optimiser.total_iterations, progress, keep)
+    iterations, large = optimiser.total_iterations, is_large(problem)
+    if large:
+        make = partial(_in_pieces, problem)
+    elif optimiser.on_host:
+        costs, box = on_all_devices(problem), problem.space.box
+        make = partial(_whole, runner(optimiser, costs, box, python_objective=True))
+    else:
+        search, run = _on_devices(problem, search)
+        make = partial(_whole, run)
+    return run_timed(make, search, iterations, progress, keep, pause, piecewise=large)
+
+
+def _whole(run: Runner, told: Told) -> Runner:
+    """What takes a search on in whole iterations, so that there is nothing to tell of parts."""
+    del told
+    return run
+
+
+def _in_pieces(problem: TuningProblem, told: Told) -> Runner:
+    """What takes the search of a large population on."""
+    optimiser, box = problem.experiment.search, problem.space.box
+    costs = PiecewiseCosts(problem, *_objective(problem), told)
+
+    def run(search: Search, stop: int) -> Search:
+        if stop == 0:
+            costs.compile()
+        return advance(optimiser, costs.objective, box, search, stop, between=costs.between)
+
+    return run
 
 
 def search_batch(
     problems: Sequence[TuningProblem], progress: Callable[[Progress], object] | None
 ) -> list[Found]:
-    """Search all problems in one compiled call."""
+    """Search all problems in one compiled call, or one by one where that would be too much work."""
     first = problems[0].experiment
     for name in ("search", "objective"):
         if any(getattr(problem.experiment, name) != getattr(first, name) for problem in problems):
@@ -173,9 +219,17 @@ def search_batch(
         ) from None
     search_keys = jnp.stack([keys(problem.experiment.run.seed).search for problem in problems])
     searches = jax.vmap(partial(start, optimiser))(space.box, search_keys)
-    together = problems[0]._replace(training=training, space=space)
-    found = _run_on_devices(together, searches, progress)
     share = len(problems)
+    large = share * work(problems[0]) > most_work() or is_large(problems[0])
+    if large:
+        alike = [one._replace(space=_with_reach(one.space, reach)) for one in problems]
+        make = partial(_one_by_one, alike)
+    else:
+        together = problems[0]._replace(training=training, space=space)
+        searches, run = _on_devices(together, searches)
+        make = partial(_whole, run)
+    iterations = optimiser.total_iterations
+    found = run_timed(make, searches, iterations, progress, piecewise=large)
     return [
         Found(
             jax.tree.map(lambda a, i=i: a[i], found.search),
@@ -198,63 +252,57 @@ def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[P
     return replace(space, schedules=replace(space.schedules, reach=reach))
 
 
-def _run_on_devices(
-    problem: TuningProblem,
-    search: Search,
-    progress: Callable[[Progress], object] | None,
-    keep: Keep | None = None,
-) -> Found:
-    """Run one compiled search, or R of them: then the problem's arrays have leaves (R, ...)."""
-    optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
-    given = search, problem.space.box, _packed(problem.training), problem.space
-    search, box, *data = spread((*given, _packed(problem.beside)), mesh)
-    run = runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
-    return run_timed(run, search, optimiser.total_iterations, progress, keep)
-
-
-class _Objective(NamedTuple):
-    """What is minimised, for programs that are compiled for it."""
-
-    objective: config.ObjectiveConfig
-    axis: str | None
-    """Axis of the mesh over which the simulations are divided, if they are."""
-    cost: TrackCost | None
-    """A user's own cost of a simulation, instead of the configured one."""
-
-    def __call__(
-        self, training: Packed, space: SearchSpace, beside: Packed | None
-    ) -> Differentiable:
-        """As a function of vectors (A, d), on training scenarios, which are `ScenarioBatch`es."""
-        simulated = None if beside is None else beside.unpacked()
-        return forward_mode(
-            lambda vectors: population_costs(
-                vectors,
-                training.unpacked(),
-                space,
-                self.objective,
-                self.axis,
-                self.cost,
-                simulated,
+def _one_by_one(problems: Sequence[TuningProblem], told: Told) -> Runner:
+    """What takes R searches on, leaves (R, ...), one after the other."""
+    runs = []
+    for i, problem in enumerate(problems):
+        if is_large(problem):
+            run, mesh = (
+                _in_pieces(problem, lambda share, i=i: told((i + share) / len(problems))),
+                None,
             )
-        )
+        else:
+            _, run = _on_devices(problem, first_search(problem))
+            _, mesh = _objective(problem)
+        runs.append((run, mesh))
+
+    def run_all(searches: Search, stop: int) -> Search:
+        found = []
+        for i, (run, mesh) in enumerate(runs):
+            search = jax.tree.map(lambda a, i=i: a[i], searches)
+            found.append(collect(run(spread(search, mesh), stop)))
+            if stop > 0:
+                told((i + 1) / len(runs))
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
+
+    return run_all
 
 
-def _packed(batch: ScenarioBatch | None) -> Packed | None:
-    return None if batch is None else packed(batch, batch.samples.time)
+def _on_devices(problem: TuningProblem, search: Search) -> tuple[Search, Runner]:
+    """A search where it runs, and what takes it on in one compiled call.
+
+    Of R searches the problem's arrays have leaves (R, ...).
+    """
+    optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
+    given = search, problem.space.box, packed_batch(problem.training), problem.space
+    search, box, *data = spread((*given, packed_batch(problem.beside)), mesh)
+    return search, runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
 
 
-def _objective(problem: TuningProblem) -> tuple[_Objective, Mesh | None]:
+def _objective(problem: TuningProblem) -> tuple[SearchObjective, Mesh | None]:
     """The objective of a problem, and the devices over which its simulations are divided."""
     experiment = problem.experiment
     mesh = mesh_for(experiment.search.agents * experiment.run.training_scenarios)
     axis = None if mesh is None else AXIS
-    return _Objective(experiment.objective, axis, problem.cost), mesh
+    return SearchObjective(experiment.objective, axis, problem.cost), mesh
 
 
 def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
     """The objective of a problem by itself: parameter vectors (A, 22) to costs (A,)."""
     objective, mesh = _objective(problem)
-    data = spread((_packed(problem.training), problem.space, _packed(problem.beside)), mesh)
+    data = spread(
+        (packed_batch(problem.training), problem.space, packed_batch(problem.beside)), mesh
+    )
     costs = _costs(objective, mesh)
 
     def call(vectors: ArrayLike) -> Array:
@@ -266,7 +314,7 @@ def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
 
 
 @cache
-def _costs(objective: _Objective, mesh: Mesh | None) -> Callable[..., Array]:
+def _costs(objective: SearchObjective, mesh: Mesh | None) -> Callable[..., Array]:
     def costs(vectors: Array, training: Packed, space: SearchSpace, beside: Packed | None) -> Array:
         return objective(training, space, beside).costs(vectors)
 

@@ -19,9 +19,11 @@ import jax
 import pytest
 from experiments import TINY
 
-from posegsa import config
+from posegsa import comparing, config
 from posegsa.cli.command import main
+from posegsa.cli.parsers import compare as compare_parser
 from posegsa.export import FORMATS
+from posegsa.optimisers import functions
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
@@ -278,6 +280,41 @@ def test_help_of_export_is_a_line_a_format(capsys):
     assert [word for word in first if word in FORMATS] == list(FORMATS)
     assert not any("docstring" in line or "arguments as" in line for line in lines)
     assert max(map(len, lines)) < 100
+
+
+def test_help_of_compare_names_all_that_there_are(capsys):
+    assert compare_parser.USUAL == comparing.USUAL
+    assert compare_parser.FUNCTIONS == functions.FUNCTIONS
+    with pytest.raises(SystemExit):
+        main(["compare", "--help"])
+    said = capsys.readouterr().out
+    assert "gsa,random_search,pso,de,cma_es,adam,gsa+adam" in said
+    assert "griewank, schwefel" in said
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compare", "--help"],
+        ["evaluate", "--help"],
+        ["sweep", "--help"],
+        ["configs"],
+        ["compare", "--repeats", "x"],
+        ["tune", "nowhere"],
+        ["sweep", "nowhere"],
+        ["evaluate", "nowhere"],
+        ["export", "nowhere", "--format", "c"],
+    ],
+)
+def test_help_and_what_is_not_there_need_not_wait_for_jax(arguments, tmp_path):
+    code = (
+        "import sys\nfrom posegsa.cli.command import main\n"
+        "try: main(sys.argv[1:])\nexcept SystemExit: pass\n"
+        "print('jax' in sys.modules, 'pydantic' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "False False"
 
 
 def test_the_command_is_installed_and_helps():

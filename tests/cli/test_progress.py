@@ -150,6 +150,17 @@ def test_a_long_search_says_after_its_first_iteration_how_long_it_takes(capsys):
     assert "to search" not in capsys.readouterr().err
 
 
+def test_the_pieces_of_a_first_iteration_say_how_long_it_takes(capsys):
+    with TuneDisplay("") as show:
+        show(Progress(0, 10, math.inf, 0.0))
+        show(Progress(0, 10, math.inf, 3.0, share=0.25))
+        assert "about" not in capsys.readouterr().err, "too early to tell"
+        show(Progress(0, 10, math.inf, 6.0, share=0.5))
+        assert "about 2 min to search" in capsys.readouterr().err
+        show(Progress(0, 10, math.inf, 11.5, share=0.96))
+    assert capsys.readouterr().err == "searching 0/10: done after under 1 s\n"
+
+
 def test_what_a_folder_held_of_a_comparison_counts_as_done(capsys):
     with CompareDisplay(["gsa", "de"]) as show:
         show(Status("de", 1, 2, 0.5, 3.0))

@@ -222,6 +222,15 @@ def test_what_is_no_recording_is_named_with_what_is_allowed(
     assert re.search(words, capsys.readouterr().err)
 
 
+@pytest.mark.parametrize("argument", [{"figures": ["gain"]}, {"overwrite": True}])
+def test_what_is_of_a_folder_is_refused_without_one(
+    result: TuneResult, recording: Recording, argument: dict
+) -> None:
+    (name,) = argument
+    with pytest.raises(ArgumentError, match=f"{name} without out; allowed: both, or neither"):
+        posegsa.replay(result, recording, **argument)
+
+
 def test_folders_have_names_of_their_own() -> None:
     assert folder_names(["a[0:1]", "a/0:1", "..", "V1_02.b"]) == [
         "a_0_1",

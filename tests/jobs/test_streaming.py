@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 from typing import Any
 
 import jax
@@ -277,6 +278,19 @@ def test_a_checkpoint_goes_on_to_the_same_bits(result, tmp_path):
     assert (other.time, other.gain, other.observable) == (one.time, one.gain, one.observable)
 
 
+def test_a_filter_can_be_pickled(result):
+    steps, samples, _ = stream(result)
+    one = posegsa.PoseFilter(result, **START)
+    fed(one, steps, samples, slice(21))
+    other = pickle.loads(pickle.dumps(one))
+    expected = fed(one, steps, samples, slice(21, N))
+    for got, want in zip(fed(other, steps, samples, slice(21, N)), expected, strict=True):
+        np.testing.assert_array_equal(got.rotation, want.rotation)
+        np.testing.assert_array_equal(got.position, want.position)
+    other.restore(one.checkpoint())
+    assert other.time == one.time
+
+
 def test_reset_begins_anew(result, pose_filter):
     steps, samples, _ = stream(result)
     first = fed(pose_filter, steps, samples)[-1]
@@ -308,6 +322,10 @@ def test_what_is_returned_is_the_callers_own(pose_filter):
         (lambda c: c.update(record=c["record"][1:]), "record of float64"),
         (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
         (lambda c: c.update(structure=c["structure"] + 1), "of a filter with other laws or rules"),
+        (lambda c: c["record"].__setitem__(0, np.nan), "checkpoint: record holds NaN or infinity"),
+        (lambda c: c["velocities"].__iadd__(np.inf), "checkpoint: velocities holds NaN"),
+        (lambda c: c["ages"].__imul__(-1), "checkpoint: ages holds NaN or a negative number"),
+        (lambda c: c["clock"].__isub__(1), "checkpoint: clock holds a negative time"),
     ],
 )
 def test_a_checkpoint_of_something_else_is_refused(pose_filter, change, message):

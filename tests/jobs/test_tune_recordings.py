@@ -118,6 +118,8 @@ def test_a_result_is_saved_and_read_back(
     np.testing.assert_array_equal(
         read.estimate(recordings[1]).rotation, result.estimate(recordings[1]).rotation
     )
+    with pytest.raises(ArgumentError, match="figures of a result on recordings; allowed: none"):
+        posegsa.save(found, tmp_path / "other", figures=["gain"])
     with pytest.raises(RunFolderError, match="holds a run already"):
         posegsa.tune(config.from_dict(TINY), recordings=recordings[0], out=tmp_path)
     path = tmp_path / "recorded.json"
@@ -168,6 +170,8 @@ def test_the_command_tunes_on_files(
     assert "recordings[0]: holds other numbers" in capsys.readouterr().err
     assert main(again) == 2
     assert "without recordings; allowed: with those" in capsys.readouterr().err
+    assert main([*command, *files[:2], "--held-out-window", "1:2"]) == 2
+    assert "--held-out-window; allowed: with --held-out" in capsys.readouterr().err
     assert main([*command, "--schedule", "constant"]) == 2
     assert "--schedule; allowed: with --recording" in capsys.readouterr().err
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2

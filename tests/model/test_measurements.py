@@ -108,6 +108,11 @@ def test_what_is_masked_is_missing() -> None:
         Measurements.from_arrays(**masked), Measurements.from_arrays(**given), strict=True
     ):
         np.testing.assert_array_equal(a, b)
+    rows = arrays(vectors=list(masked["vectors"]))
+    np.testing.assert_array_equal(
+        Measurements.from_arrays(**rows).vector_weights,
+        Measurements.from_arrays(**given).vector_weights,
+    )
     hidden = np.ma.masked_equal(given["angular_velocity"], given["angular_velocity"][2, 1])
     with pytest.raises(MeasurementError, match=r"angular_velocity: must be finite, got nan at"):
         Measurements.from_arrays(**given | {"angular_velocity": hidden})

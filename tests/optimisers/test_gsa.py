@@ -18,7 +18,7 @@ from scipy import stats
 from posegsa.errors import ConfigError
 from posegsa.optimisers import GSA, advance, box, minimise, start
 from posegsa.optimisers.base import uniform
-from posegsa.optimisers.gsa import GSAState, acceleration, coarse_uniform, confine, masses
+from posegsa.optimisers.gsa import GSAState, coarse_uniform, confine, masses, pulls
 
 pytestmark = pytest.mark.optimised  # its searches are long: they run for longer than they compile
 
@@ -33,9 +33,10 @@ def tell(gsa: GSA, state: GSAState, costs: Array) -> GSAState:
 def pull(
     x: Array, costs: Array, gravity: float, k_best: int, rand: Array, **powers: float
 ) -> Array:
-    """`acceleration` with the random weights given as an array (i, j, d), as in the reference."""
+    """The acceleration with the random weights given as an array (i, j, d), as in the reference."""
     by_attractor = rand.transpose(1, 2, 0)
-    return acceleration(x, masses(costs), gravity, k_best, lambda j: by_attractor[j], **powers)
+    total = pulls(x, masses(costs), 0, k_best, lambda j: by_attractor[j], **powers)
+    return gravity * total.T
 
 
 def some_population(agents: int = 7, dimensions: int = 3) -> tuple[np.ndarray, np.ndarray]:

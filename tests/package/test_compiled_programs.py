@@ -81,19 +81,20 @@ def test_the_command_line_says_one_line_of_a_home_that_can_not_be_used(tmp_path)
     (tmp_path / "home").touch()
     chosen = ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
     inherited = {k: v for k, v in os.environ.items() if k not in chosen}
-    code = "from posegsa.cli import main; main(['export', 'nowhere', '--format', 'c']); " + (
+    code = "from posegsa.cli import main; main(['export', '.', '--format', 'c']); " + (
         "from matplotlib import get_cachedir; get_cachedir()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=inherited | {"HOME": str(tmp_path / "home")},
+        cwd=tmp_path,
         capture_output=True,
         text=True,
         check=True,
     )
     note, refusal = done.stderr.splitlines()
     assert note.startswith("note: compiled programs can't be kept")
-    assert "nowhere" in refusal
+    assert "holds no finished run" in refusal
 
 
 def test_none_is_kept_where_jax_is_told_so(tmp_path):

@@ -18,7 +18,7 @@ from posegsa.errors import (
     SearchError,
     SearchInterrupted,
 )
-from posegsa.optimisers import GSA, lengthened
+from posegsa.optimisers import GSA, gsa, lengthened
 from posegsa.saving import checkpointing
 from posegsa.saving.checkpoint import read
 from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
@@ -99,6 +99,29 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
         # The signal is seen when the running chunk, here an iteration, is done.
         assert begun.checkpoint.search(first_search(task)).iteration == at + 1
     assert_same(search_in(tmp_path, task, begun=begun), whole)
+
+
+def test_a_signal_within_an_iteration_stops_there_if_it_goes_in_pieces(
+    task, whole, tmp_path, monkeypatch
+):
+    """What the iteration would have brought is lost; the last whole one is saved."""
+    monkeypatch.setattr(gsa, "PART", gsa.PULL_SECONDS * 6**2 * 22 / 1.5)  # two parts of GSA's step
+    seen, asked = [], StopRequest()
+
+    def tell(progress) -> None:
+        seen.append((progress.iteration, round(3 * progress.share)))
+        if seen[-1] == (2, 1):
+            asked.signal_number = signal.SIGTERM
+
+    with (
+        pytest.raises(SearchInterrupted, match="after iteration 2 of 8, best cost"),
+        CheckpointWriter(tmp_path, LONG, asked) as keep,
+    ):
+        run_search(task, tell, keep=keep, pause=keep.stop_if_asked)
+    assert seen[-5:] == [(1, 1), (1, 2), (1, 3), (2, 0), (2, 1)], "the costs, and two parts"
+    begun = newest_checkpoint(tmp_path).checkpoint.search(first_search(task))
+    assert begun.iteration == 2
+    assert_same(run_search(task, search=begun).search, whole)
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):

@@ -4,6 +4,12 @@ import argparse
 
 from posegsa.cli.parsers.arguments import add_count, add_figures, add_search_arguments
 
+# Named here too, as a test sees to: what defines them imports JAX, which takes longer than help.
+USUAL = ("gsa", "random_search", "pso", "de", "cma_es", "adam", "gsa+adam")
+"""The optimisers that are compared unless others are asked for."""
+FUNCTIONS = ("sphere", "ellipsoid", "rosenbrock", "rastrigin", "ackley", "griewank", "schwefel")
+"""The test functions."""
+
 
 def add(commands) -> None:
     """Add the command to the others."""
@@ -14,7 +20,8 @@ def add(commands) -> None:
         "test function, each with the same number of evaluations. Prints a table with paired "
         "tests; with --out it keeps each search in comparison.json, goes on where it was left, and "
         "ends with comparison.txt and .png.",
-        epilog=_names,
+        epilog=f"Optimisers without --optimisers: {','.join(USUAL)}. Test functions: "
+        f"{', '.join(FUNCTIONS)}.",
     )
     add_search_arguments(
         parser,
@@ -43,17 +50,6 @@ def add(commands) -> None:
     parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
     add_figures(parser)
     parser.set_defaults(command="compare")
-
-
-def _names() -> str:
-    """The optimisers that are compared by default, and the test functions."""
-    from posegsa.comparing import USUAL  # heavy: only when the help is shown
-    from posegsa.optimisers.functions import FUNCTIONS
-
-    return (
-        f"Optimisers without --optimisers: {','.join(USUAL)}. Test functions: "
-        f"{', '.join(FUNCTIONS)}."
-    )
 
 
 def _numbers(text: str) -> list[float]:
