@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 MOST_CURVES = 6
 """Settings of the other keys that are drawn as curves of their own; more are drawn as one."""
+FEW = 6
+"""So many values at most have a number each on an axis that is not logarithmic."""
 LOGARITHMIC = 10.0
 """Ratio of the largest to the least value from which the axis of a key is logarithmic."""
 
@@ -44,7 +46,7 @@ def plot_sweep(sweep: Sweep, key: str) -> Figure:
             aside = 0.0 if numeric else 0.12 * (i - 0.5 * (len(curves) - 1))
             x = np.array([at[text] for text in each], np.float64) + aside
             _draw(ax, x, found, name, i, joined=numeric)
-        ax.set_ylabel(f"{label} cost [-]")
+        ax.set_ylabel(f"{label} cost [-]\nmean, least and most")
     _scale(axes[-1], key, values, numeric=numeric)
     if list(curves) != [""]:
         style.legend_above(figure, axes[0])
@@ -105,3 +107,5 @@ def _scale(ax: Axes, key: str, values: list, *, numeric: bool) -> None:
         ax.set_xscale("log")
         ax.set_xticks(values, [f"{value:g}" for value in values])
         ax.minorticks_off()
+    elif len(values) <= FEW:
+        ax.set_xticks(values, [f"{value:g}" for value in values])
