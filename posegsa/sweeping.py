@@ -21,7 +21,7 @@ from posegsa.saving.interrupt import resumable
 from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
-from posegsa.search.pieces import most_work, work
+from posegsa.search.large_populations import most_work, work
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import Found, Progress, run_search, search_batch, structure
 from posegsa.settings.plain import plain

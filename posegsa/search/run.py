@@ -28,10 +28,10 @@ from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
+from posegsa.search.large_populations import PiecewiseCosts, is_large, most_work, work
 from posegsa.search.objective import SearchObjective, packed_batch
 from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
-from posegsa.search.pieces import PiecewiseCosts, is_large, most_work, work
 
 LONGEST_CHUNK = 2.0
 """Time after which a search reports all the same, if an iteration does not take longer [s]."""
@@ -49,7 +49,7 @@ class Progress(NamedTuple):
     seconds: float
     """Time since the search began or went on, compiling not counted."""
     share: float = 0.0
-    """Share of the next iteration that is done, where it goes in pieces (`search.pieces`)."""
+    """Share of the next iteration that is done, where it goes in pieces."""
 
 
 def tell_share(progress: Progress) -> None:

@@ -13,10 +13,16 @@ from hypothesis import strategies as st
 
 from posegsa.errors import PosegsaWarning
 from posegsa.optimisers import gsa
-from posegsa.search import devices, pieces
+from posegsa.search import devices, large_populations
 from posegsa.search import run as searching
 from posegsa.search.build import tuning_problem
-from posegsa.search.pieces import agents_in_piece, is_large, places, scenarios_in_piece, work
+from posegsa.search.large_populations import (
+    agents_in_piece,
+    is_large,
+    places,
+    scenarios_in_piece,
+    work,
+)
 from posegsa.search.run import run_search, search_batch
 
 pytestmark = pytest.mark.optimised
@@ -52,7 +58,7 @@ def whole(task):
 @pytest.fixture
 def small_pieces(monkeypatch):
     """The smallest pieces, and five parts of GSA's step."""
-    monkeypatch.setattr(pieces, "WORK", SAMPLES)
+    monkeypatch.setattr(large_populations, "WORK", SAMPLES)
     monkeypatch.setattr(gsa, "PART", gsa.PULL_SECONDS * AGENTS**2 * 22 / 4.5)
 
 
@@ -79,7 +85,7 @@ def test_they_do_so_on_several_devices_and_in_a_batch(task, whole, monkeypatch):
 
 
 def test_searches_that_are_too_much_together_run_one_by_one(task, whole, monkeypatch):
-    monkeypatch.setattr(pieces, "WORK", work(task))
+    monkeypatch.setattr(large_populations, "WORK", work(task))
     assert not is_large(task)
     told = []
     first, second = (found.search for found in search_batch([task, task], told.append))
@@ -94,7 +100,7 @@ def test_gradients_go_in_pieces_too(monkeypatch):
     whole = run_search(task).search
     found = []
     for agents in (1, 2):
-        monkeypatch.setattr(pieces, "WORK", agents * SCENARIOS * 22 * SAMPLES)
+        monkeypatch.setattr(large_populations, "WORK", agents * SCENARIOS * 22 * SAMPLES)
         assert is_large(task)
         found.append(run_search(task).search)
     assert_same(*found)
@@ -110,7 +116,7 @@ def test_gradients_go_in_pieces_too(monkeypatch):
     turns=st.integers(2, 16),
 )
 def test_pieces_cover_everything_within_the_bound(agents, scenarios, length, most, turns):
-    least = turns * pieces.PIECE
+    least = turns * large_populations.PIECE
     some = agents_in_piece(agents, scenarios * length, most, least)
     part = scenarios_in_piece(some, scenarios, length, most, turns if some <= least else 1)
     assert some <= agents
