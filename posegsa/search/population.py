@@ -203,7 +203,7 @@ def _part(tree: Any, index: Array, size: int, count: int) -> Any:
     if size == count:
         return tree
     chosen = jnp.minimum(index * size + jnp.arange(size), count - 1)
-    return jax.tree.map(lambda leaf: leaf[chosen], tree)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[chosen], tree)
 
 
 def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:

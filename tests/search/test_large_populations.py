@@ -96,7 +96,7 @@ def test_searches_that_are_too_much_together_run_one_by_one(task, whole, monkeyp
 
 def test_gradients_go_in_pieces_too(monkeypatch):
     """Of any size to the same bits; a program of the whole may round a position otherwise."""
-    task = problem("search.optimiser=gsa+adam", "search.agents=150", "search.iterations=8")
+    task = problem("search.optimiser=adam", "search.agents=4", "search.iterations=3")
     whole = run_search(task).search
     found = []
     for agents in (1, 2):
