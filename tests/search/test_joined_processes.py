@@ -14,6 +14,8 @@ from posegsa.search import devices
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import run_search
 
+pytestmark = pytest.mark.optimised
+
 WORKER = """
 import os, sys, warnings
 from posegsa.runtime import fast_path_flags
@@ -40,7 +42,6 @@ def test_two_processes_find_what_one_finds():
         probe.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{probe.getsockname()[1]}"
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # as this file is compiled
     running = [
         subprocess.Popen(
             [sys.executable, "-c", WORKER, str(i), address, *TINY],
