@@ -30,6 +30,10 @@ PIECE = 128
 """Agents simulated at once on a CPU: some 60 numbers each, they fit a core's first-level cache."""
 SMALL = 64
 """So few agents share a piece with other scenarios'."""
+SHARED = 4
+"""Pieces of different scenarios that there are then at least, to be divided among devices."""
+FILLED = 4 / 3
+"""How many more groups of scenarios there may be, so that all devices have as many pieces."""
 LANES = 16
 """Numbers of 32 bits in the widest vectors of a CPU."""
 
@@ -105,26 +109,34 @@ def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool =
 
     On a CPU (`piecewise`) a piece's state stays in the core's own cache, so that an agent's price
     does not depend on how many there are: with 10 000 agents at once it doubles. An accelerator
-    wants all it can get at once. Whatever the cut, each simulation is, bit for bit, the same.
+    wants all it can get at once. A simulation may be rounded otherwise in a piece of another shape,
+    so that the shape depends on the shards only where there would be too few pieces for them.
     """
-    together = min(scenarios, max(1, PIECE // agents)) if agents < SMALL else 1
+    together = 1
     if not piecewise:
-        together = scenarios
-    for_each_shard = _divided(scenarios, shards)
-    groups = _divided(scenarios, min(together, for_each_shard))
+        together = _divided(scenarios, shards)
+    elif agents < SMALL:
+        together = max(1, min(PIECE // agents, scenarios // SHARED))
+    groups = _divided(scenarios, together)
     if piecewise and _divided(scenarios, groups) == 2:
         # XLA's loops over two scenarios are not vectorised: three times as slow as one by one.
         groups = scenarios
-    # All shards get as many pieces if the chunks are a multiple of this.
-    step = shards // math.gcd(groups, shards)
-    chunks = step * _divided(_divided(agents, PIECE) if piecewise else 1, step)
+    each, chunks = _divided(scenarios, groups), _divided(agents, PIECE) if piecewise else 1
+    filled = _filled(groups, shards // math.gcd(chunks, shards))
+    if filled <= FILLED * groups:
+        groups = filled  # the last ones repeat a scenario
+    else:
+        chunks = _filled(chunks, shards // math.gcd(groups, shards))
     chunk = _divided(agents, chunks)
     # What does not fill a vector runs number by number, which costs more than one more vector.
     if piecewise and chunk > LANES:
         chunk = LANES * _divided(chunk, LANES)
-    return Partition(
-        groups=groups, scenarios=_divided(scenarios, groups), chunks=chunks, agents=chunk
-    )
+    return Partition(groups=groups, scenarios=each, chunks=chunks, agents=chunk)
+
+
+def _filled(count: int, step: int) -> int:
+    """The least multiple of a step that is not less."""
+    return step * _divided(count, step)
 
 
 def _divided(count: int, size: int) -> int:
