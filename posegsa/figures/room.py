@@ -167,7 +167,9 @@ def _points(text: Text) -> float:
 
 
 def _legend(legend: Any) -> float:
-    entries, size = len(legend.get_texts()), _points(legend.get_texts()[0])
+    if not (entries := len(legend.get_texts())):
+        return 0.0
+    size = _points(legend.get_texts()[0])
     rows = math.ceil(entries / legend._ncols)
     return (1.5 * rows + 0.8) * size * POINT
 

@@ -207,6 +207,8 @@ def png(figure: Figure) -> bytes:
         layout.execute(figure)
     with _look():  # in which no layout is the default
         figure.set_layout_engine(None)
-    figure.savefig(file, format="png", dpi=DPI)
-    figure.set_layout_engine(layout)
+    try:
+        figure.savefig(file, format="png", dpi=DPI)
+    finally:
+        figure.set_layout_engine(layout)
     return file.getvalue()

@@ -81,12 +81,13 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
     parts = []
     for first in range(0, there, SCENARIOS):
-        initial, some = jax.tree.map(
-            lambda a, first=first: piece(a, first, SCENARIOS), (batch.initial, batch.samples)
-        )
+        initial = jax.tree.map(lambda a, first=first: piece(a, first, SCENARIOS), batch.initial)
+        some = jax.tree.map(lambda a, first=first: a[first : first + SCENARIOS], batch.samples)
         loop, pieces = _begin(candidate, initial), []
         for start in range(0, samples, SAMPLES):
-            now = jax.tree.map(lambda a, start=start: piece(a, start, SAMPLES, axis=1), some)
+            now = jax.tree.map(
+                lambda a, start=start: piece(piece(a, start, SAMPLES, axis=1), 0, SCENARIOS), some
+            )
             count = np.int32(min(SAMPLES, samples - start))
             loop, errors = _onward(candidate, now, loop, batch.settings, batch.signal, count)
             pieces.append(jax.device_get(errors))

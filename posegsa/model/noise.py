@@ -12,6 +12,8 @@ from jax import Array, lax
 from jax.extend.random import threefry_2x32
 from jax.typing import ArrayLike
 
+from posegsa.arguments import refuse
+
 _MANTISSA, _ONE = np.uint32(9), np.float32(1.0).view(np.uint32)
 _LOWEST = np.nextafter(np.float32(-1), np.float32(0))
 
@@ -29,12 +31,18 @@ def normal_rows(key: Array, first: ArrayLike, rows: int, *shape: int) -> Array:
         (rows, *shape) in float32: those of `jax.random.normal(key, (n, *shape), jnp.float32)`
         from row `first` on, whatever n, where JAX's option `jax_threefry_partitionable` has its
         default: number i is the generator's for the counter i (Salmon et al. 2011).
+
+    Raises:
+        ArgumentError: The key is another generator's.
     """
+    words = jax.random.key_data(key)
+    if words.shape != (2,):
+        refuse(f"key of {words.shape} words", 'one of the generator "threefry2x32"')
     width = math.prod(shape)
     index = lax.iota(jnp.uint32, rows * width)
     index = index + jnp.asarray(first).astype(jnp.uint32) * np.uint32(width)
     counters = jnp.concatenate([jnp.zeros_like(index), index])
-    high, low = jnp.split(threefry_2x32(jax.random.key_data(key), counters), 2)
+    high, low = jnp.split(threefry_2x32(words, counters), 2)
     # 23 random bits after the point of a number in [1, 2), moved to (-1, 1).
     bits = lax.shift_right_logical(high ^ low, _MANTISSA) | _ONE
     unit = lax.bitcast_convert_type(bits, jnp.float32) - np.float32(1)

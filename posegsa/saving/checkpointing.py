@@ -154,7 +154,10 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
         return _run_of(found)
     none = f"{folder}: holds no checkpoint to go on from"
     if not damaged:
-        none += "; a run whose optimiser's state can't be saved makes none and can't be resumed"
+        none += (
+            "; a run has none that was stopped before its search began, or whose optimiser's state "
+            "can't be saved: start it again"
+        )
     raise CheckpointError("\n".join([*damaged, none]))
 
 

@@ -3,7 +3,8 @@
 import math
 import warnings
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from jax.random import wrap_key_data
 from jax.typing import DTypeLike
 
 from posegsa import config
-from posegsa.arguments import check_dtype, check_type
+from posegsa.arguments import check_dtype, check_type, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.model.cost import CostWeights
 from posegsa.model.family import Family, Occasions, draw_with_noise
@@ -103,37 +104,43 @@ def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) ->
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
     On the host, where taking some of the scenarios compiles nothing.
+
+    Raises:
+        ArgumentError: There are no keys, or they are another generator's.
     """
     dtype = jnp.dtype(experiment.run.dtype)
     settings, drawn_from = filter_settings(experiment), family(experiment, dtype)
     words, count = np.asarray(jax.random.key_data(keys)), len(keys)
-    parts = [
-        _made(one, drawn_from, settings, piece(words, first, DRAWN))
-        for first in range(0, count, DRAWN)
-    ]
+    if words.shape != (count, 2) or not count:
+        refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
+    parts, samples = [], None
+    for first in range(0, count, DRAWN):
+        some = piece(words, first, DRAWN)
+        drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), drawn_from, settings, some)
+        for start in range(0, one.samples, PIECE):
+            last = np.int32(min(PIECE, one.samples - start) - 1)
+            made, bias, at = _sensed(drawn, settings, of_noise, at, last)
+            made = jax.device_get(made)
+            if samples is None:  # all at once, as they may take most of the memory
+                samples = jax.tree.map(lambda a: np.empty((count, one.samples), a.dtype), made)
+            jax.tree.map(partial(_put, first=first, start=start), samples, made)
+        parts.append(jax.device_get(kept | {"bias": bias}))
     kept = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
     if experiment.family.duration == "off":
         kept["end"] = None
     return ScenarioBatch(
         **kept,
+        samples=cast(Samples, samples),
         weights=cost_weights(experiment.cost, one.samples, dtype),
         settings=settings,
         signal=signal_settings(experiment.gain, dtype),
     )
 
 
-def _made(
-    one: Scenario, family: Family, settings: FilterSettings, keys: np.ndarray
-) -> dict[str, Any]:
-    """What `ScenarioBatch` keeps of DRAWN scenarios, of their keys' data (DRAWN, 2)."""
-    drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), family, settings, keys)
-    pieces = []
-    for start in range(0, one.samples, PIECE):
-        last = np.int32(min(PIECE, one.samples - start) - 1)
-        samples, bias, at = _sensed(drawn, settings, of_noise, at, last)
-        pieces.append(jax.device_get(samples))
-    joined = jax.tree.map(lambda *a: np.concatenate(a, axis=1)[:, : one.samples], *pieces)
-    return jax.device_get(kept) | {"samples": joined, "bias": np.asarray(bias)}
+def _put(whole: np.ndarray, part: np.ndarray, first: int, start: int) -> None:
+    """Write what is wanted of a part into the whole (S, N), at a scenario and a sample."""
+    place = whole[first : first + len(part), start : start + part.shape[1]]
+    place[:] = part[: place.shape[0], : place.shape[1]]
 
 
 @stored

@@ -1,8 +1,8 @@
 """Where a search runs: the devices of one process, or of several that have joined.
 
 Every device runs the same search, all of it; only the simulations are divided (`agent_costs`), and
-only their costs travel. So a seed gives the same bits on any number of devices and processes, unless
-these are so many that the agents on a scenario must be divided (`population.partition`).
+only their costs travel. So a seed gives the same bits on any number of devices and processes,
+unless these are so many that the agents on a scenario must be divided (`population.partition`).
 """
 
 from collections.abc import Callable

@@ -10,7 +10,7 @@ from posegsa.arguments import check_whole
 from posegsa.stored_programs import stored
 
 GENERATOR = "threefry2x32"
-"""Of random numbers, whatever JAX's default: a seed means the same scenarios everywhere."""
+"""Of random numbers, whatever JAX's default one is."""
 
 
 class Keys(NamedTuple):

@@ -3,7 +3,8 @@
 A compiled call can't be stopped, and a large population may take minutes for one iteration. So its
 costs are made in pieces of bounded work, and the optimiser's own step, where that takes long too,
 in its parts (`Optimiser.parts`). Between two of them signals are answered and progress is told.
-A simulation is the same in whatever piece, to the last bit, and so is the search.
+A search by costs is the same in pieces, to the last bit, with 64 agents or more; with fewer, and by
+gradients, a simulation may be rounded otherwise in a piece (`population.partition`).
 """
 
 import math

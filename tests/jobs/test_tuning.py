@@ -16,7 +16,13 @@ from generated import configuration, not_numbers, structure
 
 import posegsa
 from posegsa import config
-from posegsa.errors import ConfigError, MeasurementError, RunFolderError, SearchInterrupted
+from posegsa.errors import (
+    ArgumentError,
+    ConfigError,
+    MeasurementError,
+    RunFolderError,
+    SearchInterrupted,
+)
 from posegsa.judging.evaluation import TUNED
 from posegsa.saving import run as run_folder
 from posegsa.saving.folder import read_text
@@ -81,6 +87,13 @@ def test_neither_their_number_nor_their_length_changes_a_bit_of_what_scenarios_b
         np.testing.assert_array_equal(a, b[:2, : a.shape[1]])
     for a, b in zip(jax.tree.leaves(few.initial), jax.tree.leaves(many.initial), strict=True):
         np.testing.assert_array_equal(a, b[:2])
+
+
+def test_no_keys_or_those_of_another_generator_make_no_scenarios():
+    experiment = tiny()
+    for given in (training_keys(0, 2)[:0], jax.random.split(jax.random.key(0, impl="rbg"), 2)):
+        with pytest.raises(ArgumentError, match="allowed: at least one, of the generator threefry"):
+            scenario_batch(experiment, scenario(experiment), given)
 
 
 def test_history_and_counts(run):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from posegsa.errors import ArgumentError
 from posegsa.model.noise import normal_rows
 
 
@@ -25,3 +26,8 @@ def test_numbers_far_from_the_start_are_normal_too() -> None:
     np.testing.assert_allclose([many.mean(), many.std()], [0, 1], atol=0.02)
     near = np.asarray(normal_rows(jax.random.key(0), 0, 40_000))
     assert abs(np.corrcoef(many, near)[0, 1]) < 0.02
+
+
+def test_a_key_of_another_generator_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"key of \(4,\) words; allowed: .*threefry2x32"):
+        normal_rows(jax.random.key(0, impl="rbg"), 0, 3)
