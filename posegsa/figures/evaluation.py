@@ -33,6 +33,11 @@ _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 """Colour and line look of each contender, the same in all figures."""
 _MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
 """Of the contenders that are drawn as curves: more would hide each other."""
+_BANDS = (TUNED, CONSTANT)
+"""Of these, those whose spread is drawn as a band: more would mix to one colour."""
+_APART = 10.0
+"""Differences of which one is further from 0 than the middle one by this factor are drawn over an
+axis that is logarithmic on both sides of it."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
 
 
@@ -87,6 +92,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
             end = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             panel.annotate(text, (1, row), (6, 0), va="center", size=style.TICK_SIZE, **end)
         _name_rows(panel, others, {})
+        _scale_differences(panel, [evaluation.difference(name).mean for name in others])
         if not panel.collections and len(panel.lines) == 1:  # no difference is finite
             panel.set_xticks([0])
         panel.set_xlabel("Tuned minus this, cost [-]; below 0 tuned is better")
@@ -97,16 +103,18 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     FIGURES,
     name="bands",
     title="Errors and gain over time",
-    caption="Lines are medians over scenarios, bands span 5 to 95 %. On the left, who gets out "
-    "of the initial error first; on the right, who stays lower afterwards. The gain shown is "
-    "the one used, after the gain limit. The position error is that of the cost, "
+    caption="Lines are medians over scenarios. Bands, of the tuned filter and the best constant "
+    "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the others. On the left, "
+    "who gets out of the initial error first; on the right, who stays lower afterwards. The gain "
+    "shown is the one used, after the gain limit. The position error is that of the cost, "
     "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
-    """Median and 5 to 95 % band over scenarios of attitude error, position error and gain.
+    """Median, and 5 to 95 % or 95 % alone, of attitude error, position error and gain over time.
 
-    Of the tuned filter, the best constant gains, the best time switch and the Kalman filter over
-    time [s], of the runs with a finite cost. The left column enlarges the start.
+    Over the scenarios with a finite cost; of the tuned filter and the best constant gains as bands,
+    of the best time switch and the Kalman filter, whose bands would hide these, as a line. The left
+    column enlarges the start.
     """
     time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
     parts = style.time_parts(time)
@@ -120,7 +128,12 @@ def plot_bands(evaluation: Evaluation) -> Figure:
         values = {name: np.asarray(getattr(band, field)) for name, band in bands.items()}
         for ax, part in zip(row, parts, strict=True):
             for name, band in values.items():
-                style.plot_band(ax, time[part], band[:, part], name, _STYLES[name])
+                look = _STYLES[name]
+                if name in _BANDS:
+                    style.plot_band(ax, time[part], band[:, part], name, look)
+                else:
+                    ax.plot(time[part], finite(band[1, part]), label=name, **look)
+                    ax.plot(time[part], finite(band[2, part]), **look | {"linewidth": 0.7})
             ax.grid(axis="y", color="0.9", linewidth=0.6)
         if field == "gain":
             row[0].set_ylim(bottom=0)
@@ -214,6 +227,15 @@ def _plot_interval(ax: Axes, row: int, mean: float, low: float, high: float) -> 
     ax.plot(
         [mean], [row], "D", color="white", markeredgecolor=style.BLACK, markersize=4.5, zorder=4
     )
+
+
+def _scale_differences(ax: Axes, differences: list[float]) -> None:
+    """An axis on which a difference that is far larger than the others leaves these their room."""
+    away = np.abs(differences)[np.isfinite(differences)]
+    middle = float(np.median(away)) if away.size else 0.0
+    if 0 < middle * _APART < away.max():
+        ax.set_xscale("symlog", linthresh=10.0 ** np.floor(np.log10(middle)))
+        style.plain_both_sides(ax.xaxis)
 
 
 def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -175,6 +175,15 @@ def plain_numbers(axis: Axis, values: np.ndarray) -> None:
     axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
 
 
+def plain_both_sides(axis: Axis) -> None:
+    """Plain numbers, -10 and not -10^1, at few places of an axis logarithmic on both sides of 0."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    axis.get_major_locator().numticks = 7
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
 def scale_errors(ax: Axes, errors: np.ndarray) -> None:
     """A logarithmic y axis for errors (...), unless none is above 0."""
     if (errors > 0).any():

@@ -17,6 +17,7 @@ from posegsa.figures import schedule
 from posegsa.figures.style import START
 from posegsa.judging.evaluation import (
     CONSTANT,
+    EKF,
     EKF_VECTORS,
     RANDOM,
     SWITCH,
@@ -106,6 +107,19 @@ def test_nothing_finite_and_one_contender_are_drawn():
     assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
 
 
+def test_one_difference_far_from_the_others_leaves_them_their_room():
+    given = evaluation((TUNED, CONSTANT, SWITCH, EKF))
+    cost = given.contenders[TUNED].metrics.cost
+    for name, more in ((CONSTANT, 1.0), (SWITCH, 4.0), (EKF, 1000.0)):
+        given = changed(given, name, cost=cost + more)
+    below = plots.plot_costs(given).axes[1]
+    across = below.transData + below.transAxes.inverted()
+    far, near, nearest = (across.transform((-x, 0))[0] for x in (1000.0, 4.0, 1.0))
+    assert 0 <= far < near < nearest < 1
+    assert nearest - near > 0.05  # it would be 0.003
+    assert plots.plot_costs(evaluation((TUNED, CONSTANT))).axes[1].get_xscale() == "linear"
+
+
 def test_bands_are_the_quantiles_of_four_contenders():
     given = evaluation()
     figure = plots.plot_bands(given)
@@ -116,11 +130,15 @@ def test_bands_are_the_quantiles_of_four_contenders():
     for i, ax in enumerate(figure.axes):
         row, part = i // 2, start if i % 2 == 0 else slice(None)
         assert ax.get_yscale() == ("linear" if row == 2 else "log")
+        curves = iter(lines(ax))
         for j, name in enumerate(CURVES):
             low, middle, high = given.contenders[name].bands[row]
-            np.testing.assert_array_equal(lines(ax)[j], (TIME[part], middle[part]))
-            drawn = ax.collections[j].get_paths()[0].vertices
-            assert set(low[part]) | set(high[part]) <= set(drawn[:, 1])
+            np.testing.assert_array_equal(next(curves), (TIME[part], middle[part]))
+            if name in (TUNED, CONSTANT):
+                drawn = ax.collections[j].get_paths()[0].vertices
+                assert set(low[part]) | set(high[part]) <= set(drawn[:, 1])
+            else:  # their bands would hide these
+                np.testing.assert_array_equal(next(curves), (TIME[part], high[part]))
 
 
 def test_bands_without_some_of_them_and_of_a_short_run_are_drawn():
@@ -164,7 +182,7 @@ def test_angles_that_do_not_differ_are_not_drawn():
 def test_a_contender_looks_the_same_in_all_figures():
     ax, _ = plots.plot_costs(SPREAD).axes
     points = [c for c in ax.collections if len(c.get_offsets()) == 40]
-    bands = plots.plot_bands(SPREAD).axes[0].lines
+    bands = [one for one in plots.plot_bands(SPREAD).axes[0].lines if one.get_label() in CURVES]
     rows = [list(SPREAD.contenders).index(name) for name in CURVES]
     for of_cost, of_bands in zip((points[i] for i in rows), bands, strict=True):
         assert to_rgba(of_cost.get_facecolor()[0][:3]) == to_rgba(of_bands.get_color())
