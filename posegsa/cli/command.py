@@ -74,6 +74,11 @@ def _main(arguments: Sequence[str] | None) -> int:
         except PosegsaError as error:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
+        except OSError as error:  # of a path that the system refuses: too long, in a loop of links
+            if error.filename is None:
+                raise
+            print(f"posegsa: {error.filename}: {error.strerror}", file=sys.stderr)
+            return 2
         except SearchInterrupted as stopped:
             print(f"posegsa: {stopped}", file=sys.stderr)
             return 128 + stopped.signal_number

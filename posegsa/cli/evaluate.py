@@ -55,11 +55,12 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
         result = evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
         write_run(result, folder, options.figures, same_run=True)
     print(result.evaluation.table())
-    print(f"\n{result.endurance.table(CONSTANT)}")
+    long = result.experiment.run.endurance_scenarios
+    print(f"\n{result.endurance.table(CONSTANT, long)}")
     for warning in result.warnings():
         print(f"  warning: {warning}")
     files = f"report.html, evaluation.json, evaluation.txt{drawn(options)}"
-    print(f"\nWritten to {options.run}: {files}")
+    print(f"\nWritten to {options.run}: {files}; the held-out means in result.json are of these")
     return 0
 
 

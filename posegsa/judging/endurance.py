@@ -15,7 +15,7 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
 from posegsa.settings.arrays import Numbers
 from posegsa.settings.fields import MAX_SAMPLES
-from posegsa.words import text_table
+from posegsa.words import counted, text_table
 
 PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
@@ -44,8 +44,13 @@ class Endurance(NamedTuple):
         """The windows one by one, in the order of the fields."""
         return list(zip(*(each.tolist() for each in self), strict=True))
 
-    def table(self, constant: str) -> str:
-        """The windows as text for a person; `constant` is what the other filter is called."""
+    def table(self, constant: str, scenarios: int) -> str:
+        """The windows as text for a person.
+
+        Args:
+            constant: What the other filter is called.
+            scenarios: How many there were.
+        """
         heads = ["attitude", "P_err", "distance"]
         rows = [["RMS error", "tuned", "", "", constant, "", ""], ["", *heads, *heads]]
         for begin, end, *errors in self.rows():
@@ -64,7 +69,8 @@ class Endurance(NamedTuple):
                     ),
                 ]
             )
-        return f"{text_table(rows)}\n{POSITION_WORDS}"
+        title = f"Long after the window, on {counted(scenarios, 'other unseen scenario')}:"
+        return f"{title}\n\n{text_table(rows)}\n{POSITION_WORDS}"
 
     def worse(self) -> list[str]:
         """Where the tuned filter is worse than the constant gain after the first window."""

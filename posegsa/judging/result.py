@@ -189,7 +189,7 @@ class TuneResult:
             f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
             f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
             f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
-            self.endurance.table(CONSTANT),
+            self.endurance.table(CONSTANT, run.endurance_scenarios),
             f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or more of "
             "the weight.",
         ]

@@ -109,8 +109,8 @@ def write_run(
         result: What is written.
         folder: Where.
         figures: Names of those that are drawn, by default all; others that are there go.
-        same_run: Whether what the folder holds is of the same run: then how that was judged on
-            recordings stays.
+        same_run: Whether what the folder holds is of the same run, judged anew: then what the
+            search left stays, and how the run was judged on recordings.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -121,13 +121,14 @@ def write_run(
     held = {field.name: getattr(result, field.name) for field in fields(_StoredResult)}
     evaluation = result.evaluation
     texts = {
-        HISTORY: to_csv(result.history, counted="iteration"),
-        TRAJECTORY: to_csv(result.trajectory),
         EVALUATION: to_json(evaluation, SCHEMA, _evaluation_summary(evaluation)),
         TABLE: evaluation.table() + "\n",
         REPORT: report_html(result, pictures),
         RESULT: to_json(_StoredResult(**held), SCHEMA, _result_summary(result)),
     }
+    if not same_run:
+        texts[HISTORY] = to_csv(result.history, counted="iteration")
+        texts[TRAJECTORY] = to_csv(result.trajectory)
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     drawn = {_FIGURE.format(name): picture for name, picture in pictures.items()}
     # Not all evaluations have all figures.

@@ -122,9 +122,11 @@ def run_timed(
     for stop, reached in in_chunks(run, search, done, iterations, size):
         here = collect(jax.block_until_ready(reached))
         now = time.monotonic()
-        keep(here, now - compiled, compiled - begun)
         best = float(np.min(here.best_cost))
-        tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
+        try:
+            keep(here, now - compiled, compiled - begun)
+        finally:  # where it stops the search too: these iterations are done
+            tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
         if alone and not piecewise:
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
