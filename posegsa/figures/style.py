@@ -179,7 +179,7 @@ def plain_both_sides(axis: Axis) -> None:
     """Plain numbers, -10 and not -10^1, at few places of an axis logarithmic on both sides of 0."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
-    axis.get_major_locator().numticks = 7
+    axis.get_major_locator().set_params(numticks=7)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 
