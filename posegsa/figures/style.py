@@ -177,9 +177,11 @@ def plain_numbers(axis: Axis, values: np.ndarray) -> None:
 
 def plain_both_sides(axis: Axis) -> None:
     """Plain numbers, -10 and not -10^1, at few places of an axis logarithmic on both sides of 0."""
-    from matplotlib.ticker import FuncFormatter, NullLocator
+    from matplotlib.ticker import FuncFormatter, NullLocator, SymmetricalLogLocator
 
-    axis.get_major_locator().set_params(numticks=7)
+    places = axis.get_major_locator()
+    assert isinstance(places, SymmetricalLogLocator)
+    places.set_params(numticks=7)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 
