@@ -1,12 +1,30 @@
-"""The parser of the command line and of each command."""
+"""The parser of the command line and of each command: what is wrong is said where it is wrong."""
 
 import argparse
+import difflib
 import sys
-from typing import IO
+from collections.abc import Sequence
+from typing import IO, Any
 
 
 class Parser(argparse.ArgumentParser):
-    """As `argparse.ArgumentParser`, but help that can't be written is an error."""
+    """As `argparse.ArgumentParser`, but what is wrong is said by the command that it is wrong for.
+
+    Of an option that is not known, the nearest one is named. Help that can't be written is an
+    error.
+    """
+
+    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:
+        """Parse all arguments: none may be unknown, so that a command shows its own usage."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = difflib.get_close_matches(unknown[0].partition("=")[0], self._options(), 1)
+            meant = f"; did you mean {near[0]}?" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        return found, unknown
+
+    def _options(self) -> list[str]:
+        return [name for action in self._actions for name in action.option_strings]
 
     def _print_message(self, message: str, file: IO[str] | None = None) -> None:
         stream = file or sys.stderr

@@ -1,0 +1,28 @@
+"""What the command line says of arguments that it does not know."""
+
+import pytest
+
+from posegsa.cli.command import main
+
+pytestmark = pytest.mark.quick
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["tune", "--itertaions=3"], "posegsa tune: error: unrecognized arguments: --itertaions=3"),
+        (["evaluate", "run", "--scenraios", "3"], "did you mean --scenarios?"),
+        (["tune", "quick", "another"], "posegsa tune: error: unrecognized arguments: another\n"),
+        (["--versoin"], "posegsa: error:"),
+    ],
+)
+def test_a_command_says_what_it_does_not_know(arguments, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_path_that_the_system_refuses_is_a_line(capsys):
+    assert main(["tune", "a" * 300]) == 2
+    assert capsys.readouterr().err == f"posegsa: {'a' * 300}: File name too long\n"
