@@ -286,7 +286,8 @@ def test_a_search_is_the_same_compiled_stored_and_loaded(tmp_path):
         # As another process has them: nothing is known of what this one compiled.
         for one in functions:
             one._programs.clear()
-        problem = tuning_problem(tiny("search.agents=64"))
+        small = "filter.substeps=1", "filter.cross_vector=false"
+        problem = tuning_problem(tiny("search.agents=64", *small))
         search = run_search(problem).search
         return search, error_tracks(problem.space.candidate(search.best_position), problem.held_out)
 

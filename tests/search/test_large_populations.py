@@ -38,6 +38,11 @@ SCENARIOS, AGENTS = 9, 1100
 """More than the smallest piece on the four devices that tests have, 8 and 1024; and so many that
 the four can be given the same work only if some of it is done twice."""
 
+ALSO = (
+    '{key="filter.gamma.1", lower=0.5, upper=50.0, scale="logarithmic"}',
+    '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}',
+)
+
 
 @pytest.fixture(scope="module")
 def task():
@@ -52,8 +57,7 @@ def task():
                 "filter.substeps=1",
                 "filter.cross_vector=false",
                 "gain.error_scale=8.0",  # else the gain limit makes all agents equal
-                'parameters.also=[{key="filter.gamma.1", lower=0.5, upper=50.0, scale="logarithmic"}, '
-                '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}]',
+                f"parameters.also=[{', '.join(ALSO)}]",
             )
         )
 
@@ -88,7 +92,7 @@ def another(task):
 
 @pytest.mark.usefixtures("small_pieces")
 def test_pieces_give_the_bits_of_the_whole_and_say_how_far_they_are(task, whole):
-    """On four devices; on two, in processes of their own, a whole one in `test_joined_processes`."""
+    """On four devices; on two, in processes of their own, a whole search: `test_joined_processes`."""
     assert is_large(task)
     told = []
     assert_same(run_search(task, told.append).search, whole)
