@@ -13,7 +13,13 @@ from setups import PAPER, RULES, corner_vectors, search_vectors, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError
-from posegsa.model.fuzzy import firing_heights, membership, searched_heights, slopes
+from posegsa.model.fuzzy import (
+    FuzzyController,
+    firing_heights,
+    membership,
+    searched_heights,
+    slopes,
+)
 from posegsa.model.schedules import FuzzyGain, ScheduleInputs, SearchedRulesGain
 from posegsa.search.build import rule_indices
 from posegsa.search.parameters import ParameterSpace
@@ -379,15 +385,20 @@ def test_heights_are_those_of_the_table_bit_for_bit() -> None:
 
     gains = jax.jit(jax.vmap(gain))(vectors)
     memberships = [tuple(rng.uniform(-0.2, 1, (5, 50)).clip(0, 1)) for _ in range(2)]
-    memberships = [tuple(map(jnp.asarray, each)) for each in memberships]
+    by_table = jax.jit(lambda given, rules: firing_heights(*given, rules, 5), static_argnums=1)
+    by_targets = jax.jit(lambda given, targets: searched_heights(*given, targets))
     for i, vector in enumerate(vectors):
         schedule = made.schedule(vector)
         assert isinstance(schedule, FuzzyGain), "outside jit it is the table"
         rules = schedule.controller.rules
-        targets = tuple(tuple(map(jnp.asarray, row)) for row in rules)
-        expected = firing_heights(*memberships, rules, 5)
-        for a, b in zip(searched_heights(*memberships, targets), expected, strict=True):
+        targets = tuple(tuple(map(np.float32, row)) for row in rules)
+        found = by_targets(memberships, targets)
+        for a, b in zip(found, by_table(memberships, rules), strict=True):
             np.testing.assert_array_equal(a, b)
-        fires = np.max(schedule.controller.heights(error, rate), axis=0) > 0
-        expected = np.where(fires, schedule.controller(error, rate), 0.0)
-        np.testing.assert_allclose(gains[i], expected, rtol=1e-5)
+
+        @jax.jit
+        def by_controller(controller: FuzzyController) -> jax.Array:
+            fires = jnp.max(jnp.stack(controller.heights(error, rate)), axis=0) > 0
+            return jnp.where(fires, controller(error, rate), 0)
+
+        np.testing.assert_allclose(gains[i], by_controller(schedule.controller), rtol=1e-5)
