@@ -19,7 +19,9 @@ def test_small_searches_stay_on_one_device_and_large_ones_use_all():
     assert devices.mesh_for(2 * devices.SIMULATIONS_PER_DEVICE).devices.size == 2
 
 
-@pytest.mark.parametrize(("scenarios", "agents"), [(25, 96), (4, 32), (3, 6), (24, 10), (8, 100)])
+@pytest.mark.parametrize(
+    ("scenarios", "agents"), [(25, 96), (4, 32), (3, 6), (24, 10), (8, 10), (8, 100)]
+)
 def test_pieces_have_one_shape_on_one_device_and_on_two(scenarios, agents):
     """In a piece of another shape a simulation may be rounded otherwise."""
     one, two = (partition(scenarios, agents, shards=shards) for shards in (1, 2))
