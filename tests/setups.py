@@ -42,6 +42,13 @@ from posegsa.search.population import ScenarioBatch
 PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
 RULES = tuple(tuple(row) for row in reference.PAPER_RULES.tolist())
 
+LEARNT = (
+    *("filter.vector_bias=estimated", "filter.vector_bias_law=linear"),
+    *("filter.gamma_law=quadratic", "filter.substeps=2", "gain.smoothing=1.5"),
+    *("filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"),
+)
+"""The laws of the recommended filter, and all numbers that a filter may have."""
+
 
 def paper(*settings: str, dtype: str = "float64") -> config.Experiment:
     """The paper's experiment with single values changed, as `--set` does."""

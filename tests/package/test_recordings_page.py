@@ -19,10 +19,11 @@ TINY = """
 [filter]
 vector_bias = "off"
 cross_vector = false
+substeps = 1
 [parameters]
 also = []
 [search]
-optimiser = "de"
+optimiser = "random_search"
 agents = 8
 iterations = 2
 """

@@ -1,15 +1,12 @@
 """Numbers that are tuned beside k1..k22: the same filter as with them in the configuration."""
 
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from experiments import tiny
-from setups import lasting, paper, search_vectors
+from setups import LEARNT, paper
 
 from posegsa import config
 from posegsa.config.tunable import tunable
@@ -17,35 +14,31 @@ from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import (
     filter_settings,
     parameter_space,
-    scenario_batch,
     search_space,
     signal_settings,
     tuning_problem,
 )
 from posegsa.search.candidates import Candidate
-from posegsa.search.keys import scenario_keys
 from posegsa.search.population import evaluate_population
-from posegsa.search.run import run_search, search_batch
+from posegsa.search.run import run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
-LEARNING = paper("filter.vector_bias=estimated", *lasting(0.3))
-PAIR = config.override(
-    LEARNING,
-    ["filter.gamma=[5.0, 10.0]", "filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"],
+LEARNING = paper(
+    *LEARNT,
+    "run.training_scenarios=2",
+    "run.held_out_scenarios=1",
+    "search.agents=20",
+    "search.iterations=3",
+    "search.optimiser=random_search",
 )
+PAIR = config.override(LEARNING, ["filter.gamma=[5.0, 10.0]"])
 SCALAR = config.override(LEARNING, ["filter.gamma=5.0"])
 KEYS = [
     *((PAIR, key) for key in tunable(PAIR)),
     (SCALAR, "filter.gamma"),
     (config.override(LEARNING, ["filter.vector_bias=off"]), "filter.gain_limit"),
 ]
-
-
-def fixed(values: dict[str, float]) -> str:
-    """The setting that tunes numbers between two ends that are one."""
-    tables = (f'{{key = "{key}", lower = {v!r}, upper = {v!r}}}' for key, v in values.items())
-    return f"parameters.also=[{', '.join(tables)}]"
 
 
 @pytest.mark.usefixtures("x64")
@@ -85,55 +78,49 @@ def test_a_key_of_something_else_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("vector_bias", ["estimated", "off"])
-def test_costs_of_numbers_that_are_held_are_those_of_the_configuration(vector_bias) -> None:
-    base = config.override(PAIR, [f"filter.vector_bias={vector_bias}"])
-    values = {key: 0.3 + 0.05 * i for i, key in enumerate(tunable(base))}
-    held = config.override(base, [fixed(values)])
-    written = config.override(base, [f"{key}={value!r}" for key, value in values.items()])
-    found = []
-    for experiment in (held, written, base):
-        space = search_space(experiment, parameter_space(experiment))
-        vectors = jnp.asarray(search_vectors(3))
-        also = jnp.broadcast_to(space.also_lower, (3, len(space.keys)))
-        batch = scenario_batch(experiment, quietly(experiment), scenario_keys(jax.random.key(0), 2))
-        found.append(evaluate_population(jnp.hstack([vectors, also]), batch, space))
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-10)
-    assert (np.abs(found[1] - found[2]) > 1e-3).all(), "the numbers matter"
-
-
-SHORT = partial(
-    tiny,
-    "scenario.duration=0.3",
-    "cost.transient_window=[0, 9]",
-    "cost.steady_window=[10, 29]",
-    'parameters.also=[{key="filter.gamma.1", lower=0.5, upper=50.0, scale="logarithmic"}, '
-    '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}]',
-)
-
-
 def test_they_are_searched_between_their_bounds_by_number_or_logarithm() -> None:
-    space = tuning_problem(SHORT()).space
-    assert space.box.lower.shape == (24,)
-    np.testing.assert_allclose(space.box.lower[22:], [math.log(0.5), 0.2], rtol=1e-6)
-    np.testing.assert_allclose(space.box.upper[22:], [math.log(50), 2.0], rtol=1e-6)
-    middle = space.candidate((space.box.lower + space.box.upper) / 2).values_by_key()
-    assert middle == pytest.approx({"filter.gamma.1": 5.0, "scenario.landmarks.0.weight": 1.1})
+    gamma = '{key="filter.gamma.1", lower=0.5, upper=50.0, scale="logarithmic"}'
+    weight = '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}'
+    experiment = config.override(PAIR, [f"parameters.also=[{gamma}, {weight}]"])
+    box = (space := search_space(experiment, parameter_space(experiment))).box
+    assert box.lower.shape == (24,)
+    np.testing.assert_allclose(box.lower[22:], [math.log(0.5), 0.2], rtol=1e-6)
+    np.testing.assert_allclose(box.upper[22:], [math.log(50), 2.0], rtol=1e-6)
+    middle = (np.asarray(box.lower) + np.asarray(box.upper)) / 2
+    values = space.candidate(middle).values_by_key()
+    assert values == pytest.approx({"filter.gamma.1": 5.0, "scenario.landmarks.0.weight": 1.1})
 
 
-def test_one_compiled_search_finds_them_and_so_does_a_batch() -> None:
-    problems = [tuning_problem(SHORT(f"run.seed={seed}")) for seed in (0, 1)]
-    alone = run_search(problems[0]).search
-    candidate = problems[0].space.candidate(alone.best_position)
-    gamma, weight = candidate.values_by_key().values()
-    assert 0.5 < gamma < 50
-    assert 0.2 < weight < 2
-    # The cost is that of the experiment with what was found written into it.
-    written = config.with_tuned(problems[0].experiment, candidate.values_by_key())
-    again = tuning_problem(config.override(written, ["parameters.also=[]"]))
-    cost = evaluate_population(alone.best_position[None, :22], again.training, again.space)
-    assert float(cost[0]) == pytest.approx(float(alone.best_cost), rel=1e-4)
-    first, second = (found.search for found in search_batch(problems, None))
-    assert float(first.best_cost) == float(alone.best_cost)
-    np.testing.assert_array_equal(first.best_position, alone.best_position)
-    assert float(second.best_cost) != float(first.best_cost)
+@pytest.mark.usefixtures("x64")
+def test_what_a_search_finds_costs_as_much_in_the_configuration() -> None:
+    """All numbers at once; every third is held, as its two ends are one.
+
+    Of a batch: `test_large_populations`.
+    """
+    keys = tuple(tunable(PAIR))
+    lower = [0.3 + 0.05 * i for i in range(len(keys))]
+    upper = [low if i % 3 == 0 else low + 0.3 for i, low in enumerate(lower)]
+    scales = ["logarithmic" if i % 2 else "linear" for i in range(len(keys))]
+    tables = [
+        f'{{key="{key}", lower={low!r}, upper={high!r}, scale="{scale}"}}'
+        for key, low, high, scale in zip(keys, lower, upper, scales, strict=True)
+    ]
+    problem = tuning_problem(config.override(PAIR, [f"parameters.also=[{', '.join(tables)}]"]))
+    found = run_search(problem).search
+    values = problem.space.candidate(found.best_position).values_by_key()
+    assert tuple(values) == keys
+    slack = 1e-12
+    for value, low, high in zip(values.values(), lower, upper, strict=True):
+        assert low - slack <= value <= high + slack
+        assert low == high or low < value < high
+
+    def cost(experiment: config.Experiment) -> float:
+        """Of what was found, as often as a neighbour's population has agents: its program."""
+        made = tuning_problem(config.override(experiment, ["parameters.also=[]"]))
+        vectors = jnp.asarray(np.tile(np.asarray(found.best_position)[:22], (100, 1)))
+        return float(evaluate_population(vectors, made.training, made.space)[0])
+
+    assert cost(config.with_tuned(problem.experiment, values)) == pytest.approx(
+        float(found.best_cost), rel=1e-9
+    )
+    assert abs(cost(PAIR) - found.best_cost) > 1e-3, "the numbers matter"

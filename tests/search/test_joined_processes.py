@@ -4,39 +4,55 @@ import os
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import TINY, tiny
+from recorded_motion import motion
 
+from posegsa import config
 from posegsa.errors import ArgumentError
+from posegsa.recordings.recording import Recording
 from posegsa.search import devices
-from posegsa.search.build import tuning_problem
+from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import run_search
 
 pytestmark = pytest.mark.optimised
 
+
+def found() -> str:
+    """What a search finds, to the last bit: of one gain and attitude, which compiles soonest."""
+    experiment = config.from_dict(
+        {
+            "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
+            "parameters": {"also": []},
+            "search": {"optimiser": "random_search", "agents": 11, "iterations": 3},
+        }
+    )
+    attitude = motion(100, velocity=None, landmarks=None, landmark_references=None)
+    flight = Recording.from_arrays(name="flight", **attitude)
+    begun = [flight.off(40, seed=seed) for seed in range(3)]  # 33 simulations, an odd number
+    search = run_search(recorded_problem(experiment, begun, "constant", 1.0)).search
+    return f"{np.asarray(search.history.best).tobytes().hex()} {float(search.best_cost).hex()}"
+
+
 WORKER = """
-import os, sys, warnings
+import os, sys
 from posegsa.runtime import fast_path_flags
 os.environ["XLA_FLAGS"] = fast_path_flags(devices=1)
-import jax, numpy as np
-from posegsa import config
+import jax
 from posegsa.search import devices
-from posegsa.search.run import run_search
-from posegsa.search.build import tuning_problem
-index, address, *settings = sys.argv[1:]
+index, address, tests = sys.argv[1:]
 devices.join_processes(address, 2, int(index))
 assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
-warnings.simplefilter("ignore")
 mesh = devices.mesh_for(1)
 assert mesh.devices.size == 2, "processes that have joined use all devices"
-found = run_search(tuning_problem(config.override(config.Experiment(), settings))).search
-print("found", np.asarray(found.history.best).tobytes().hex(), float(found.best_cost).hex())
+sys.path[:0] = [tests, tests + "/search"]
+from test_joined_processes import found
+print("found", found())
 """
 
 
-@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_two_processes_find_what_one_finds():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -44,7 +60,7 @@ def test_two_processes_find_what_one_finds():
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     running = [
         subprocess.Popen(
-            [sys.executable, "-c", WORKER, str(i), address, *TINY],
+            [sys.executable, "-c", WORKER, str(i), address, str(Path(__file__).parents[1])],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -58,9 +74,7 @@ def test_two_processes_find_what_one_finds():
         for process in running:
             process.kill()
     assert [process.returncode for process in running] == [0, 0], told
-    single = run_search(tuning_problem(tiny())).search
-    history = np.asarray(single.history.best).tobytes().hex()
-    wanted = f"found {history} {float(single.best_cost).hex()}"
+    wanted = f"found {found()}"
     assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
 
 

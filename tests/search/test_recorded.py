@@ -14,15 +14,16 @@ from posegsa.errors import ConfigError, MemoryLimitError
 from posegsa.model.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
-from posegsa.search import memory
+from posegsa.search import large_populations, memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.large_populations import is_large
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
-from posegsa.search.run import on_all_devices
+from posegsa.search.run import on_all_devices, run_search
 
 BASE: dict[str, Any] = {
-    "filter": {"vector_bias": "off", "cross_vector": False},
+    "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
     "parameters": {"also": []},
 }
 PROJECTED = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
@@ -150,6 +151,27 @@ def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -
         recorded_problem(oracle, recordings, "constant", 1.0)
 
 
+def test_gradients_go_in_pieces_as_in_the_whole(
+    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of few numbers, which compiles soonest. A position may be rounded otherwise."""
+    search = {"optimiser": "adam", "agents": 4, "iterations": 3}
+    experiment = config.from_dict(BASE | {"search": search})
+    problem = recorded_problem(experiment, recordings, "smooth", 100.0)
+    assert not is_large(problem)
+    whole = run_search(problem).search
+    monkeypatch.setattr(large_populations, "WORK", 2 * 400 * 3)
+    assert is_large(problem)
+    told = []
+    pieces = run_search(problem, told.append).search
+    # One agent on both recordings at once.
+    shares = [progress.share for progress in told if progress.iteration == 1]
+    assert shares == [0, 0.25, 0.5, 0.75, 1]
+    np.testing.assert_allclose(pieces.best_position, whole.best_position, rtol=1e-5)
+    np.testing.assert_allclose(pieces.history.best, whole.history.best, rtol=1e-5)
+    assert whole.history.best[-1] < whole.history.best[0] - 0.01, "they go down"
+
+
 # Simulated scenarios beside recordings ------------------------------------------------------------
 
 
@@ -160,6 +182,7 @@ def mixed(*settings: str, share: float = 0.25) -> config.Experiment:
         "cost": {"transient_window": [0, 9], "steady_window": [20, 45]},
         "run": {"training_scenarios": 2, "held_out_scenarios": 3},
         "objective": {"simulated_share": share},
+        "family": {"duration": [0.5, 0.5]},
     }
     return config.override(config.from_dict(data), settings)
 
@@ -222,12 +245,12 @@ def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recor
 def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     recordings: list[Recording],
 ) -> None:
-    for one, words in (
-        (recordings[0], "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
-        (recordings[1], r"attitude has no position \(attitude only\)"),
+    for given, words in (  # both together, as above, so that nothing is compiled for them
+        (recordings, "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
+        (recordings[::-1], r"attitude has no position \(attitude only\)"),
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
-            recorded_problem(mixed(), [one], "constant", 1.0)
+            recorded_problem(mixed(), given, "constant", 1.0)
     with pytest.raises(
         ConfigError, match=r"simulated_share = 0.25; allowed: 0.0 without recordings"
     ):
