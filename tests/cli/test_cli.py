@@ -1,8 +1,9 @@
 """The command line as a person types it: exit status and what they read.
 
-Where a process of its own is the point, in one: a whole run, a signal, the installed command.
+Where a process of its own is the point, in one: a signal, how it ends, the installed command.
 """
 
+import io
 import json
 import os
 import re
@@ -11,9 +12,10 @@ import subprocess
 import sys
 import time
 import tomllib
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import pytest
@@ -23,50 +25,37 @@ from posegsa import comparing, config
 from posegsa.cli.command import main
 from posegsa.cli.parsers import compare as compare_parser
 from posegsa.export import FORMATS
+from posegsa.figures import style as figure_style
 from posegsa.optimisers import functions
 
 SETTINGS = [word for setting in TINY for word in ("--set", setting)]
 
 
-def environment(compiled: bool) -> dict[str, str]:
-    """Of a process; `compiled`, it finds the programs of these tests."""
-    if compiled:
-        return {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # as this file is compiled
-    return {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+class Done(NamedTuple):
+    """A command that has been run."""
 
-
-def posegsa(
-    *arguments: str, cwd=None, as_module: bool = True, compiled: bool = False
-) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own; `compiled` with the programs of these tests."""
-    command = (
-        [sys.executable, "-m", "posegsa"]
-        if as_module
-        else [str(Path(sys.executable).with_name("posegsa"))]
-    )
-    return subprocess.run(
-        [*command, *arguments],
-        cwd=cwd,
-        env=environment(compiled),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    status: int
+    out: str
+    err: str
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory) -> tuple[Path, Done]:
     """`posegsa tune` without CONFIG in an empty folder."""
-    folder = tmp_path_factory.mktemp("anywhere")
-    return folder, posegsa("tune", "--seed", "3", *SETTINGS, cwd=folder, compiled=True)
+    folder, out, err = tmp_path_factory.mktemp("anywhere"), io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(folder)
+        patch.setattr("posegsa.runtime.enable_fast_path", lambda: True)  # as it is in a process
+        patch.setattr(figure_style, "DPI", 15)
+        status = main(["tune", "--seed", "3", *SETTINGS])
+    return folder, Done(status, out.getvalue(), err.getvalue())
 
 
 def test_tune_runs_from_any_folder(finished):
     folder, done = finished
-    assert done.returncode == 0, done.stderr
-    assert "held out" in done.stdout
-    assert "Written to posegsa-run" in done.stdout
+    assert done.status == 0, done.err
+    assert "held out" in done.out
+    assert "Written to posegsa-run" in done.out
     data = json.loads((folder / "posegsa-run" / "result.json").read_text())
     assert data["experiment"]["run"]["seed"] == 3
     assert data["experiment"]["search"]["agents"] == 6
@@ -75,11 +64,11 @@ def test_tune_runs_from_any_folder(finished):
 def test_it_shows_progress_and_notes_in_plain_words(finished):
     _, done = finished
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
-        assert f"\n{step}: done after" in done.stderr
-    assert "best cost" in done.stderr
-    assert "initial_rotation" not in done.stderr, "of the default there is nothing to note"
-    assert "Traceback" not in done.stderr
-    assert "Warning" not in done.stderr
+        assert f"\n{step}: done after" in done.err
+    assert "best cost" in done.err
+    assert "initial_rotation" not in done.err, "of the default there is nothing to note"
+    assert "Traceback" not in done.err
+    assert "Warning" not in done.err
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -135,7 +124,8 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
         cwd=tmp_path,
-        env=environment(compiled=True),
+        # The programs of these tests, which are compiled so.
+        env={**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"},
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -292,9 +282,9 @@ def test_help_of_compare_names_all_that_there_are(capsys):
     assert "griewank, schwefel" in said
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_help_and_what_is_not_there_need_not_wait_for_jax(tmp_path):
+    """One after the other in a process that has imported nothing."""
+    commands = [
         ["compare", "--help"],
         ["evaluate", "--help"],
         ["sweep", "--help"],
@@ -304,21 +294,23 @@ def test_help_of_compare_names_all_that_there_are(capsys):
         ["sweep", "nowhere"],
         ["evaluate", "nowhere"],
         ["export", "nowhere", "--format", "c"],
-    ],
-)
-def test_help_and_what_is_not_there_need_not_wait_for_jax(arguments, tmp_path):
+    ]
     code = (
-        "import sys\nfrom posegsa.cli.command import main\n"
-        "try: main(sys.argv[1:])\nexcept SystemExit: pass\n"
-        "print('jax' in sys.modules, 'pydantic' in sys.modules)"
+        "import json, sys\nfrom posegsa.cli.command import main\n"
+        "for arguments in json.loads(sys.argv[1]):\n"
+        "    try: main(arguments)\n    except SystemExit: pass\n"
+        "    found = {'jax', 'pydantic'} & set(sys.modules)\n"
+        "    print('after', *arguments, 'there are', sorted(found))"
     )
-    command = [sys.executable, "-c", code, *arguments]
+    command = [sys.executable, "-c", code, json.dumps(commands)]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "False False"
+    told = [line for line in done.stdout.splitlines() if line.startswith("after ")]
+    assert told == [f"after {' '.join(words)} there are []" for words in commands]
 
 
 def test_the_command_is_installed_and_helps():
-    done = posegsa("--help", as_module=False)
+    installed = Path(sys.executable).with_name("posegsa")
+    done = subprocess.run([installed, "--help"], capture_output=True, text=True, check=False)
     assert done.returncode == 0
     for command in ("tune", "evaluate", "export"):
         assert command in done.stdout
@@ -350,7 +342,8 @@ def test_figures_that_there_are_not_are_refused_before_a_search(tmp_path, capsys
 def test_a_comparison_without_figures(tmp_path, capsys):
     out = tmp_path / "compared"
     command = ["compare", "--function", "sphere", "--dimensions", "2", "--repeats", "1", "--quiet"]
-    command += ["--optimisers", "random_search", "--evaluations", "100", "--out", str(out)]
+    command += ["--optimisers", "random_search", "--evaluations", "32", "--out", str(out)]
+    command += ["--set", "search.agents=6"]
     assert main(command) == 0
     assert "comparison.png" in capsys.readouterr().out
     assert (out / "comparison.png").exists()
@@ -365,11 +358,22 @@ WRITES = [["configs"], ["config", "show", "quick"], ["--help"], ["--version"], [
 
 @pytest.mark.quick
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize("arguments", WRITES, ids=" ".join)
-def test_output_that_can_not_be_written_is_one_line(arguments):
+def test_output_that_can_not_be_written_is_one_line(arguments, monkeypatch, capsys):
+    with FULL.open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(arguments) == 1
+        monkeypatch.undo()
+    assert capsys.readouterr().err == "posegsa: standard output: No space left on device\n"
+
+
+@pytest.mark.quick
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
+def test_a_process_whose_output_can_not_be_written_says_no_more_as_it_ends():
     with FULL.open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "posegsa", *arguments],
+            [sys.executable, "-m", "posegsa", "configs"],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
@@ -380,21 +384,15 @@ def test_output_that_can_not_be_written_is_one_line(arguments):
 
 
 @pytest.mark.quick
-def test_output_that_nobody_reads_is_one_line():
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_output_that_nobody_reads_is_one_line(monkeypatch, capsys):
     read, write = os.pipe()
     os.close(read)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "posegsa", "config", "show", "recommended"],
-            stdout=write,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    finally:
-        os.close(write)
-    assert done.stderr == "posegsa: standard output: Broken pipe\n"
-    assert done.returncode == 1
+    with os.fdopen(write, "w", encoding="utf-8") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert main(["config", "show", "recommended"]) == 1
+        monkeypatch.undo()
+    assert capsys.readouterr().err == "posegsa: standard output: Broken pipe\n"
 
 
 @pytest.mark.quick

@@ -6,34 +6,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import tiny
-from recorded_motion import motion
+from recorded_motion import bench
+from recorded_motion import short_parts as short_parts
 
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError
-from posegsa.judging.evaluation import CONSTANT, EKF, TUNED
-from posegsa.judging.recorded import RecordingResult
+from posegsa.judging import recorded_baselines
+from posegsa.judging.evaluation import CONSTANT, EKF, TUNED, Description
+from posegsa.judging.recorded import RecordingResult, judge_on_recordings
 from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
 from posegsa.judging.result import TuneResult
+from posegsa.model.scenario import Scenario
 from posegsa.recordings.recording import Recording
 from posegsa.saving.run import write_run
+from posegsa.search.recorded import recorded_problem
+from posegsa.search.run import Found, first_search
 
+pytestmark = pytest.mark.usefixtures("short_parts")
+
+GAMMA, SCALE = (
+    {"key": key, "lower": 0.01, "upper": upper}
+    for key, upper in (("filter.gamma", 5.0), ("gain.error_scale", 1.0))
+)
 TINY = {
-    "filter": {"vector_bias": "off", "cross_vector": False},
-    "parameters": {"also": [{"key": "gain.error_scale", "lower": 0.01, "upper": 1.0}]},
-    "search": {"optimiser": "de", "agents": 8, "iterations": 2},
+    "filter": {"vector_bias": "off", "cross_vector": False, "gamma_law": "fixed"},
+    "parameters": {"also": [GAMMA, SCALE]},
+    "search": {"optimiser": "de", "agents": 8, "iterations": 3},
 }
+"""As in `test_tune_recordings`, whose constant gain is a baseline here, but for the scale."""
 
 
 @pytest.fixture(scope="module")
 def recordings() -> list[Recording]:
-    one_landmark = {
-        "landmarks": motion()["landmarks"][:, :1],
-        "landmark_references": motion()["landmark_references"][:1],
-    }
-    rng = np.random.default_rng(0)
-    given = motion(200, **{k: v[:200] if k == "landmarks" else v for k, v in one_landmark.items()})
+    rng, given = np.random.default_rng(0), bench()
     given["vectors"] = given["vectors"] + 0.05 * rng.normal(size=given["vectors"].shape)
     made = Recording.from_arrays(name="bench", **given, landmark_weights=0.1)
     return [made.off(50, 1, seed=seed) for seed in range(2)]
@@ -41,7 +48,11 @@ def recordings() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def result(recordings: list[Recording]) -> RecordingResult:
-    return posegsa.tune(config.from_dict(TINY), recordings=recordings[0], schedule="smooth")
+    """A smooth gain from the middle of its box: how good it is, is nothing to these tests."""
+    problem = recorded_problem(config.from_dict(TINY), recordings[:1], "smooth", 100.0)
+    return judge_on_recordings(
+        problem, Found(first_search(problem), 0, 0), 100.0, recordings[:1], []
+    )
 
 
 def test_other_filters_stand_beside_it_on_the_same_recordings(
@@ -83,15 +94,29 @@ def run() -> TuneResult:
     return posegsa.tune(tiny())
 
 
+NOISES = Description(
+    kind="Kalman",
+    numbers={name: [0.1] for name in ("angular_velocity", "landmark", "vector")},
+    also={},
+    evaluations=20,
+)
+
+
 @pytest.fixture
-def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The Kalman filter's search, cut short; its programs are those of `test_evaluate`."""
-    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 20)
-    monkeypatch.setattr("posegsa.judging.kalman.MOST", 20)
+def noises(run: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Instead of those of a Kalman filter's search on scenarios, which `test_evaluate` makes."""
+
+    def tune_kalman(experiment: config.Experiment, one: object, **choices: object) -> Description:
+        assert experiment == run.experiment
+        assert isinstance(one, Scenario)
+        assert choices == {"vector_biases": False, "cost": None}
+        return NOISES
+
+    monkeypatch.setattr(recorded_baselines, "tune_kalman", tune_kalman)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps")
+@pytest.mark.usefixtures("noises")
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     run: TuneResult, recordings: list[Recording]
 ) -> None:
@@ -109,25 +134,26 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
         ):
             again = posegsa.recording_errors(estimates, recording).rmse()
             assert scores[i].errors == again
-        assert judged.baselines[EKF][i].errors["judged"].samples == 200
+        (estimates,) = recorded_kalman_estimates(NOISES, run.experiment, [recording])
+        again = posegsa.recording_errors(estimates, recording).rmse()
+        assert judged.baselines[EKF][i].errors == again
     assert "on 3 simulated scenarios" in judged.summary()
     assert f"{CONSTANT}, held out" in judged.summary()
     assert "No recording was held out" not in judged.summary()
     # What the run has been judged beside before is not searched again.
-    noises = {name: [0.1] for name in ("angular_velocity", "landmark", "vector")}
     own = run.evaluation.contenders
-    known = own[CONSTANT]._replace(
-        filter=own[CONSTANT].filter._replace(kind="Kalman", numbers=noises, also={})
-    )
+    other = NOISES._replace(numbers=NOISES.numbers | {"landmark": [0.3]})
+    known = own[CONSTANT]._replace(filter=other)
     wider = replace(run.evaluation, contenders=own | {EKF: known})
     said.clear()
     again = posegsa.evaluate(
         replace(run, evaluation=wider), recordings=recordings[0], progress=said.append
     )
     assert not said
-    (estimates,) = recorded_kalman_estimates(known.filter, run.experiment, recordings[:1])
+    (estimates,) = recorded_kalman_estimates(other, run.experiment, recordings[:1])
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected
+    assert expected != judged.baselines[EKF][0].errors
 
 
 def test_weights_go_in_order_whatever_a_run_was_tuned_on(
@@ -141,7 +167,8 @@ def test_weights_go_in_order_whatever_a_run_was_tuned_on(
     fewer = run.settings_for(vectors=1, landmarks=0)
     assert [float(w) for w in fewer.vectors.weights or ()] == [0.5]
     assert fewer.landmark_weights == ()
-    same, _ = replace(result, experiment=run.experiment).settings(recordings[0])
+    given = replace(result, experiment=run.experiment, filter=result.filter._replace(also={}))
+    same, _ = given.settings(recordings[0])
     assert same == run.settings_for(vectors=2, landmarks=1)
 
 
@@ -159,14 +186,16 @@ def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-@pytest.mark.usefixtures("few_steps")
+@pytest.mark.usefixtures("noises")
 def test_the_command_judges_runs_of_both_kinds(
     run: TuneResult,
     result: RecordingResult,
     recordings: list[Recording],
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     files = [str(tmp_path / name) for name in ("a.npz", "b.npz")]
     for file, recording in zip(files, recordings, strict=True):
         recording.save(file)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import tiny
-from recorded_motion import motion
+from recorded_motion import bench, motion
+from recorded_motion import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main
@@ -20,8 +21,10 @@ from posegsa.judging.result import TuneResult
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay import folder_names
 
-pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
+    pytest.mark.usefixtures("short_parts"),
+]
 
 SEEN = "vector_weights", "landmark_weights"
 
@@ -33,7 +36,7 @@ def result() -> TuneResult:
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    given = motion(start="rest", landmark_weights=0.1)
+    given = bench(start="rest", landmark_weights=0.1)
     return Recording.from_arrays(name="bench", **given, sources={"velocity": "synthetic: R^T v"})
 
 
@@ -60,7 +63,7 @@ def test_a_replay_is_the_estimates_and_their_errors(
 def test_the_table_has_no_position_where_none_is_judged(
     result: TuneResult, recording: Recording
 ) -> None:
-    blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
+    blind = Recording.from_arrays(**bench(truth_rotation=None, truth_position=None))
     without = replay_table(posegsa.replay(result, blind))
     assert "no truth" in without
     assert "position" not in without
@@ -71,21 +74,21 @@ def test_the_table_has_no_position_where_none_is_judged(
 def test_the_command_writes_what_it_found(
     result: TuneResult, recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    posegsa.save(result, tmp_path / "run")
+    posegsa.save(result, tmp_path / "run", figures=[])
     recording.save(tmp_path / "bench.npz")
     out = tmp_path / "out"
     command = ["replay", str(tmp_path / "run"), str(tmp_path / "bench.npz")]
-    assert main([*command, "--window", "0.5:3", "--out", str(out)]) == 0
+    assert main([*command, "--window", "0.5:1.5", "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "velocity: synthetic: R^T v" in said
-    assert "bench[0.5:3]" in said
+    assert "bench[0.5:1.5]" in said
     table = (out / "replay.txt").read_text()
     assert "velocity: synthetic: R^T v" in table
     assert "inclination" in said
     (data,) = json.loads((out / "replay.json").read_text())["recordings"]
-    assert data["samples"] == 250
+    assert data["samples"] == 100
     assert data["sources"] == {"velocity": "synthetic: R^T v"}
-    folder = out / "bench_0.5_3"
+    folder = out / "bench_0.5_1.5"
     assert {path.name for path in folder.iterdir()} == {
         "attitude_errors.png",
         "position.png",  # and no gain, which is one number all the time
@@ -146,7 +149,7 @@ def test_what_a_file_lacks_is_bridged_by_name(
 
 def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
     (found,) = posegsa.replay(result, recording)
-    errors = np.geomspace(50, 0.2, 400)
+    errors = np.geomspace(50, 0.2, 200)
     errors[[100, 101]] = 1e-7, 0.0  # passes through 0
     assert found.errors is not None
     attitude = found.errors.attitude._replace(heading=errors)
@@ -166,18 +169,18 @@ def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
     assert 0.1 < low < 0.2
     assert high > 50
     # A gain that never changes is no figure, and one that is limited where something is seen is.
-    gains = found.estimates._replace(gain=np.full(400, 8.0), gain_used=np.full(400, 8.0))
+    gains = found.estimates._replace(gain=np.full(200, 8.0), gain_used=np.full(200, 8.0))
     assert "gain" not in draw_replay(found._replace(estimates=gains))
     weights = recording.measurements
     nothing = weights._replace(**{k: 0 * weights._asdict()[k] for k in SEEN})
     nothing.vector_weights[::10] = 1.0
-    limited = np.where(np.arange(400) % 10 == 0, 2.0, 8.0)
+    limited = np.where(np.arange(200) % 10 == 0, 2.0, 8.0)
     sparse = replace(recording, measurements=nothing)
     gains = gains._replace(gain_used=limited)
     figure = draw_replay(Replay(sparse, gains, None))["gain"]
     asked, used = figure.axes[0].lines
     np.testing.assert_array_equal(np.unique(np.asarray(asked.get_ydata())), [8.0])
-    np.testing.assert_array_equal(np.asarray(used.get_ydata()), np.full(40, 2.0))
+    np.testing.assert_array_equal(np.asarray(used.get_ydata()), np.full(20, 2.0))
 
 
 def test_the_true_trajectory_is_all_that_is_known(
@@ -188,7 +191,7 @@ def test_the_true_trajectory_is_all_that_is_known(
     lengths = {
         name: len(np.loadtxt(tmp_path / "bench" / name)) for name in ("true.tum", "judged.tum")
     }
-    assert lengths == {"true.tum": 400, "judged.tum": 300}
+    assert lengths == {"true.tum": 200, "judged.tum": 100}
     posegsa.replay(result, [recording], out=tmp_path, overwrite=True)
     assert not (tmp_path / "bench" / "judged.tum").exists()
 

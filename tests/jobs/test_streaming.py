@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from evaluations import trust
+from experiments import tiny
 from schedules import K, tuned
 
 import posegsa
@@ -71,26 +72,40 @@ def at_once(steps, samples, references, dtype) -> posegsa.Measurements:
 # What it computes ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-13), ("float32", 1e-5)])
-def test_it_gives_what_a_whole_sequence_gives_at_once(dtype, tolerance):
-    result = tuned(K, *LEARNT, dtype=dtype)
+def test_it_gives_what_a_whole_sequence_gives_at_once(result, pose_filter):
     steps, samples, references = stream(result)
-    with jax.enable_x64(dtype == "float64"):
-        measurements = at_once(steps, samples, references, dtype)
+    with jax.enable_x64(True):
+        measurements = at_once(steps, samples, references, np.float64)
         expected = jax.tree.map(np.asarray, result.estimate(measurements, **START))
-    pose_filter = posegsa.PoseFilter(result, **START)
     before = [pose_filter.pose, *fed(pose_filter, steps, samples, slice(N - 1))]
     # Sample k of the sequence is the estimate before its update.
     for name in ("rotation", "position"):
         found = np.array([getattr(pose, name) for pose in before])
-        assert found.dtype == dtype
-        np.testing.assert_allclose(found, getattr(expected, name), atol=tolerance)
-    np.testing.assert_allclose(pose_filter.bias, expected.bias[-1], atol=tolerance)
-    np.testing.assert_allclose(pose_filter.vector_bias, expected.vector_bias[-1], atol=tolerance)
+        assert found.dtype == np.float64
+        np.testing.assert_allclose(found, getattr(expected, name), atol=1e-13)
+    np.testing.assert_allclose(pose_filter.bias, expected.bias[-1], atol=1e-13)
+    np.testing.assert_allclose(pose_filter.vector_bias, expected.vector_bias[-1], atol=1e-13)
     assert np.abs(pose_filter.vector_bias).max() > 0.01
-    np.testing.assert_allclose(pose_filter.gain, expected.gain[-2], rtol=10 * tolerance)
-    np.testing.assert_allclose(pose_filter.gain_used, expected.gain_used[-2], rtol=10 * tolerance)
+    np.testing.assert_allclose(pose_filter.gain, expected.gain[-2], rtol=1e-12)
+    np.testing.assert_allclose(pose_filter.gain_used, expected.gain_used[-2], rtol=1e-12)
     assert pose_filter.time == pytest.approx(steps[:-1].sum())
+
+
+def test_in_float32_it_gives_the_same_to_its_rounding(result, pose_filter):
+    steps, samples, _ = stream(result)
+    single = posegsa.PoseFilter(tuned(K, *LEARNT), **START)
+    for mine, expected in zip(
+        *(fed(f, steps, samples) for f in (single, pose_filter)), strict=True
+    ):
+        for array, other in zip(mine, expected, strict=True):
+            assert array.dtype == np.float32
+            np.testing.assert_allclose(array, other, atol=1e-5)
+    for name in ("bias", "vector_bias"):
+        found = getattr(single, name)
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found, getattr(pose_filter, name), atol=1e-5)
+    for name in ("gain", "gain_used"):
+        assert getattr(single, name) == pytest.approx(getattr(pose_filter, name), rel=1e-4)
 
 
 def test_a_schedule_over_time_by_hand(result):
@@ -116,10 +131,12 @@ def test_a_gain_as_a_number_and_a_controller_by_itself(result):
     with jax.enable_x64(True):
         settings = posegsa.filter_settings(result.experiment)
         signal = posegsa.signal_settings(result.experiment.gain, "float64")
-    common = {**START, **references, "settings": settings}
-    number = posegsa.PoseFilter(7, **common)
-    constant = posegsa.PoseFilter(posegsa.ConstantGain(np.float64(7.0)), **common)
-    controller = posegsa.PoseFilter(result.controller, **common, signal=signal)
+    common = {**START, **references}
+    # The settings of another file's filter with a constant gain, which is the same program.
+    plain = posegsa.filter_settings(tiny())
+    number = posegsa.PoseFilter(7, **common, settings=plain)
+    constant = posegsa.PoseFilter(posegsa.ConstantGain(np.float64(7.0)), **common, settings=plain)
+    controller = posegsa.PoseFilter(result.controller, **common, settings=settings, signal=signal)
     tuned_filter = posegsa.PoseFilter(result, **START)
     last = [fed(each, steps, samples)[-1] for each in (number, constant, controller, tuned_filter)]
     np.testing.assert_array_equal(last[0].position, last[1].position)
@@ -450,7 +467,7 @@ def test_what_is_no_rotation_is_refused(pose_filter, monkeypatch):
 
 
 def test_numbers_beyond_float32_are_refused_by_name():
-    result = tuned(K)
+    result = tuned(K, *LEARNT)
     for given, message in (
         ({"position": [1e300, 0.0, 0.0]}, "position or bias: must be within float32's range"),
         ({"landmark_references": [[1e300, 0.0, 0.0]]}, "landmark_references: must be within float"),

@@ -14,6 +14,7 @@ from posegsa import sweeping
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SearchInterrupted
 from posegsa.judging.sweep import Sweep
+from posegsa.search.run import Found, first_search, run_search
 
 GAMMA = "filter.gamma"
 GAMMAS = [[2.0, 4.0], [5.0, 10.0]]
@@ -84,10 +85,11 @@ def test_a_run_that_is_done_is_not_made_again(whole, searched, tmp_path):
     shutil.copytree(whole[0], folder)
     again = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, seeds=2, out=folder)
     assert (again, searched) == (found, [])
-    # More values and seeds come to those that are there; one structure is one batch, and three
-    # runs are a batch that is compiled already.
-    more = posegsa.sweep(tiny(), vary={GAMMA: [GAMMAS[0], [1.0, 2.0]]}, seeds=[1, 4], out=folder)
-    assert searched == [3]
+    # More values and seeds come to those that are there; the last batch is filled up, so that it is
+    # of the program of the one before.
+    asked = {"vary": {GAMMA: [GAMMAS[0], [1.0, 2.0]]}, "seeds": [1, 4], "together": 2}
+    more = posegsa.sweep(tiny(), **asked, out=folder)
+    assert searched == [2, 2]
     assert len(more.runs) == 7
     assert set(map(repr, more.runs)) > set(map(repr, found.runs))
 
@@ -160,13 +162,26 @@ def test_what_cannot_be_swept_is_refused_before_a_search(given, error, said):
         posegsa.sweep(tiny(), **given)
 
 
-def test_what_differs_in_structure_is_batched_apart(searched):
+@pytest.fixture
+def unsearched(monkeypatch) -> list[int]:
+    """The sizes of the batches, of which each search ends where it begins."""
+    sizes: list[int] = []
+
+    def begun(problems, _):
+        sizes.append(len(problems))
+        return [Found(first_search(problem), 0.0, 0.0) for problem in problems]
+
+    monkeypatch.setattr(sweeping, "search_batch", begun)
+    return sizes
+
+
+def test_what_differs_in_structure_is_batched_apart(unsearched):
     found = posegsa.sweep(
         tiny(),
         vary={"search.optimiser": ["random_search", "gsa"]},
         seeds=2,
     )
-    assert searched == [2, 2]
+    assert unsearched == [2, 2]
     assert [run.values["search.optimiser"] for run in found.runs] == [
         *("gsa", "gsa"),
         *("random_search", "random_search"),
@@ -174,7 +189,11 @@ def test_what_differs_in_structure_is_batched_apart(searched):
     assert "random_search" in found.table()
 
 
-def test_a_rule_table_that_is_searched_stands_in_its_run(whole):
+def test_a_rule_table_that_is_searched_stands_in_its_run(whole, monkeypatch):
+    def one_by_one(problems, progress):
+        return [run_search(problem, progress) for problem in problems]
+
+    monkeypatch.setattr(sweeping, "search_batch", one_by_one)  # by the program of `tune`
     searched, given = (
         posegsa.sweep(tiny(), vary={"fuzzy.rules": ["searched"]}).runs[0],
         whole[1].runs[0],

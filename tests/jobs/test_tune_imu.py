@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded_motion import motion
+from recorded_motion import short_parts as short_parts
 
 import posegsa
 from posegsa import config
@@ -14,7 +15,10 @@ from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError
 from posegsa.recordings.recording import Recording
 
-pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
+    pytest.mark.usefixtures("short_parts"),
+]
 
 ALSO = '[{key = "vectors.low_pass", lower = 0.05, upper = 5.0, scale = "logarithmic"}]'
 TINY = [
@@ -99,8 +103,8 @@ def test_the_command_tunes_it_and_numbers_stay_where_none_is_better(
     mine = tmp_path / "mine.toml"
     mine.write_text(config.ImuConfig().to_toml())
     also = 'parameters.also=[{key = "vectors.low_pass", lower = 5.0, upper = 6.0}]'
-    few = ["--set", also, "--set", "vectors.low_pass=0.5", "--set", "search.agents=4"]
-    command = ["tune", str(mine), *few, "--iterations", "1", "--quiet", "--out", str(out)]
+    few = ["--set", also, "--set", "vectors.low_pass=0.5", "--set", "search.agents=6"]
+    command = ["tune", str(mine), *few, "--iterations", "3", "--quiet", "--out", str(out)]
     assert main(command) == 2
     assert "with --recording FILE" in capsys.readouterr().err
     assert main([*command, "--recording", str(path), "--schedule", "fuzzy"]) == 2
@@ -125,7 +129,7 @@ def test_what_was_found_is_not_lost_where_it_cannot_be_written(
 
     monkeypatch.setattr("posegsa.imu_tuning.write_imu", full)
     recordings[0].save(tmp_path / "a.npz")
-    few = ["--set", f"parameters.also={ALSO}", "--set", "search.agents=4", "--iterations", "1"]
+    few = ["--set", f"parameters.also={ALSO}", "--set", "search.agents=6", "--iterations", "3"]
     command = ["tune", "imu", "--recording", str(tmp_path / "a.npz"), *few, "--quiet"]
     assert main([*command, "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr()

@@ -9,6 +9,7 @@ import pytest
 from compiled_c import Build, Layout, needs_cc, run_c
 from compiled_c import build as build
 from inertial_motion import BIAS, inertial_motion
+from recorded_motion import short_parts as short_parts
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -17,6 +18,8 @@ from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RecordingError, RunFolderError
 from posegsa.judging.replay import Replay
 from posegsa.recordings.recording import Recording
+
+pytestmark = pytest.mark.usefixtures("short_parts")
 
 
 def replayed(recording: Recording, changed: config.ImuConfig | None = None) -> Replay:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from recorded_motion import motion
+from recorded_motion import short_parts as short_parts
+from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import ArgumentError
@@ -18,12 +20,15 @@ from posegsa.model.signal import SignalSettings
 from posegsa.recordings import running
 from posegsa.recordings.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("short_parts")
+
 GAIN = ConstantGain(jnp.float32(8.0))
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return Recording.from_arrays(**motion(start="rest"), landmark_weights=0.1)
+    """Three parts that are whole, and one that is filled up."""
+    return Recording.from_arrays(**motion(350, start="rest"), landmark_weights=0.1)
 
 
 def test_it_follows_the_truth_and_learns_the_bias(recording: Recording) -> None:
@@ -38,39 +43,35 @@ def test_it_follows_the_truth_and_learns_the_bias(recording: Recording) -> None:
     assert posegsa.recording_errors(at_rest, recording).rmse()["judged"].total < 0.5
 
 
-def test_parts_make_the_estimates_of_one_piece(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = posegsa.run_filter(GAIN, recording)
-    monkeypatch.setattr(running, "PART", 150)  # 400 samples: two whole parts, one filled up
+def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
+    """As the model alone makes them of measurements."""
     parts = posegsa.run_filter(GAIN, recording)
-    for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
-    # And of measurements in one piece, by the model alone.
     m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
     initial = running.state_of(recording.initial())
-    alone = rollout.run_filter(GAIN, Measurements(*m), initial, FilterSettings(), SignalSettings())
-    np.testing.assert_allclose(alone.rotation, whole.rotation, atol=1e-5)
-    np.testing.assert_allclose(alone.position, whole.position, atol=1e-5)
+    whole = rollout.run_filter(GAIN, Measurements(*m), initial, FilterSettings(), SignalSettings())
+    for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
 
 
-def test_a_gamma_for_each_sample_is_that_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = Recording.from_arrays(**motion(60), landmark_weights=0.1).off(40, 0.5)
+def test_a_gamma_for_each_sample_is_that_of_its_step() -> None:
+    recording = Recording.from_arrays(**motion(350), landmark_weights=0.1).off(40, 0.5)
     rng = np.random.default_rng(0)
-    angular, linear = rng.uniform(0.5, 40, (2, 60))
+    angular, linear = rng.uniform(0.5, 40, (2, 350))
     varied = FilterSettings(gamma_angular=angular, gamma_linear=3.0)
-    monkeypatch.setattr(running, "PART", 25)  # each part has its own gammas
     estimates = posegsa.run_filter(GAIN, recording, settings=varied)
     both = replace(varied, gamma_linear=jnp.asarray(linear))
-    measurements = Measurements(*(jnp.asarray(np.asarray(a)) for a in recording.measurements))
+    arrays = [np.asarray(a, np.float32) for a in recording.measurements]
+    measurements, each_sample = Measurements(*map(jnp.asarray, arrays)), Measurements(*arrays)  # type: ignore[arg-type]  # NumPy arrays will do
     state = again = running.state_of(recording.initial())
     whole = posegsa.run_filter(GAIN, measurements, state, both, SignalSettings())
-    for k in range(60):
+    for k in range(120):  # more than a part
         for each, found in ((state, estimates), (again, whole)):
-            np.testing.assert_allclose(found.position[k], each.position, atol=1e-5)
-            np.testing.assert_allclose(found.rotation[k], each.rotation, atol=1e-5)
-            np.testing.assert_allclose(found.bias[k], each.bias, atol=1e-5)
-        now = measurements.at(k)
+            (w, *xyz), bias = each.attitude, (*each.bias_angular, *each.bias_linear)
+            rotation = Rotation.from_quat(np.array([*xyz, w])).as_matrix()
+            np.testing.assert_allclose(found.position[k], each.place, atol=1e-5)
+            np.testing.assert_allclose(found.rotation[k], rotation, atol=1e-5)
+            np.testing.assert_allclose(found.bias[k], bias, atol=1e-5)
+        now = each_sample.at(k)
         own = FilterSettings(gamma_angular=float(angular[k]), gamma_linear=3.0)
         state = posegsa.step(state, now, 8.0, own)
         again = posegsa.step(again, now, 8.0, replace(own, gamma_linear=float(linear[k])))
@@ -81,14 +82,14 @@ def test_a_gamma_for_each_sample_is_that_of_its_step(monkeypatch: pytest.MonkeyP
 def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
     for gamma, words in (
         (
-            np.ones(399),
-            r"gamma_angular: of the shape \(399,\); allowed: one number, or 400 of them",
+            np.ones(349),
+            r"gamma_angular: of the shape \(349,\); allowed: one number, or 350 of them",
         ),
-        (np.ones((400, 1)), r"gamma_angular: of the shape \(400, 1\)"),
+        (np.ones((350, 1)), r"gamma_angular: of the shape \(350, 1\)"),
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.run_filter(GAIN, recording, settings=FilterSettings(gamma_angular=gamma))
-    each = FilterSettings(gamma_linear=np.ones(400))
+    each = FilterSettings(gamma_linear=np.ones(350))
     state = running.state_of(recording.initial())
     signal = SignalSettings()
     known = {"vectors": np.eye(3)[:2], "landmarks": np.eye(3)}
@@ -105,7 +106,7 @@ def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
             signal=signal,
         ),
     ):
-        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(400,\); allowed: one number$"):
+        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(350,\); allowed: one number$"):
             call()
 
 
