@@ -505,18 +505,6 @@ def test_jit_equals_eager() -> None:
     leaves_close(jitted_observe(*inputs), observed(*inputs), atol=1e-12)
 
 
-@pytest.mark.usefixtures("x64")
-def test_agents_on_one_sample_by_vmap_are_agents_each_with_its_own() -> None:
-    m, _, states = random_samples(COUNT)
-    states, chosen = with_vector_biases(states, 3), learning(leak=0.1)
-    samples = prepared_for(m, chosen)
-    sample, state = jax.tree.map(lambda a: np.asarray(a)[0], (samples, states))
-    gains = np.geomspace(1.0, 60.0, COUNT)
-    got = jax.jit(jax.vmap(observed, in_axes=(None, None, 0, None)))(state, sample, gains, chosen)
-    alike = jax.tree.map(lambda a: np.broadcast_to(a, COUNT), (state, sample))
-    leaves_close(got, jitted_observe(*alike, gains, chosen), atol=1e-12)
-
-
 @pytest.mark.parametrize("wide", [False, True], ids=["32 bits", "64 bits allowed"])
 def test_float32_stays_float32(wide) -> None:
     rng = np.random.default_rng(0)

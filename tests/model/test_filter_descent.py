@@ -43,10 +43,14 @@ def cost(T: Array, m: Measurements) -> Array:
 @jax.jit
 @jax.vmap
 def derivatives(T: Array, m: Measurements) -> tuple[Array, Array]:
-    """Gradient and Hessian of f by the spatial displacement xi, f(exp(xi) T), at xi = 0."""
+    """Gradient and Hessian of f by the spatial displacement xi, f(exp(xi) T), at xi = 0.
+
+    For both the exponential's series is needed to the second order only.
+    """
 
     def around(xi: Array) -> Array:
-        return cost(se3.exp(xi) @ T, m)
+        A = se3.hat(xi)
+        return cost((jnp.eye(4) + A + A @ A / 2) @ T, m)
 
     return jax.grad(around)(jnp.zeros(6)), jax.hessian(around)(jnp.zeros(6))
 

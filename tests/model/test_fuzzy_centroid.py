@@ -269,7 +269,7 @@ CRISP = st.one_of(AWKWARD, st.floats(-1, 2), st.just(-0.0))
 
 
 @pytest.mark.parametrize("options", [{}, {"centroid": "sampled"}], ids=["exact", "sampled"])
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(data=st.data())
 def test_gains_are_never_nan_and_stay_inside_the_output(options: dict, data: st.DataObject) -> None:
     inputs, outputs = data.draw(TERMS), 100 * data.draw(TERMS)
