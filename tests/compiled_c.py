@@ -128,8 +128,9 @@ Build = Callable[..., Path]
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Compiles an exported header with `drive_filter.c` in a folder of its own."""
+    """Compiles an exported header with `drive_filter.c` in a folder of its own, once."""
 
+    @cache
     def one(header: str, *options: str, compiler: str = COMPILERS[0] if COMPILERS else "") -> Path:
         folder = tmp_path_factory.mktemp("filter")
         return compile_c(folder, header, DRIVER, *options, compiler=compiler)

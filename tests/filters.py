@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from builders import as_arrays, random_measurements, random_poses
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from posegsa.model import se3
 from posegsa.model.filter import (
@@ -122,7 +123,36 @@ def observed(
 
 jitted_observe, jitted_innovation = jax.jit(observed), jax.jit(innovated)
 jitted_transform = jax.jit(se3.transform)
-jitted_prepare, jitted_state = jax.jit(prepared), jax.jit(initial_state)
+jitted_prepare, prepared_vectors = jax.jit(prepared), jax.jit(prepare)
+jitted_state = jax.jit(initial_state, static_argnames="learnt_vectors")
+
+
+def prepared_for(m: Measurements, chosen: FilterSettings) -> Sample:
+    """What a filter of these settings reads of measurements."""
+    return prepared_vectors(m, chosen.vectors)
+
+
+def state_of(
+    T: np.ndarray, b: np.ndarray | None = None, dtype: Any = np.float64, learnt_vectors: int = 0
+) -> FilterState:
+    """The filter's state of poses (..., 4, 4) and biases (..., 6), in NumPy and by SciPy."""
+    b = np.zeros((*T.shape[:-2], 6)) if b is None else b
+    rotation = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3))
+    q = rotation.as_quat(canonical=True, scalar_first=True).reshape(*T.shape[:-2], 4)
+    w, x, y, z, px, py, pz, b0, b1, b2, b3, b4, b5 = (
+        np.array(a) for a in np.moveaxis(np.concatenate([q, T[..., :3, 3], b], -1), -1, 0)
+    )
+    zero = np.zeros_like(px)
+    zeros = (zero, zero, zero)
+    made = FilterState(
+        attitude=(w, x, y, z),
+        place=(px, py, pz),
+        bias_angular=(b0, b1, b2),
+        bias_linear=(b3, b4, b5),
+        vector_biases=(zeros,) * learnt_vectors,
+        turning=zeros if learnt_vectors else (),
+    )
+    return jax.tree.map(lambda a: a.astype(dtype), made)
 
 
 def random_estimates(
@@ -130,7 +160,7 @@ def random_estimates(
 ) -> tuple[np.ndarray, np.ndarray, FilterState]:
     """Poses (count, 4, 4) and biases (count, 6), and the same as the filter's state."""
     T, b = random_poses(rng, count), rng.normal(size=(count, 6))
-    return T, b, jitted_state(T[:, :3, :3], T[:, :3, 3], b)
+    return T, b, state_of(T, b)
 
 
 def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> FilterState:
@@ -139,16 +169,32 @@ def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> F
 
     def vec3(size: float) -> se3.Vec3:
         x, y, z = size * rng.normal(size=(3, *state.place[0].shape))
-        return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
+        return x, y, z
 
     return state._replace(
         vector_biases=tuple(vec3(length / 3) for _ in range(count)), turning=vec3(0.5)
     )
 
 
+@jax.jit
+def stacked(state: FilterState) -> tuple[Array, Array, Array]:
+    """T_est (..., 4, 4), b_est (..., 6) and the vectors' biases (..., n, 3)."""
+    return se3.transform(state.rotation, state.position), state.bias, state.vector_bias
+
+
 def matrices(state: FilterState) -> np.ndarray:
     """T_est (..., 4, 4)."""
-    return np.asarray(jitted_transform(state.rotation, state.position))
+    return np.asarray(stacked(state)[0])
+
+
+def biases(state: FilterState) -> np.ndarray:
+    """b_est (..., 6)."""
+    return np.asarray(stacked(state)[1])
+
+
+def vector_biases(state: FilterState) -> np.ndarray:
+    """C (..., n, 3)."""
+    return np.asarray(stacked(state)[2])
 
 
 def leaves_close(got: Any, want: Any, **tolerance: float) -> None:

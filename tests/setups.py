@@ -15,6 +15,7 @@ import numpy as np
 import reference
 import scipy.linalg
 from builders import as_arrays, reference_sample
+from filters import state_of
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -286,5 +287,4 @@ def cost_of_estimates(estimates: Estimates, scenario: Samples, weights: CostWeig
 
 def start(dtype: str, learnt_vectors: int = 0) -> FilterState:
     """The paper's initial estimate."""
-    T = jnp.asarray(reference_start(PAPER.scenario), dtype)
-    return initial_state(T[:3, :3], T[:3, 3], learnt_vectors=learnt_vectors)
+    return state_of(reference_start(PAPER.scenario), None, dtype, learnt_vectors)

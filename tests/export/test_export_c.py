@@ -34,7 +34,7 @@ from compiled_c import (
 )
 from compiled_c import build as build
 from evaluations import endurance, trust
-from filters import settings, vector_bias, vector_settings
+from filters import settings, state_of, vector_bias, vector_settings
 from schedules import K, tuned
 from scipy.spatial.transform import Rotation
 from setups import fuzzy
@@ -44,9 +44,9 @@ from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import export_c, filter_to_c
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, initial_state
+from posegsa.model.filter import FilterSettings, ready
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, run_filter
+from posegsa.model.rollout import Estimates, samples_of, simulate
 from posegsa.model.schedules import (
     ConstantGain,
     Gains,
@@ -308,10 +308,12 @@ def in_python(case: Case, m: Measurements, dtype: str) -> Estimates:
     with jax.enable_x64(dtype == "float64"):
         at = case.at(dtype)
         measured = Measurements.from_arrays(**m._asdict(), dtype=np.dtype(dtype))
-        start = initial_state(
-            jnp.asarray(rotation_matrices(START[None, :4])[0], dtype), jnp.asarray(START[4:], dtype)
-        )
-        found = run_filter(at.schedule, measured, start, at.settings, at.signal)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_matrices(START[None, :4])[0], START[4:]
+        start = state_of(T, dtype=dtype)
+        samples = jax.jit(samples_of)(measured, at.settings.vectors)
+        start = ready(start, measured, at.settings)
+        found = simulate(at.schedule, samples, start, at.settings, at.signal)
         return jax.tree.map(np.asarray, found)
 
 
@@ -342,6 +344,12 @@ def everything() -> dict[str, Case]:
 
 
 @cache
+def header_of(name: str) -> str:
+    """The exported filter of a case."""
+    return everything()[name].header()
+
+
+@cache
 def exact_run(name: str) -> tuple[Measurements, Estimates]:
     """What was "recorded", and what Python makes of it in float64."""
     m = recorded(everything()[name])
@@ -365,7 +373,7 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str):
     """Under the sanitizers, with missing samples and uneven steps."""
     case, (m, exact) = everything()[name], exact_run(name)
     watched = sanitizers(COMPILERS[0])
-    program = build(case.header(), *options_of(case, *watched))
+    program = build(header_of(name), *options_of(case, *watched))
     found = run_c(program, case.layout, start_of(case), rows_of(case, m))
     assert (found.code == CODES["ok"]).all()
     if name != "settling":  # its gamma changes
@@ -422,7 +430,7 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
     overflowing = good[100].copy()
     overflowing[1:4] = 1e200
     rows = np.concatenate([good[:100], bad, [overflowing], good[100:]])
-    program = build(case.header(), *options_of(case, *sanitizers(COMPILERS[0])))
+    program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
     mixed, alone = (run_c(program, case.layout, START, r) for r in (rows, good))
     expected = np.zeros(len(rows), int)
     expected[100 : 100 + len(bad)] = CODES["invalid input"]
@@ -441,7 +449,7 @@ def test_what_is_missing_is_not_looked_at(build: Build):
     given["weight 0"][50:, 13] = given["NaN"][50:, 13] = 0
     given["NaN"][50:, 7:10] = np.nan
     given["length 0"][50:, 7:10] = 0
-    program = build(case.header(), *options_of(case))
+    program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
     first, *others = (run_c(program, case.layout, START, r).raw for r in given.values())
     for other in others:
         np.testing.assert_array_equal(first, other)
@@ -490,7 +498,7 @@ int main(void)
 def test_what_a_filter_can_begin_with(tmp_path):
     source = tmp_path / "beginnings.c"
     source.write_text(BEGINNINGS)
-    header = everything()["recommended"].header()
+    header = header_of("recommended")
     options = ("-std=c99", "-O1", *sanitizers(COMPILERS[0]))
     program = compile_c(tmp_path, header, source, *options, compiler=COMPILERS[0])
     assert subprocess.run([program], check=False).returncode == 0
@@ -571,7 +579,7 @@ def example(header: str) -> str:
 def test_the_example_compiles_and_runs_as_c_and_cpp(tmp_path, compiler):
     need(compiler)
     name = "attitude only" if compiler.endswith("++") else "recommended"
-    header = everything()[name].header()
+    header = header_of(name)
     language = ["-x", "c++", "-std=c++17"] if compiler.endswith("++") else ["-std=c99"]
     source = tmp_path / "example.c"
     source.write_text(example(header))
@@ -605,7 +613,7 @@ def test_two_filters_in_one_program_of_cpp(tmp_path, compiler):
 
 @needs_cc
 def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
-    header = everything()["recommended"].header()
+    header = header_of("recommended")
     assert re.findall(r"#include.*", header.split("*/", 1)[1]) == ["#include <math.h>"]
     source = tmp_path / "alone.c"
     source.write_text(
@@ -625,7 +633,7 @@ def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
 
 @needs_cc
 def test_fast_math_is_refused(tmp_path):
-    header = everything()["recommended"].header()
+    header = header_of("recommended")
     (tmp_path / "posegsa.h").write_text(header)
     command = [COMPILERS[0], "-ffast-math", "-fsyntax-only", "-x", "c", str(tmp_path / "posegsa.h")]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -649,8 +657,8 @@ def test_the_head_says_what_it_is_and_what_warns_of_it():
 
 
 def test_every_number_says_what_it_is():
-    for case in everything().values():
-        numbers = case.header().split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
+    for name in everything():
+        numbers = header_of(name).split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
         defined = [i for i, line in enumerate(numbers) if line.startswith("static const")]
         unsaid = [numbers[i] for i in defined if not re.fullmatch(r"/\* .+ \*/", numbers[i - 1])]
         # A schedule's own numbers have only their names.
@@ -671,7 +679,7 @@ def test_the_page_shows_the_example_and_its_python_runs():
 
 @pytest.mark.quick
 def test_no_line_is_too_long_to_read():
-    header = export_c(recommended_result())
+    header = header_of("recommended")
     assert header.isascii()
     table = re.compile(r"\{.*\},?( /\* .* \*/)?|static const.*")
     long = [x for x in header.splitlines() if len(x) > 100 and not table.search(x)]

@@ -66,24 +66,19 @@ def test_the_papers_cost_against_the_reference() -> None:
     np.testing.assert_allclose(costs, expected, rtol=1e-13)  # 1100 terms, summed in other orders
 
 
-# float32: sums of up to 1000 numbers in two orders, each rounded to 6e-8.
-@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-12), ("float32", 2e-5)])
-def test_the_trajectory_form_equals_the_running_form(dtype: str, tolerance: float) -> None:
-    experiment = paper(*lasting(2.0), dtype=dtype)
+@pytest.mark.usefixtures("x64")
+def test_the_trajectory_form_equals_the_running_form() -> None:
+    experiment = paper(*lasting(2.0))
     truth, measurements = sensed(np.full(200, 0.01), [[0.6, 0, 0.8], [0, 1, 0]], [[0.5, 1.4, 1]])
-    with jax.enable_x64(dtype == "float64"):
-        settings = filter_settings(experiment)
-        scenario = tracked(measurements, truth, settings.vectors, dtype)
-        initial = start(dtype)
-        vector = jnp.asarray(search_vectors(1, seed=1)[0], dtype)
-        schedule = FuzzyGain(space(dtype=dtype).controller(vector))
-        signal = signal_settings(experiment.gain, dtype)
-        weights = cost_weights(experiment.cost, 200, jnp.dtype(dtype))
-        running = jax.jit(simulate_cost)(schedule, scenario, initial, weights, settings, signal)
-        estimates = simulate(schedule, scenario, initial, settings, signal)
-        whole = cost_of_estimates(estimates, scenario, weights)
-    assert running.total.dtype == whole.total.dtype == dtype
-    np.testing.assert_allclose(running, whole, rtol=tolerance)
+    settings = filter_settings(experiment)
+    scenario = tracked(measurements, truth, settings.vectors, "float64")
+    schedule = FuzzyGain(space().controller(jnp.asarray(search_vectors(1, seed=1)[0])))
+    signal = signal_settings(experiment.gain, "float64")
+    weights = cost_weights(experiment.cost, 200, jnp.dtype("float64"))
+    given = schedule, scenario, start("float64")
+    running = jax.jit(simulate_cost)(*given, weights, settings, signal)
+    whole = cost_of_estimates(simulate(*given, settings, signal), scenario, weights)
+    np.testing.assert_allclose(running, whole, rtol=1e-12)
     assert float(running.transient) > 0 < float(running.steady)
 
 

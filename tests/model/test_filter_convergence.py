@@ -13,7 +13,7 @@ from filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 
 from posegsa.config import GainConfig, Landmark, Vector
-from posegsa.model.filter import FilterSettings, FilterState, initial_state
+from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import Estimates, Samples, samples_of, simulate
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain, GainSchedule, SwitchGain
@@ -43,12 +43,17 @@ def papers() -> VectorSettings:
 
 @cache
 def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
-    """The paper's motion for 60 s, what these sensors say of it, and its initial estimate."""
-    s = quietly(experiment(**(BIASED if biased else FREE), duration=60.0))
+    """The paper's motion, what these sensors say of it, and its initial estimate.
+
+    For two minutes, as below, of which the first is looked at: one program.
+    """
+    s = quietly(experiment(**(BIASED if biased else FREE), duration=120.0))
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
     initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
-    return truth, jax.jit(samples_of)(m, papers()), initial
+    made = truth, jax.jit(samples_of)(m, papers())
+    minute = jax.tree.map(lambda a: np.asarray(a)[:6000], made)
+    return *minute, initial
 
 
 def run(chosen: FilterSettings, gain: float, *, biased: bool) -> tuple[Truth, Estimates]:
@@ -137,7 +142,7 @@ def learnt(
     """A scenario filtered with the vectors' biases learnt from 0."""
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
-    initial = initial_state(
+    initial = jitted_state(
         s.rotation_estimate, s.position_estimate, s.bias_estimate, learnt_vectors=2
     )
     sensors = jax.jit(samples_of)(m, chosen.vectors)

@@ -9,7 +9,7 @@ from posegsa.errors import ArgumentError
 from posegsa.model.noise import normal_rows
 
 
-@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (0, 3)])
+@pytest.mark.parametrize("shape", [(), (2, 3), (0, 3)])
 @pytest.mark.parametrize(("first", "rows"), [(0, 40), (13, 20), (39, 1)])
 def test_rows_are_those_of_the_whole(shape: tuple[int, ...], first: int, rows: int) -> None:
     key = jax.random.fold_in(jax.random.key(7), 3)
@@ -22,9 +22,10 @@ def test_rows_are_those_of_the_whole(shape: tuple[int, ...], first: int, rows: i
 
 
 def test_numbers_far_from_the_start_are_normal_too() -> None:
-    many = np.asarray(normal_rows(jax.random.key(0), 2**30, 40_000))
+    drawn = jax.jit(normal_rows, static_argnums=2)
+    many = np.asarray(drawn(jax.random.key(0), np.int32(2**30), 40_000))
     np.testing.assert_allclose([many.mean(), many.std()], [0, 1], atol=0.02)
-    near = np.asarray(normal_rows(jax.random.key(0), 0, 40_000))
+    near = np.asarray(drawn(jax.random.key(0), np.int32(0), 40_000))
     assert abs(np.corrcoef(many, near)[0, 1]) < 0.02
 
 
