@@ -85,9 +85,8 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, cap
     result, folder = evaluated[1], tmp_path / "run"
     known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
     before = dataclasses.replace(result.evaluation, contenders=known)
-    with monkeypatch.context() as patch:
-        patch.setattr("posegsa.saving.run.draw", lambda *_: {})
-        posegsa.save(dataclasses.replace(result, evaluation=before), folder)
+    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
+    posegsa.save(dataclasses.replace(result, evaluation=before), folder)
     assert main(["evaluate", str(folder), "--scenarios", "3", "--seed", "2"]) == 0
     said = capsys.readouterr()
     assert f"searching {REPLAYED} ..." in said.err

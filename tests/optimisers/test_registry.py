@@ -70,9 +70,12 @@ def test_it_keeps_a_budget(name: str) -> None:
     assert small.total_iterations == len(small.evaluations_spent())
 
 
-@pytest.mark.parametrize("name", [n for n in OPTIMISERS if n not in ("cma_es", "adam", "gsa+adam")])
+ELSEWHERE = ("cma_es", "evosax", "pycma", "adam", "gsa+adam")
+"""They search in `test_other_libraries` and in `test_adam`."""
+
+
+@pytest.mark.parametrize("name", [name for name in OPTIMISERS if name not in ELSEWHERE])
 def test_it_searches(name: str) -> None:
-    """Those left out do so in `test_other_libraries` and `test_adam`."""
     small = OPTIMISERS[name](agents=AGENTS).within(AGENTS * ITERATIONS)
     search = minimise(steered, box([-1, -2, 0], [3, 2, 0]), small, KEY)
     assert search.iteration == small.iterations == ITERATIONS
