@@ -133,7 +133,8 @@ def alterations(data: Any, path: tuple) -> Iterator[str]:
         parent = parent[key]
     own = parent[name]
     cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
-    for value in (*some(VALUES, path), *cut):
+    own_kind = len(path) <= 2 or "filter" in path  # of which there are not many alike
+    for value in (*(VALUES if own_kind else some(VALUES, path)), *cut):
         if value != own or type(value) is not type(own):
             parent[name] = value
             yield json.dumps(data)
