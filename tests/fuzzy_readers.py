@@ -12,6 +12,8 @@ import jax
 import numpy as np
 import pytest
 import reference
+from jax import Array
+from jax.typing import ArrayLike
 from schedules import DRAWN, GAPS, K, tuned
 
 from posegsa.model.fuzzy import FuzzyController
@@ -70,10 +72,15 @@ def by_midpoints(one: FuzzyController, given: np.ndarray, parts: int) -> np.ndar
     return by_samples(one, given, low + (high - low) * (np.arange(parts) + 0.5) / parts)
 
 
+@jax.jit
+def _gains(one: FuzzyController, error: ArrayLike, rate: ArrayLike) -> Array:
+    return one(error, rate)
+
+
 def exact(one: FuzzyController, given: np.ndarray) -> np.ndarray:
     """K - 1 of the controller itself, NaN where no rule fires."""
     with jax.enable_x64(True):
-        gains = np.asarray(one(*given.T)) - 1
+        gains = np.asarray(_gains(one, *given.T)) - 1
     return np.where(heights(one, given).any(axis=1), gains, np.nan)
 
 

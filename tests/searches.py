@@ -16,6 +16,23 @@ def sphere(x: Array) -> Array:
     return jnp.sum(x**2, axis=1)
 
 
+AGENTS, ITERATIONS = 6, 40
+"""The searches of `steered` in all files are of one size, so that each is compiled once."""
+
+
+def steered(x: Array) -> Array:
+    """An objective in three dimensions; the box fixes the last, which says what it is.
+
+    The sum of squares of the first two and the last; over 1e6 nothing finite; between -1 and 0 how
+    far the second is from 0.1 and the last from -1/3.
+    """
+    last = x[:, 2]
+    cost = jnp.sum(x[:, :2] ** 2, axis=1) + last
+    cost = jnp.where(last > 1e6, jnp.nan, cost)
+    off = jnp.abs(x[:, 1] - jnp.asarray(0.1, x.dtype)) + jnp.abs(last + jnp.asarray(1 / 3, x.dtype))
+    return jnp.where((last > -1) & (last < 0), off, cost)
+
+
 class FixedState(NamedTuple):
     """The positions that `Fixed` asks for and what it was told of them."""
 

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import sys
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,7 @@ from posegsa.judging.baselines import (
     search_baseline,
 )
 from posegsa.judging.evaluation import CONTENDERS, EKF, EKF_VECTORS, TUNED
-from posegsa.judging.metrics import error_tracks
+from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.schedules import (
     ConstantGain,
     FuzzyGain,
@@ -41,11 +40,6 @@ from posegsa.search.population import costs_by_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
-SHORT = partial(
-    tiny,
-    *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),
-    "filter.vector_bias=estimated",
-)
 ALSO = (
     'parameters.also=[{key="filter.gamma.0", lower=0.5, upper=50.0, scale="logarithmic"}, '
     '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}]'
@@ -54,31 +48,37 @@ ALSO = (
 
 @pytest.fixture(scope="module")
 def problem() -> TuningProblem:
-    """Half a second, two numbers tuned too."""
-    return tuning_problem(SHORT(ALSO))
+    """That of `test_evaluate`: its programs are compiled once."""
+    return tuning_problem(tiny())
 
 
 @pytest.fixture(scope="module")
-def tuned(problem: TuningProblem) -> Candidate:
+def tuned_too() -> TuningProblem:
+    """The same with learnt biases, and with two numbers tuned too."""
+    return tuning_problem(tiny(ALSO, "filter.vector_bias=estimated"))
+
+
+def middle(problem: TuningProblem) -> Candidate:
     """A controller as good as any."""
     return problem.space.candidate((problem.space.box.lower + problem.space.box.upper) / 2)
 
 
 def mean_cost(one: Candidate, problem: TuningProblem) -> float:
-    agent = jax.tree.map(lambda a: a[None], one)
-    return float(jnp.mean(costs_by_scenario(agent, problem.training)))
+    tracks = error_tracks(one, problem.training)
+    return float(np.mean(metrics_of(tracks, problem.training)[0].cost))
 
 
 def inputs(error, time=0.0) -> ScheduleInputs:
     return ScheduleInputs(jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1))
 
 
-def test_each_contender_but_the_tuned_and_the_kalman_filters_is_found_here(problem, tuned) -> None:
-    assert set(schedule_baselines(problem, tuned)) == {*CONTENDERS} - {TUNED, EKF, EKF_VECTORS}
+def test_each_contender_but_the_tuned_and_the_kalman_filters_is_found_here(problem) -> None:
+    found = schedule_baselines(problem, middle(problem))
+    assert set(found) == {*CONTENDERS} - {TUNED, EKF, EKF_VECTORS}
 
 
-def one_of_each(problem: TuningProblem, tuned: Candidate) -> dict[str, Candidate]:
-    f = jnp.float32
+def one_of_each(problem: TuningProblem) -> dict[str, Candidate]:
+    f, tuned = jnp.float32, middle(problem)
     return {
         "fuzzy": tuned,
         "constant": dataclasses.replace(tuned, schedule=ConstantGain(f(20))),
@@ -88,8 +88,9 @@ def one_of_each(problem: TuningProblem, tuned: Candidate) -> dict[str, Candidate
     }
 
 
-def test_what_is_stored_gives_each_back(problem, tuned) -> None:
-    every = one_of_each(problem, tuned)
+def test_what_is_stored_gives_each_back(tuned_too) -> None:
+    problem = tuned_too
+    every = one_of_each(problem)
     assert set(every) == {"fuzzy", *SCHEDULES}
     for kind, one in every.items():
         stored = describe(one, problem.space.schedules, 24)
@@ -107,33 +108,41 @@ def test_what_is_stored_gives_each_back(problem, tuned) -> None:
 def test_a_search_is_repeated_and_better_than_the_middle_of_its_box(problem, kind) -> None:
     found, again = (search_baseline(problem, kind) for _ in range(2))
     assert isinstance(found.schedule, SCHEDULES[kind])
-    assert found.keys == problem.space.keys, "the baselines have the filter that suits them"
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
     space = schedule_space(kind, problem.experiment)
-    middle = Candidate(space.schedule((space.lower + space.upper) / 2))
-    assert mean_cost(found, problem) < mean_cost(middle, problem)
+    between = Candidate(space.schedule((space.lower + space.upper) / 2))
+    assert mean_cost(found, problem) < mean_cost(between, problem)
+
+
+def test_the_baselines_have_the_filter_that_suits_them(tuned_too) -> None:
+    found = search_baseline(tuned_too, "switch")
+    assert found.keys == tuned_too.space.keys != ()
+    for value, one in zip(found.values, tuned_too.experiment.also, strict=True):
+        assert one.lower * (1 - 1e-6) <= value <= one.upper * (1 + 1e-6)
+    assert 0 < float(found.schedule.learning_time) <= 1
 
 
 def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_evolution() -> None:
     for name in ("adam", "gsa+adam", "pycma"):
         enough = ["search.agents=10", "search.iterations=100"]
-        one = config.override(config.override(SHORT(), enough), [f"search.optimiser={name}"])
+        one = config.override(config.override(tiny(), enough), [f"search.optimiser={name}"])
         assert baselines._searched(one).search.optimiser == "de"
     few = ["search.optimiser=pycma", "search.agents=3", "search.iterations=8"]
-    assert baselines._searched(config.override(SHORT(), few)).search.evaluations == 24
-    assert baselines._searched(SHORT()) == SHORT()
+    assert baselines._searched(config.override(tiny(), few)).search.evaluations == 24
+    assert baselines._searched(tiny()) == tiny()
 
 
 def test_learning_begins_later_only_where_biases_are_learnt() -> None:
-    assert float(schedule_space("switch", SHORT()).upper[3]) == 0.25
-    off = config.override(SHORT(), ["filter.vector_bias=off"])
-    assert float(schedule_space("switch", off).upper[3]) == 0
+    learnt = tiny("filter.vector_bias=estimated")
+    assert float(schedule_space("switch", learnt).upper[3]) == 1
+    assert float(schedule_space("switch", tiny()).upper[3]) == 0
 
 
-def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem, tuned) -> None:
-    times = jnp.asarray([0.0, 0.2, 0.49], "float32")
-    knots = dataclasses.replace(tuned, schedule=KnotGain(times, jnp.float32([2.8, 2.0, 1.0])))
+def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem) -> None:
+    times = baselines.knot_times(1.99).astype(np.float32)
+    log_gains = np.interp(times, [0.0, 0.8, 1.99], [2.8, 2.0, 1.0]).astype(np.float32)
+    knots = dataclasses.replace(middle(problem), schedule=KnotGain(times, log_gains))
     again = replayed(problem, knots)
     assert (again.keys, again.values) == (knots.keys, knots.values)
     tracks, replay = (error_tracks(one, problem.scenarios) for one in (knots, again))
@@ -142,12 +151,13 @@ def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem,
     np.testing.assert_allclose(replay.position, tracks.position, rtol=1e-4)
 
 
-def test_replayed_gains_are_means_over_training_scenarios(problem, tuned) -> None:
+def test_replayed_gains_are_means_over_training_scenarios(problem) -> None:
+    tuned = middle(problem)
     schedule = replayed(problem, tuned).schedule
     assert isinstance(schedule, KnotGain)
     gain = np.asarray(error_tracks(tuned, problem.training).gain)
     np.testing.assert_allclose(np.exp(schedule.log_gain), np.cbrt(np.prod(gain, axis=0)), rtol=1e-4)
-    np.testing.assert_allclose(schedule.time, 0.01 * np.arange(50), atol=1e-6)
+    np.testing.assert_allclose(schedule.time, 0.01 * np.arange(200), atol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
@@ -166,11 +176,10 @@ def test_random_search_needs_no_library_of_the_runs_own_optimiser(
 
 
 def test_the_grids_constant_is_the_best_of_all_whole_gains(problem) -> None:
-    alone = tuning_problem(SHORT())
-    grid = best_constant(alone)
-    gains = jnp.linspace(1, 101, 41)
-    costs = jnp.mean(costs_by_scenario(Candidate(ConstantGain(gains)), alone.training), axis=0)
-    assert mean_cost(grid, alone) <= float(jnp.min(costs)) * (1 + 1e-4)
+    grid = best_constant(problem)
+    gains = np.resize(np.linspace(1, 101, 41), baselines.CONSTANT_GAINS).astype(np.float32)
+    costs = costs_by_scenario(Candidate(ConstantGain(gains)), problem.training)
+    assert mean_cost(grid, problem) <= np.mean(costs, axis=0).min() * (1 + 1e-4)
     assert 1 <= float(grid.schedule.gain) <= 101
 
 

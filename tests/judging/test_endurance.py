@@ -18,10 +18,12 @@ from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
-SHORT = tiny(
-    *("scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]")
+RUN = tiny()
+"""Compiled once with `test_evaluate`."""
+SHORT = config.override(
+    RUN, ["scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]"]
 )
-COUNT = SHORT.run.endurance_scenarios
+COUNT = RUN.run.endurance_scenarios
 
 
 def constant(gain: float) -> Candidate:
@@ -29,20 +31,20 @@ def constant(gain: float) -> Candidate:
 
 
 def test_windows_double_and_errors_are_root_mean_squares() -> None:
-    found = endurance(SHORT, constant(20), constant(3))
-    np.testing.assert_allclose(found.begin, [0, 0.3, 0.6, 1.2])
-    np.testing.assert_allclose(found.end, [0.3, 0.6, 1.2, 2.4])
+    found = endurance(RUN, constant(20), constant(3))
+    np.testing.assert_allclose(found.begin, [0, 2, 4, 8])
+    np.testing.assert_allclose(found.end, [2, 4, 8, 16])
 
-    longer = config.override(SHORT, ["scenario.duration=2.4"])
-    batch = scenario_batch(longer, quietly(longer), endurance_keys(SHORT.run.seed, COUNT))
+    longer = config.override(RUN, ["scenario.duration=16.0"])
+    batch = scenario_batch(longer, quietly(longer), endurance_keys(RUN.run.seed, COUNT))
     for gain, attitude, position, distance in (
         (20, found.attitude, found.position, found.distance),
         (3, found.constant_attitude, found.constant_position, found.constant_distance),
     ):
         track = error_tracks(constant(gain), batch)
-        assert track.position.shape == (COUNT, 240)
+        assert track.position.shape == (COUNT, 1600)
         angle = np.degrees(np.arccos(1 - 2 * np.asarray(track.attitude, np.float64)))
-        for w, (first, last) in enumerate(((0, 30), (30, 60), (60, 120), (120, 240))):
+        for w, (first, last) in enumerate(((0, 200), (200, 400), (400, 800), (800, 1600))):
             for rms, errors in (
                 (attitude[w], angle),
                 (position[w], track.position),
@@ -50,7 +52,7 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
             ):
                 window = np.asarray(errors, np.float64)[:, first:last]
                 assert rms == pytest.approx(np.sqrt(np.mean(window**2)), rel=1e-5)
-    assert found.position[-1] < 0.5 * found.constant_position[-1], "the gains differ"
+    assert found.position[-1] < 0.8 * found.constant_position[-1], "the gains differ"
 
 
 def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
@@ -65,7 +67,7 @@ def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
 
 
 def test_its_scenarios_are_no_others() -> None:
-    seed = SHORT.run.seed
+    seed = RUN.run.seed
     keys = {
         tuple(key)
         for some in (

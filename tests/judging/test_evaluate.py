@@ -80,15 +80,14 @@ def test_what_was_found_is_not_searched_again(evaluated):
         np.testing.assert_array_equal(contender.metrics.cost, before.metrics.cost)
 
 
-def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, capsys):
+def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     """One baseline is still to be found."""
     result, folder = evaluated[1], tmp_path / "run"
     known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
     before = dataclasses.replace(result.evaluation, contenders=known)
-    with monkeypatch.context() as patch:
-        patch.setattr("posegsa.saving.run.draw", lambda *_: {})
-        posegsa.save(dataclasses.replace(result, evaluation=before), folder)
-    assert main(["evaluate", str(folder), "--scenarios", "3", "--seed", "2"]) == 0
+    posegsa.save(dataclasses.replace(result, evaluation=before), folder, figures=())
+    arguments = ["--scenarios", "3", "--seed", "2", "--figures", "costs,bands,vector_biases"]
+    assert main(["evaluate", str(folder), *arguments]) == 0
     said = capsys.readouterr()
     assert f"searching {REPLAYED} ..." in said.err
     for contender in CONTENDERS:
@@ -100,6 +99,8 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, monkeypatch, cap
     assert evaluation["seed"] == 2
     assert posegsa.load(folder).evaluation.scenarios == 3
     assert "invariant EKF" in (folder / "report.html").read_text()
+    drawn = {path.stem for path in (folder / "figures").iterdir()}
+    assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
     assert (folder / "evaluation.txt").read_text().strip() in said.out
 
 

@@ -11,14 +11,12 @@ from posegsa.judging import kalman
 from posegsa.judging.evaluation import Description
 from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune_kalman
 from posegsa.model.ekf import EkfNoise, ekf_errors
-from posegsa.search.keys import held_out_keys
+from posegsa.search.keys import training_keys
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
-TINY = tiny(
-    *("scenario.duration=0.5", "cost.transient_window=[0, 9]", "cost.steady_window=[20, 49]"),
-    "filter.cross_vector=false",
-)
+TINY = tiny()
+"""Its programs are those of `test_evaluate`."""
 NOISES = {name: float(np.sqrt(low * high)) for name, (low, high) in BOUNDS.items()}
 
 
@@ -56,30 +54,30 @@ def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
         assert low * (1 - 1e-6) <= noise <= high * (1 + 1e-6), name
 
 
-def test_tracks_are_those_of_the_filter_one_by_one(monkeypatch) -> None:
-    """Three scenarios, two at a time: the last part is filled up."""
-    monkeypatch.setattr(kalman, "SCENARIOS", 2)
+def test_tracks_are_those_of_the_filter_one_by_one() -> None:
+    """Simulated 25 at a time: the last part is filled up."""
     noises = NOISES | {"vector": 0.1, "landmark": 0.1}
-    batch = kalman_scenarios(TINY, quietly(TINY), held_out_keys(0, 3), vector_biases=False)
-    tracks = kalman_tracks(described(noises), batch)
+    batch = kalman_scenarios(TINY, quietly(TINY), training_keys(0, 3), vector_biases=False)
+    several = jax.device_get(batch).select(np.arange(26) % 3)
+    assert kalman.SCENARIOS == 25
+    tracks = kalman_tracks(described(noises), several)
     noise = EkfNoise(**{name: jnp.float32(n) for name, n in noises.items()})
     alone = jax.jit(ekf_errors)
     for i in range(3):
-        scenario = jax.tree.map(lambda a, i=i: a[i], (batch.samples, batch.initial))
-        for ours, theirs in zip(
-            jax.tree.map(lambda a, i=i: a[i], tracks), alone(*scenario, noise), strict=True
-        ):
-            np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
-    assert tracks.position.shape == (3, 50)
+        scenario = jax.tree.map(lambda a, i=i: a[i], (several.samples, several.initial))
+        for ours, theirs in zip(tracks, alone(*scenario, noise), strict=True):
+            for same in range(i, 26, 3):
+                np.testing.assert_allclose(ours[same], theirs, rtol=1e-3, atol=1e-5)
+    assert tracks.position.shape == (26, 200)
     assert not np.allclose(tracks.position[0], tracks.position[1])
 
 
 def test_only_with_vector_biases_are_there_such_states() -> None:
     for vector_biases in (False, True):
         batch = kalman_scenarios(
-            TINY, quietly(TINY), held_out_keys(0, 3), vector_biases=vector_biases
+            TINY, quietly(TINY), training_keys(0, 3), vector_biases=vector_biases
         )
         assert len(batch.initial.vector_biases) == 2 * vector_biases
-        assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 50), (
+        assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 200), (
             "each, as measured"
         )

@@ -1,32 +1,28 @@
 """Per-scenario metrics against their definitions, by hand and on real runs."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
+from experiments import tiny
 
-from posegsa import config
-from posegsa.config import Experiment
 from posegsa.judging import metrics
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import cost_weights, scenario_batch
+from posegsa.search.build import cost_weights, tuning_problem
 from posegsa.search.candidates import Candidate
-from posegsa.search.keys import scenario_keys
 from posegsa.search.population import costs_by_scenario
 
-EXPERIMENT = Experiment(
-    scenario=config.ScenarioConfig(duration=2.0),
-    cost=config.CostConfig(transient_window=(0, 50), steady_window=(100, 199)),
-)
+EXPERIMENT = tiny("cost.transient_window=[0, 50]", "cost.steady_window=[100, 199]")
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 
 @pytest.fixture(scope="module")
 def posed():
-    return scenario_batch(EXPERIMENT, quietly(EXPERIMENT), scenario_keys(jax.random.key(0), 5))
+    """Six scenarios, those of a tuning run of this size."""
+    return tuning_problem(EXPERIMENT).scenarios
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +51,7 @@ def test_the_cost_is_the_running_cost(posed, tracks):
 
 
 def test_the_distance_is_from_the_estimated_to_the_true_position(posed, tracks):
-    assert tracks.distance.shape == tracks.position.shape == (5, 200)
+    assert tracks.distance.shape == tracks.position.shape == (6, 200)
     run = trajectory_on(Candidate(ConstantGain(jnp.float32(20))), posed, 3)
     away = np.linalg.norm(run.position_est - run.position, axis=1)
     np.testing.assert_allclose(tracks.distance[3], away, rtol=1e-4, atol=1e-5)
@@ -91,7 +87,7 @@ def test_the_rms_is_that_of_the_window_also_where_it_has_no_weight(posed, tracks
     cost = EXPERIMENT.cost.model_copy(update={"steady_weight": weight})
     weights = cost_weights(cost, 200, jnp.dtype("float32"))
     found, _ = metrics_of(tracks, posed._replace(weights=weights))
-    assert found.steady.tolist() == [0.0] * 5
+    assert found.steady.tolist() == [0.0] * 6
     weighted, _ = metrics_of(tracks, posed)
     np.testing.assert_array_equal(found.rms_attitude, weighted.rms_attitude)
     np.testing.assert_array_equal(found.rms_position, weighted.rms_position)

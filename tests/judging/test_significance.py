@@ -32,7 +32,7 @@ def test_p_is_exact_without_ties(count: int) -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 9, 13])
 def test_p_is_exact_with_ties_among_few(count: int) -> None:
     rng = np.random.default_rng(count)
-    for shift in (0, 0.6, 2):
+    for shift in (0, 0.6, 2) if count < 13 else (0.6,):  # all choices of 13 signs take a while
         d = np.round(rng.normal(shift, size=count), 1)
         d[rng.random(count) < 0.2] = rng.choice([-np.inf, np.inf])
         assert signed_rank(d) == pytest.approx(exact(d), rel=1e-10)

@@ -1,5 +1,6 @@
 """The test functions: published values, minima, shifts and rotations."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ EXPECTED = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_values_against_the_textbook(name: str) -> None:
     function = ClassicalFunction(name, D)
-    costs = function(jnp.asarray([Z, function.minimum]))
+    costs = jax.jit(function)(np.array([Z, function.minimum]))
     assert costs[0] == pytest.approx(EXPECTED[name], rel=1e-9)
     assert costs[1] == pytest.approx(0, abs=1e-5)  # Schwefel's minimum is known to eight digits
 

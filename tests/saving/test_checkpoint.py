@@ -61,17 +61,15 @@ def test_going_on_from_a_file_is_never_having_stopped(whole, tmp_path, interrupt
 
 
 def test_a_search_without_any_finite_cost_is_kept_as_that(tmp_path):
-    def nowhere(x):
-        return jnp.where(x[:, 0] > 5, 0.0, jnp.nan)
-
+    far = box([2.0**80, 2.0**80], [2.0**82, 3 * 2.0**80])  # whose squares float32 does not hold
     seen = []
-    finished = minimise(nowhere, BOX, SMALL, KEY, chunk=4, callback=seen.append)
+    finished = minimise(sphere, far, SMALL, KEY, chunk=4, callback=seen.append)
     save_search(tmp_path / "search", seen[0])
     loaded = load_search(tmp_path / "search", finished)
-    assert_same(minimise(nowhere, BOX, SMALL, KEY, search=loaded), finished)
+    assert_same(minimise(sphere, far, SMALL, KEY, search=loaded), finished)
     assert finished.best_cost == np.inf
     assert int(finished.non_finite) == 35
-    assert finished.best_position.tolist() == [0.0, 0.5], "the middle of the box"
+    assert finished.best_position.tolist() == [2.5 * 2.0**80, 2.0**81], "the middle of the box"
 
 
 def test_random_search_and_float64_likewise(tmp_path, x64):

@@ -27,8 +27,6 @@ from posegsa.saving.resume import experiment_to_resume
 from posegsa.search.build import tuning_problem
 from posegsa.search.run import first_search, run_search
 
-pytestmark = pytest.mark.optimised
-
 LONG = tiny("search.iterations=8", "checkpoint.iterations=3")
 
 
