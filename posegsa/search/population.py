@@ -199,7 +199,7 @@ def agent_costs(
 
         return jax.vmap(on_scenario)(*each)
 
-    mine = jnp.arange(cut.groups * cut.chunks // shards)
+    mine = jnp.arange(cut.groups * cut.chunks // shards, dtype=jnp.int32)  # as axis_index is
     if axis is not None:
         mine = mine + lax.axis_index(axis) * mine.size
     costs = lax.map(piece, mine) if on_cpu else jax.vmap(piece)(mine)
