@@ -199,9 +199,9 @@ def agent_costs(
 
         return jax.vmap(on_scenario)(*each)
 
-    mine = jnp.arange(cut.groups * cut.chunks // shards, dtype=jnp.int32)  # as axis_index is
+    mine = jnp.arange(cut.groups * cut.chunks // shards)
     if axis is not None:
-        mine = mine + lax.axis_index(axis) * mine.size
+        mine = mine + lax.axis_index(axis).astype(mine.dtype) * mine.size
     costs = lax.map(piece, mine) if on_cpu else jax.vmap(piece)(mine)
     if axis is not None:
         costs = lax.all_gather(costs, axis, tiled=True)

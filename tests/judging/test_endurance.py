@@ -90,7 +90,8 @@ def test_worse_names_the_windows_after_the_first() -> None:
 def test_the_distance_has_a_table_and_a_warning_of_its_own() -> None:
     far = made(distance=np.array([3.0, 0.25, 0.2, 1.0]))
     assert far.worse() == ["distance from 60 to 120 s"]
-    *_, last, words = far.table("constant").splitlines()
+    title, *_, last, words = far.table("constant", 16).splitlines()
+    assert title == "Long after the window, on 16 other unseen scenarios:"
     assert last.split("  ")[0] == "60 to 120 s"
     assert [float(cell) for cell in last.replace("deg", "cm").split() if cell.count(".")] == [
         *(5.5, 10.0, 100.0),
