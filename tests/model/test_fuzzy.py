@@ -227,6 +227,18 @@ REFUSED = {
         "sampled_points: must be at least 2, got 1",
     ),
     "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
+    "ends that are no tuple": (
+        {"output_range": [0.0, 100.0]},
+        r"output_range: must be a tuple of two finite numbers, got \[0.0, 100.0\]",
+    ),
+    "rules as lists": (
+        {"rules": [list(row) for row in RULES]},
+        "rules: must be a tuple of tuples of output terms",
+    ),
+    "infinite offset": (
+        {"offset": np.inf},
+        "offset: must be a finite number of at least 0, got inf",
+    ),
     "negative reach": ({"reach": -1}, "reach: must be a whole number from 0, or None, got -1"),
     "short reach": ({"reach": 0}, "reach: must not be 0, as output terms 1 apart overlap"),
 }
@@ -239,6 +251,8 @@ def test_what_is_refused(given: dict, message: str) -> None:
 
 
 def test_terms_as_numpy_arrays_are_checked_too() -> None:
+    with pytest.raises(FuzzyError, match="input_terms: must be an array of numbers"):
+        FuzzyController([["small"] * 3] * 5, OUTPUTS, RULES, (0.0, 100.0))  # type: ignore[arg-type]
     with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
         FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))
 

@@ -331,6 +331,7 @@ def replaced(i: int, value: float) -> np.ndarray:
     [
         (np.zeros(21), r"k: must have the shape \(22,\), k1 to k22, got \(21,\)"),
         (np.zeros((1, 22)), r"k: must have the shape \(22,\).*got \(1, 22\)"),
+        (["small"] * 22, "k: must be 22 numbers"),
         (0.5, r"k: must have the shape \(22,\).*got \(\)"),
         (replaced(0, 0.16), r"k1: must lie in \[0, 0.15\], got 0.16"),
         (replaced(3, 0.09), r"k4: must lie in \[0.1, 0.2\], got 0.09"),
