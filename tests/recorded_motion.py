@@ -44,7 +44,7 @@ def motion(samples: int = 400, **changes: Any) -> dict[str, Any]:
 
 
 def bench(samples: int = 200, **changes: Any) -> dict[str, Any]:
-    """The same with the sensors of the default scenario: both vectors, and one landmark."""
+    """`motion` with the sensors of the default scenario: both vectors, and one landmark."""
     seen = motion(samples)["landmarks"][:, :1]
     return motion(samples, **{"landmarks": seen, "landmark_references": LANDMARKS[:1]} | changes)
 

@@ -21,10 +21,11 @@ AGENTS, ITERATIONS = 6, 40
 
 
 def steered(x: Array) -> Array:
-    """An objective in three dimensions; the box fixes the last, which says what it is.
+    """An objective in three dimensions: the box fixes the last, whose value chooses it.
 
-    The sum of squares of the first two and the last; over 1e6 nothing finite; between -1 and 0 how
-    far the second is from 0.1 and the last from -1/3.
+    - Over 1e6: nothing finite.
+    - Between -1 and 0: how far the second is from 0.1, and the last from -1/3.
+    - Else: the sum of squares of the first two, and the last.
     """
     last = x[:, 2]
     cost = jnp.sum(x[:, :2] ** 2, axis=1) + last

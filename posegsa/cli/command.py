@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import errno
 import logging
 import os
 import signal
@@ -9,7 +10,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 
 from posegsa.cli.parsers import compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parsers.parser import Parser
@@ -74,8 +74,8 @@ def _main(arguments: Sequence[str] | None) -> int:
         except PosegsaError as error:
             print(f"posegsa: {error}", file=sys.stderr)
             return 2
-        except OSError as error:  # of a path that the system refuses: too long, in a loop of links
-            if error.filename is None:
+        except OSError as error:
+            if error.filename is None or error.errno not in _UNUSABLE:
                 raise
             print(f"posegsa: {error.filename}: {error.strerror}", file=sys.stderr)
             return 2
@@ -85,6 +85,10 @@ def _main(arguments: Sequence[str] | None) -> int:
         except KeyboardInterrupt:
             print("posegsa: interrupted", file=sys.stderr)
             return 128 + signal.SIGINT
+
+
+_UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
+"""What the system says of paths that a user gave and nobody can use."""
 
 
 def _numbers(result) -> str:
@@ -117,7 +121,7 @@ def _check_names(options: argparse.Namespace) -> None:
     if given.get("config") is not None:
         shipped.path_of(given["config"])
     run = given.get("run")
-    if run is not None and options.command != "replay" and not Path(run).exists():
+    if run is not None and options.command != "replay" and not shipped.there(run):
         raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
 
 

@@ -60,7 +60,8 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
     for warning in result.warnings():
         print(f"  warning: {warning}")
     files = f"report.html, evaluation.json, evaluation.txt{drawn(options)}"
-    print(f"\nWritten to {options.run}: {files}; the held-out means in result.json are of these")
+    print(f"\nWritten to {options.run}: {files}")
+    print("The held-out means in its result.json are those of these scenarios now.")
     return 0
 
 

@@ -33,9 +33,17 @@ def path_of(given: str | Path) -> str | Path:
     Raises:
         ConfigError: It is neither.
     """
-    if _NAME.fullmatch(str(given)) and not Path(given).is_file():
+    if _NAME.fullmatch(str(given)) and not (there(given) and Path(given).is_file()):
         return find(str(given))
     return given
+
+
+def there(given: str | Path) -> bool:
+    """Whether there is something at a path; a name that is too long for a file is none."""
+    try:
+        return Path(given).exists()
+    except OSError:  # before Python 3.14
+        return False
 
 
 def about(name: str) -> str:

@@ -36,8 +36,8 @@ _MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
 _BANDS = (TUNED, CONSTANT)
 """Of these, those whose spread is drawn as a band: more would mix to one colour."""
 _APART = 10.0
-"""Differences of which one is further from 0 than the middle one by this factor are drawn over an
-axis that is logarithmic on both sides of it."""
+"""Of three differences or more, one that is further from 0 than the middle one by this factor makes
+their axis logarithmic on both sides of 0."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
 
 
@@ -55,7 +55,8 @@ def angles_differ(evaluation: Evaluation) -> bool:
     "to 75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% "
     "interval. The overlap of the clouds says little, because all contenders met the same "
     "scenarios: look at the paired differences below. An interval that excludes 0 tells two "
-    "contenders apart.",
+    "contenders apart. Where one difference is far larger than the others, their axis is "
+    "logarithmic on both sides of 0.",
 )
 def plot_costs(evaluation: Evaluation) -> Figure:
     """Cost of every contender on every held-out scenario, and mean paired differences.
@@ -104,9 +105,10 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     name="bands",
     title="Errors and gain over time",
     caption="Lines are medians over scenarios. Bands, of the tuned filter and the best constant "
-    "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the others. On the left, "
-    "who gets out of the initial error first; on the right, who stays lower afterwards. The gain "
-    "shown is the one used, after the gain limit. The position error is that of the cost, "
+    "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the time switch and of the "
+    "Kalman filter, which has no such gain. Other schedules are not drawn. On the left, who gets "
+    "out of the initial error first; on the right, who stays lower afterwards. The gain shown is "
+    "the one used, after the gain limit. The position error is that of the cost, "
     "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
@@ -214,7 +216,8 @@ def _plot_distribution(ax: Axes, row: int, costs: np.ndarray, colour: str) -> No
     spread = 0.2 * (2 * (_GOLDEN * np.arange(len(costs)) % 1) - 1)
     alpha = _faint(0.3, len(costs))
     ax.scatter(costs, row + spread, s=5, color=colour, alpha=alpha, linewidth=0)
-    low, first, median, third, high = np.quantile(costs, (0.05, 0.25, 0.5, 0.75, 0.95))
+    low, first, median, third = np.quantile(costs, (0.05, 0.25, 0.5, 0.75))
+    high = np.quantile(costs, 0.95, method="higher")  # as in the table
     ax.hlines(row, low, high, color=colour, linewidth=1.2)
     ax.hlines(row, first, third, color=colour, linewidth=5)
     ax.vlines(median, row - 0.2, row + 0.2, color=colour, linewidth=2)

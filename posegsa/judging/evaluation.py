@@ -217,7 +217,8 @@ class Evaluation:
 
     def table(self) -> str:
         """The contenders side by side, as text for a person."""
-        title = f"Cost on {counted(self.scenarios, 'held-out scenario')}:"
+        which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
+        title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
         return "\n\n".join(parts)
 

@@ -111,15 +111,15 @@ def better_words(evaluation: Evaluation) -> str:
         parts = []
         if difference.low > 0:
             ends = f"{cost(difference.low)} to {cost(difference.high)}"
-            parts.append(f"{cost(difference.mean)} less on average (95 % interval {ends})")
+            parts.append(f"{cost(difference.mean)} on average (95 % interval {ends})")
         if name in lower:
             parts.append(f"a lower median ({cost(this.median)} against {cost(own.median)})")
         if parts:
-            found.append(f"{name}: {', '.join(parts)}")
+            found.append(f"{name} by {' and '.join(parts)}")
     if not found:
         return ""
     return (
-        f"Other filters do better than the tuned schedule on these scenarios. {'; '.join(found)}."
+        f"Other filters do better than the tuned schedule on these scenarios: {'; '.join(found)}."
     )
 
 
@@ -138,7 +138,7 @@ def _lower_medians(evaluation: Evaluation) -> list[str]:
 
 def _instead(names: list[str]) -> str:
     """What to do where these filters are better than the tuned schedule, in a sentence or two."""
-    advice = f"Better here by the mean: {', '.join(names)}. "
+    advice = f"Better here by the mean: {'; '.join(names)}. "
     if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
         advice += (
             "Gains by the clock alone are simpler and need no error signal. They fit a filter that "
@@ -179,7 +179,7 @@ def next_words(result: TuneResult) -> list[str]:
         )
     elif lower := _lower_medians(evaluation):
         steps.append(
-            f"Where rare failures do not count, look at the medians: {', '.join(lower)} "
+            f"Where rare failures do not count, look at the medians: {'; '.join(lower)} "
             f"{'has' if len(lower) == 1 else 'have'} a lower one."
         )
     if any("RUN" in step for step in steps):

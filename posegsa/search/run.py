@@ -1,5 +1,6 @@
 """The search: an experiment made ready, and its parameter space searched in one compiled loop."""
 
+import contextlib
 import time
 import warnings
 from collections.abc import Callable, Hashable, Sequence
@@ -15,7 +16,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from posegsa import steps
-from posegsa.errors import ConfigError, PosegsaWarning
+from posegsa.errors import ConfigError, PosegsaWarning, SearchInterrupted
 from posegsa.optimisers import (
     Search,
     in_chunks,
@@ -123,10 +124,14 @@ def run_timed(
         here = collect(jax.block_until_ready(reached))
         now = time.monotonic()
         best = float(np.min(here.best_cost))
+        reached = Progress(stop, iterations, best_cost=best, seconds=now - compiled)
         try:
             keep(here, now - compiled, compiled - begun)
-        finally:  # where it stops the search too: these iterations are done
-            tell(Progress(stop, iterations, best_cost=best, seconds=now - compiled))
+        except SearchInterrupted:  # these iterations are done all the same
+            with contextlib.suppress(Exception):  # how to go on matters more
+                tell(reached)
+            raise
+        tell(reached)
         if alone and not piecewise:
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))

@@ -410,10 +410,27 @@ def test_closed_output_is_one_line():
 
 
 @pytest.mark.quick
-def test_other_files_errors_are_not_taken_for_those_of_the_output(monkeypatch, capsys):
+def test_other_files_errors_are_not_taken_for_those_of_the_output(monkeypatch):
     def fail(_):
         raise FileNotFoundError(2, "No such file or directory", "somewhere")
 
     monkeypatch.setattr("posegsa.config.shipped.find", fail)
-    assert main(["config", "show", "quick"]) == 2
-    assert capsys.readouterr().err == "posegsa: somewhere: No such file or directory\n"
+    with pytest.raises(FileNotFoundError, match="somewhere"):
+        main(["config", "show", "quick"])
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["tune", "a" * 300], "no file, and no configuration of posegsa"),
+        (["evaluate", "a" * 300], "holds no finished run"),
+        (["tune", "quick", "--out", "a" * 300], ": File name too long\n"),
+    ],
+)
+def test_a_path_that_is_too_long_is_a_line(arguments, said, monkeypatch, capsys):
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    assert main(arguments) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"posegsa: {'a' * 300}")
+    assert said in told

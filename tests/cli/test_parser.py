@@ -13,7 +13,8 @@ pytestmark = pytest.mark.quick
         (["tune", "--itertaions=3"], "posegsa tune: error: unrecognized arguments: --itertaions=3"),
         (["evaluate", "run", "--scenraios", "3"], "did you mean --scenarios?"),
         (["tune", "quick", "another"], "posegsa tune: error: unrecognized arguments: another\n"),
-        (["--versoin"], "posegsa: error:"),
+        (["evaluate", "run", "other", "--scenraios", "3"], "did you mean --scenarios?"),
+        (["--versoin", "configs"], "did you mean --version?"),
     ],
 )
 def test_a_command_says_what_it_does_not_know(arguments, said, capsys):
@@ -21,8 +22,3 @@ def test_a_command_says_what_it_does_not_know(arguments, said, capsys):
         main(arguments)
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
-
-
-def test_a_path_that_the_system_refuses_is_a_line(capsys):
-    assert main(["tune", "a" * 300]) == 2
-    assert capsys.readouterr().err == f"posegsa: {'a' * 300}: File name too long\n"

@@ -254,18 +254,22 @@ def comparable(folder: Path) -> dict:
 
 
 def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
+    told: list[int] = []
+
     def interrupt(progress: Progress) -> None:
+        told.append(progress.iteration)
         if progress.iteration == 1:
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
         posegsa.tune(tiny(), out=tmp_path, progress=interrupt, figures=[])
+    assert told == [0, 1, 2], "of what is done it is told too"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with pytest.raises(RunFolderError, match="unfinished run; go on with it"):
         posegsa.tune(tiny(), out=tmp_path)
     with pytest.raises(RunFolderError, match="no finished run"):
         posegsa.load(tmp_path)
-    told: list[int] = []
+    told.clear()
     posegsa.tune(resume=tmp_path, progress=lambda p: told.append(p.iteration), figures=[])
     assert told == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])

@@ -86,6 +86,10 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
     before = dataclasses.replace(result.evaluation, contenders=known)
     posegsa.save(dataclasses.replace(result, evaluation=before), folder, figures=())
+    left = {name: folder / f"{name}.csv" for name in ("history", "trajectory")}
+    for path in left.values():  # numbers that are written otherwise than posegsa does
+        path.write_text(path.read_text().replace("\n0,", "\n0.0,", 1).replace(",0.0", ",0", 1))
+    before_csv = {name: path.read_bytes() for name, path in left.items()}
     arguments = ["--scenarios", "3", "--seed", "2", "--figures", "costs,bands,vector_biases"]
     assert main(["evaluate", str(folder), *arguments]) == 0
     said = capsys.readouterr()
@@ -99,6 +103,7 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     assert evaluation["seed"] == 2
     assert posegsa.load(folder).evaluation.scenarios == 3
     assert "invariant EKF" in (folder / "report.html").read_text()
+    assert {name: path.read_bytes() for name, path in left.items()} == before_csv
     drawn = {path.stem for path in (folder / "figures").iterdir()}
     assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
     assert (folder / "evaluation.txt").read_text().strip() in said.out
@@ -195,4 +200,4 @@ def test_the_table_holds_every_contender(evaluated):
     heads = [line[: len(max(CONTENDERS, key=len))].strip() for line in text.splitlines()]
     for name in CONTENDERS:
         assert heads.count(name) == 2
-    assert "3 held-out scenarios" in text
+    assert text.startswith("Cost on 3 scenarios of ")

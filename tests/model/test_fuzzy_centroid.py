@@ -48,6 +48,7 @@ def defuzzifier(**options: object) -> Callable[..., Array]:
 def defuzzified(outputs: object, heights: object, dtype: str = "float64", **options) -> np.ndarray:
     """Gains K of heights under output terms; the gain to hold is NaN, so that a hold shows."""
     count, batch = len(np.asarray(heights)), BATCH["sampled" if options else "exact"]
+    assert count <= batch
     given = (np.asarray(a, np.float64) for a in (outputs, heights))
     padded = (np.resize(a, (batch, *a.shape[1:])).astype(dtype) for a in given)
     return np.asarray(defuzzifier(**options)(*padded, np.asarray(np.nan, dtype)))[:count]

@@ -174,7 +174,7 @@ def test_the_record_against_plain_numpy() -> None:
     ]
     costs = [(x**2).sum(axis=1) for x in positions]
     lowest = np.minimum.accumulate(np.min(costs, axis=1))
-    np.testing.assert_allclose(search.history.best, lowest, rtol=1e-5)
+    np.testing.assert_allclose(search.history.best, lowest, rtol=1e-6)
     np.testing.assert_allclose(search.history.mean, np.mean(costs, axis=1), rtol=1e-6)
     np.testing.assert_allclose(search.history.worst, np.max(costs, axis=1), rtol=1e-6)
     best = np.unravel_index(np.argmin(costs), (ITERATIONS, AGENTS))

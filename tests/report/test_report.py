@@ -193,12 +193,12 @@ def test_it_says_which_other_filters_do_better():
     rare[-3:] = 500
     given = changed(given, EKF_VECTORS, cost=rare)
     text = page(result(evaluation=given)).text
-    assert "invariant EKF, vector biases: a lower median (9.50 against 11.00)." in text
+    assert "invariant EKF, vector biases by a lower median (9.50 against 11.00)." in text
     assert "The schedule pays" in text
     assert "look at the medians: invariant EKF, vector biases has a lower one" in text
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
-    assert "best open-loop gains: 1.25 less on average (95 % interval 1.20 to 1.30)" in found.text
+    assert "best open-loop gains by 1.25 on average (95 % interval 1.20 to 1.30)" in found.text
     assert "The schedule pays" not in found.text
     assert "Better here by the mean: best open-loop gains. Gains by the clock" in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
@@ -501,3 +501,20 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     (tmp_path / "figures").write_text("a file in the place of a folder")
     with pytest.raises(RunFolderError, match="cannot be written: Not a directory"):
         posegsa.save(result(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("seed", "held_out", "said"),
+    [
+        (None, 40, "40 scenarios of the same family, the run's own held-out set, drawn"),
+        (
+            *(None, 16),
+            "the run's own held-out set, which begins with the 16 scenarios that tune judged on,",
+        ),
+        (5, 16, "40 scenarios of the same family, held-out set number 5, drawn"),
+    ],
+)
+def test_it_says_which_scenarios_judged(seed, held_out, said):
+    given = replace(evaluation(), seed=seed)
+    text = page(result(f"run.held_out_scenarios={held_out}", evaluation=given)).text
+    assert said in text

@@ -33,7 +33,8 @@ def found() -> str:
     flight = Recording.from_arrays(name="flight", **attitude)
     begun = [flight.off(40, seed=seed) for seed in range(3)]  # 33 simulations, an odd number
     search = run_search(recorded_problem(experiment, begun, "constant", 1.0)).search
-    return f"{np.asarray(search.history.best).tobytes().hex()} {float(search.best_cost).hex()}"
+    history = (search.history.best, search.history.mean, search.history.worst)
+    return f"{np.stack(history).tobytes().hex()} {float(search.best_cost).hex()}"
 
 
 WORKER = """

@@ -65,7 +65,7 @@ def test_without_the_gain_limit_costs_are_chaos() -> None:
 
 
 def test_an_agent_that_diverges_costs_too_much_to_win() -> None:
-    """In a search, costs that are not finite lose: `test_nan_loses`, and of each optimiser."""
+    """In a search, costs that are not finite lose: `test_own_cost`, `test_failure_cost`."""
     # As many agents and scenarios as above, so that nothing is compiled for them.
     problem = without_limit(posed(paper(dtype="float32"), scenarios=2))
     # The largest output terms, asked for at the smallest errors, and the other way round.

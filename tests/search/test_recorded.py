@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bits import assert_same
 from recorded_motion import motion
 from scipy.spatial.transform import Rotation
 
@@ -154,7 +155,7 @@ def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -
 def test_gradients_go_in_pieces_as_in_the_whole(
     recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of few numbers, which compiles soonest. A position may be rounded otherwise."""
+    """Of any size to the same bits; a program of the whole may round a position otherwise."""
     search = {"optimiser": "adam", "agents": 4, "iterations": 3}
     experiment = config.from_dict(BASE | {"search": search})
     problem = recorded_problem(experiment, recordings, "smooth", 100.0)
@@ -167,6 +168,8 @@ def test_gradients_go_in_pieces_as_in_the_whole(
     # One agent on both recordings at once.
     shares = [progress.share for progress in told if progress.iteration == 1]
     assert shares == [0, 0.25, 0.5, 0.75, 1]
+    monkeypatch.setattr(large_populations, "WORK", 2 * 2 * 400 * 3)  # two agents
+    assert_same(run_search(problem).search, pieces)
     np.testing.assert_allclose(pieces.best_position, whole.best_position, rtol=1e-5)
     np.testing.assert_allclose(pieces.history.best, whole.history.best, rtol=1e-5)
     assert whole.history.best[-1] < whole.history.best[0] - 0.01, "they go down"

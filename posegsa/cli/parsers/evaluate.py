@@ -19,7 +19,8 @@ def add(commands) -> None:
         description="Judges a finished run on unseen scenarios beside the best constant gain, "
         "a time switch and other schedules searched with as many evaluations, and Kalman filters; "
         "minutes. "
-        "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder. "
+        "Writes evaluation.json, evaluation.txt, figures and report.html to the run's folder, and "
+        "the held-out means in its result.json. "
         "With --recording it judges the run on recordings instead, beside the best constant gains "
         "and a Kalman filter, and writes recorded.json and recorded.txt.",
     )

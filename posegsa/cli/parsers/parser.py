@@ -18,7 +18,8 @@ class Parser(argparse.ArgumentParser):
         """Parse all arguments: none may be unknown, so that a command shows its own usage."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            near = difflib.get_close_matches(unknown[0].partition("=")[0], self._options(), 1)
+            option = next((one for one in unknown if one.startswith("-")), "")
+            near = difflib.get_close_matches(option.partition("=")[0], self._options(), 1)
             meant = f"; did you mean {near[0]}?" if near else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
         return found, unknown
