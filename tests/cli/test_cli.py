@@ -61,6 +61,28 @@ def test_tune_runs_from_any_folder(finished):
     assert data["experiment"]["search"]["agents"] == 6
 
 
+def test_a_process_of_its_own_finds_the_same(finished, tmp_path):
+    command = [sys.executable, "-m", "posegsa", "tune", "--seed", "3", *SETTINGS]
+    # The programs of these tests, which are compiled so.
+    environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    done = subprocess.run(
+        [*command, "--no-figures", "--quiet"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    first, second = (
+        json.loads((folder / "posegsa-run" / "result.json").read_text())
+        for folder in (finished[0], tmp_path)
+    )
+    for name in ("parameters", "best_cost", "constant_gain"):
+        assert first[name] == second[name]
+
+
 def test_it_shows_progress_and_notes_in_plain_words(finished):
     _, done = finished
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):

@@ -304,7 +304,7 @@ def test_a_search_is_the_same_compiled_stored_and_loaded(tmp_path):
     finally:
         store_in(None)
     plain = run()
-    assert unstored == []
+    assert unstored == [], "or another test of this process compiled these before (`ITS_OWN`)"
     for other in (cold, loaded):
         for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(other), strict=True):
             both = (a, b) if not jnp.issubdtype(a.dtype, jax.dtypes.prng_key) else ()

@@ -5,12 +5,14 @@ processes of their own `test_joined_processes`.
 """
 
 import jax
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import paper, posed, search_vectors, searched
 
 from posegsa.search import devices
-from posegsa.search.population import LANES, PIECE, partition
+from posegsa.search.population import LANES, PIECE, partition, population_costs
 
 
 def test_small_searches_stay_on_one_device_and_large_ones_use_all():
@@ -45,3 +47,15 @@ def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
         assert cut.agents <= PIECE + LANES
         assert cut.scenarios == 1 or cut.scenarios * agents <= 2 * PIECE
         assert cut.scenarios != 2  # which is slow
+
+
+@pytest.mark.usefixtures("x64")
+def test_costs_on_several_devices_are_of_the_runs_own_precision():
+    mesh = devices.mesh_of(jax.devices()[:2])
+
+    def costs(vectors, problem, space):
+        return population_costs(vectors, problem, space, axis=devices.AXIS)
+
+    given = search_vectors(37), posed(paper(), scenarios=2), searched()
+    found = jax.eval_shape(devices.on_each(mesh)(costs), *given)
+    assert (found.shape, found.dtype) == ((37,), np.float64)
