@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -251,8 +252,9 @@ def test_what_is_refused(given: dict, message: str) -> None:
 
 
 def test_terms_as_numpy_arrays_are_checked_too() -> None:
+    words: Any = [["small"] * 3] * 5
     with pytest.raises(FuzzyError, match="input_terms: must be an array of numbers"):
-        FuzzyController([["small"] * 3] * 5, OUTPUTS, RULES, (0.0, 100.0))  # type: ignore[arg-type]
+        FuzzyController(words, OUTPUTS, RULES, (0.0, 100.0))
     with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
         FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))
 
