@@ -31,9 +31,9 @@ import jax.numpy as jnp  # noqa: E402  (after the fast path)
 from readme import write_block  # noqa: E402  (after the fast path)
 
 from posegsa import config  # noqa: E402  (after the fast path)
+from posegsa.filters.observer import FilterSettings, VectorBias, initial_state  # noqa: E402  (after the fast path
+from posegsa.filters.rollout import samples_of, simulate_cost  # noqa: E402  (after the fast path)
 from posegsa.model.cost import CostWeights  # noqa: E402  (after the fast path)
-from posegsa.model.filter import FilterSettings, VectorBias, initial_state  # noqa: E402  (after the fast path)
-from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402  (after the fast path)
 from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain, SmoothGain  # noqa: E402  (after the fast path)
 from posegsa.model.signal import SignalSettings  # noqa: E402  (after the fast path)
 from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402  (after the fast path)

@@ -25,8 +25,8 @@ from readme import write_block
 import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaWarning
+from posegsa.filters.rollout import _scheduled_step
 from posegsa.model.fuzzy import _compiled_gain
-from posegsa.model.rollout import _scheduled_step
 
 PAGE = "docs/streaming.md"
 

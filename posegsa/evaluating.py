@@ -105,7 +105,7 @@ def evaluate(
     tuned on what it was tuned on: on `training`, or, if it was tuned on simulated scenarios, on
     those. On recordings of an IMU, VQF, Madgwick's and Mahony's filter stand beside it too, each
     with the settings of its paper (`judging.other_filters`). A recording's sensors have the
-    experiment's weights in order, further ones 1 (`TuneResult.settings_for`).
+    experiment's weights in order, further ones 1 (`TuneResult.filter_for`).
 
     Args:
         result: A tuned result.

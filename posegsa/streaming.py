@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -13,46 +12,21 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.filters.base import Filter, check_filter
+from posegsa.filters.observer import Observer
+from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.judging.known_sensors import KnownSensors, of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
-from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
-from posegsa.model.online import OnlineLoop, OnlineParameters, OnlineRecord
-from posegsa.model.schedules import (
-    ConstantGain,
-    FuzzyGain,
-    GainSchedule,
-    KnotGain,
-    SettlingGain,
-    SwitchGain,
-    check_schedule,
-)
-from posegsa.model.signal import SignalSettings
-from posegsa.search.build import signal_settings
+from posegsa.model.schedules import check_schedule
 
-FORMAT = 2
+FORMAT = 3
 """Number of the layout of a checkpoint; it changes with what is in it."""
 
-MAX_GAIN = 1e9
-"""The largest constant gain [1/s], as in a configuration."""
-
-BLIND = (ConstantGain, SettlingGain, SwitchGain, KnotGain)
-"""Schedules that do not look at the error, and so need no settings of its signal."""
-
 _STILL = np.zeros(3)
-_NO_NUMBER: Any = np.zeros(())
-_UNSEEN = SignalSettings(
-    signal="measured",
-    rate="per_sample",
-    position_weight=_NO_NUMBER,
-    smoothing=_NO_NUMBER,
-    error_scale=_NO_NUMBER + 1,
-    rate_scale=_NO_NUMBER,
-)
-"""The signal that these do not look at."""
 
 
 class Pose(NamedTuple):
@@ -90,10 +64,9 @@ class PoseFilter:
     another process, which compiles it anew.
 
     Args:
-        source: What the gain comes from: a tuned result, which brings settings and references too
-            (one tuned on recordings those of its recordings, whose weights are in its settings);
-            or a gain schedule (`FuzzyGain`, `ConstantGain`, one of your own), a `FuzzyController`,
-            or a constant gain K [1/s] as a number.
+        source: A tuned result, which brings its references too (one tuned on recordings those of
+            its recordings, whose weights are in its filter); or any filter: an `Observer` with a
+            schedule, a `KalmanFilter`, one of your own (`posegsa.filters.base.Filter`).
         rotation: (3, 3) R_est at the first sample, body to inertial.
         position: (3,) P_est there [m], inertial frame.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
@@ -103,9 +76,6 @@ class PoseFilter:
         landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
         vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
         landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
-        settings: The filter's, as from `posegsa.filter_settings`; not with a result.
-        signal: The error signal's, as from `posegsa.signal_settings`; not with a result, and not
-            needed where the gain does not look at the error.
         hold_time: How long [s] a velocity that is missing is held; 0 refuses it at once, `math.inf`
             holds it always.
         observable_window: What was seen within this time [s] counts for `observable`.
@@ -118,7 +88,7 @@ class PoseFilter:
 
     def __init__(
         self,
-        source: TuneResult | RecordingResult | GainSchedule | FuzzyController | float,
+        source: TuneResult | RecordingResult | Filter,
         *,
         rotation: ArrayLike,
         position: ArrayLike,
@@ -127,44 +97,38 @@ class PoseFilter:
         landmark_references: ArrayLike | None = None,
         vector_weights: ArrayLike = 1.0,
         landmark_weights: ArrayLike = 1.0,
-        settings: FilterSettings | None = None,
-        signal: SignalSettings | None = None,
         hold_time: float = 0.1,
         observable_window: float = 1.0,
     ) -> None:
         self._hold_time = _duration("hold_time", hold_time)
         self._window = _duration("observable_window", observable_window)
         known = None
-        if isinstance(source, TuneResult | RecordingResult):
-            if settings is not None or signal is not None:
-                refuse("settings, signal: given beside a result", "neither, it brings its own")
-            if vector_references is None or landmark_references is None:
-                known = _known_sensors(source)
-                if vector_references is None:
-                    vector_references = np.array(known.vectors)
-                if landmark_references is None:
-                    landmark_references = np.array(known.landmarks)
+        stated = vector_references is not None and landmark_references is not None
+        if isinstance(source, TuneResult | RecordingResult) and not stated:
+            known = _known_sensors(source)
+            if vector_references is None:
+                vector_references = np.array(known.vectors)
+            if landmark_references is None:
+                landmark_references = np.array(known.landmarks)
         self._attitude_only = known is not None and known.attitude_only
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
         if isinstance(source, TuneResult | RecordingResult):
-            schedule, settings, signal = _tuned(source, len(vectors), len(landmarks))
+            filter = _tuned(source, len(vectors), len(landmarks))
         else:
-            schedule, settings, signal = _by_hand(source, settings, signal)
-        self._vectors = _Sensors("vector", vectors, vector_weights, settings.vectors.weights)
-        self._landmarks = _Sensors(
-            "landmark", landmarks, landmark_weights, settings.landmark_weights
-        )
-        self._learnt = 0 if settings.vector_bias is None else len(vectors)
-        self._dtype = _dtype_of(settings)
+            filter = _by_hand(source)
+        of_vectors, of_landmarks = _weights(filter)
+        self._vectors = _Sensors("vector", vectors, vector_weights, of_vectors)
+        self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
+        self._dtype = _dtype_of(filter)
         _check_range("vector_references", vectors, self._dtype)
         _check_range("landmark_references", landmarks, self._dtype)
         start = self._state(rotation, position, bias)
-        parameters = OnlineParameters(schedule, settings, signal, vectors, landmarks)
+        parameters = OnlineParameters(filter, vectors, landmarks)
         with jax.enable_x64(self._dtype == np.float64):
             self._loop = OnlineLoop(parameters, start)
         where = self._loop.record.unpack(np.arange(self._loop.record.size))
-        self._rotation_at, self._position_at = where.rotation, np.array(where.loop.state.place)
+        self._rotation_at, self._position_at = where.rotation, np.array(where.estimate.place)
         self._start = self._loop.start(start)
         self._begin(self._start)
 
@@ -239,29 +203,29 @@ class PoseFilter:
     @property
     def state(self) -> FilterState:
         """All that the filter estimates, by components; `run_filter` takes it as its start."""
-        return jax.tree.map(np.copy, self._unpacked.loop.state)
+        return jax.tree.map(np.copy, self._unpacked.estimate)
 
     @property
     def bias(self) -> np.ndarray:
         """(6,) b_est of the velocities [rad/s, m/s], body frame, angular first."""
-        state = self._unpacked.loop.state
-        return np.array(state.bias_angular + state.bias_linear)
+        estimate = self._unpacked.estimate
+        return np.array(estimate.bias_angular + estimate.bias_linear)
 
     @property
     def vector_bias(self) -> np.ndarray:
         """(n, 3) c_i of each vector, body frame, in its unit; (0, 3) where they are not learnt."""
-        biases = self._unpacked.loop.state.vector_biases
+        biases = self._unpacked.estimate.vector_biases
         return np.array(biases, self._dtype).reshape(-1, 3)
 
     @property
     def gain(self) -> float:
-        """The gain K that the schedule asked for in the last update [1/s]."""
-        return float(self._unpacked.loop.memory.gain)
+        """The gain K that the schedule asked for in the last update [1/s]; NaN before the first."""
+        return _number(self._unpacked.gain)
 
     @property
     def gain_used(self) -> float:
         """The same after the gain limit, mean over the sub-steps [1/s]."""
-        return float(self._unpacked.gain_used)
+        return _number(self._unpacked.gain_used)
 
     @property
     def time(self) -> float:
@@ -372,9 +336,7 @@ class PoseFilter:
         self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None
     ) -> FilterState:
         with np.errstate(over="ignore"), jax.enable_x64(self._dtype == np.float64):
-            state = checked_state(
-                rotation, position, bias, self._dtype, learnt_vectors=self._learnt
-            )
+            state = checked_state(rotation, position, bias, self._dtype)
         if not np.isfinite(jax.tree.leaves(state)).all():
             raise MeasurementError(f"position or bias: must be within {self._dtype}'s range")
         return state
@@ -465,12 +427,9 @@ def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
     return of_scenario(result.experiment)
 
 
-def _tuned(
-    result: TuneResult | RecordingResult, vectors: int, landmarks: int
-) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
-    """Schedule, settings and signal of a result, for so many sensors."""
-    gain = result.tuned.gain
-    if gain.signal == "pose":
+def _tuned(result: TuneResult | RecordingResult, vectors: int, landmarks: int) -> Observer:
+    """The filter of a result, for so many sensors."""
+    if result.tuned.gain.signal == "pose":
         refuse(
             'source: a result tuned on the true errors (gain.signal = "pose"), which no vehicle '
             "knows",
@@ -478,57 +437,41 @@ def _tuned(
         )
     if found := result.warnings():
         warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
-    dtype = result.experiment.run.dtype
-    with jax.enable_x64(dtype == "float64"):
-        return (
-            result.schedule,
-            result.settings_for(vectors, landmarks),
-            signal_settings(gain, dtype),
-        )
+    with jax.enable_x64(result.experiment.run.dtype == "float64"):
+        return result.filter_for(vectors, landmarks)
 
 
-def _by_hand(
-    source: Any, settings: FilterSettings | None, signal: SignalSettings | None
-) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
-    """Schedule, settings and signal that were given one by one."""
-    if not (isinstance(source, Real | FuzzyController) or hasattr(source, "prepare")):
-        allowed = (
-            "a TuneResult or RecordingResult (posegsa.load reads one), a gain schedule, a "
-            "FuzzyController, a number"
-        )
-        refuse(f"source: a {type(source).__name__}", allowed)
-    if settings is None:
-        refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
-    check_type("settings", settings, FilterSettings)
-    check_gammas(settings)
-    if isinstance(source, FuzzyController):
-        source = FuzzyGain(source)
-    elif isinstance(source, Real) and not isinstance(source, bool):
-        check_number("source, a constant gain", source, 0.0, MAX_GAIN)
-        constant: Any = np.asarray(float(source))
-        source = ConstantGain(constant)
-    kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves((source, settings, signal))}
+def _by_hand(source: Any) -> Filter:
+    """A filter that a user has made, its numbers of one floating type."""
+    check_filter("source", source, "a TuneResult or RecordingResult (posegsa.load reads one)")
+    kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves(source)}
     if wrong := [kind for kind in kinds if kind.kind not in "fi"]:
-        refuse(f"source, settings or signal: holds {wrong[0]}", "a schedule of real numbers")
-    if signal is None:
-        if not isinstance(source, BLIND):
-            refuse("signal: None", "the error signal's settings, as from posegsa.signal_settings")
-        signal = _UNSEEN
-    check_type("signal", signal, SignalSettings)
-    if signal.signal == "pose":
-        refuse('signal: "pose", the true errors, which no vehicle knows', '"measured"')
-    dtype = _dtype_of(settings)
+        refuse(f"source: holds {wrong[0]}", "a filter of real numbers")
+    if isinstance(source, Observer) and source.signal.signal == "pose":
+        refuse('source.signal: "pose", the true errors, which no vehicle knows', '"measured"')
+    dtype = _dtype_of(source)
     with np.errstate(over="ignore"), jax.enable_x64(dtype == np.float64):
-        given = jax.tree.map(
-            lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), (source, settings, signal)
-        )
-        check_schedule(given[0])
-    return given
+        filter = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), source)
+        if isinstance(filter, Observer) and filter.schedule is not None:
+            check_schedule(filter.schedule)
+    return filter
 
 
-def _dtype_of(settings: FilterSettings) -> np.dtype:
-    """The widest floating type of a filter's settings, at least float32."""
-    return np.result_type(np.float32, *(np.asarray(a) for a in jax.tree.leaves(settings)))
+def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | None]:
+    """The weights of vectors and of landmarks of an observer; others have none."""
+    if not isinstance(filter, Observer):
+        return None, None
+    return filter.settings.vectors.weights, filter.settings.landmark_weights
+
+
+def _dtype_of(filter: Filter) -> np.dtype:
+    """The widest floating type of a filter's numbers, at least float32."""
+    return np.result_type(np.float32, *(np.asarray(a) for a in jax.tree.leaves(filter)))
+
+
+def _number(value: Any) -> float:
+    """A number of a record; NaN where the filter has none."""
+    return math.nan if value is None else float(value)
 
 
 def _references(name: str, references: ArrayLike | None) -> np.ndarray:

@@ -10,19 +10,18 @@ from builders import as_arrays, random_measurements, random_poses
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from posegsa.model import se3
-from posegsa.model.filter import (
+from posegsa.filters.observer import (
     FilterSettings,
-    FilterState,
     GainLaw,
     Innovation,
     Law,
     VectorBias,
-    initial_state,
     innovation,
     observe,
     see,
 )
+from posegsa.model import se3
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import Gains

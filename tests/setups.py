@@ -20,11 +20,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
+from posegsa.filters.observer import FilterSettings
+from posegsa.filters.rollout import Estimates, Samples, samples_of
 from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
-from posegsa.model.filter import FilterSettings, FilterState, initial_state
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, Samples, samples_of
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
 from posegsa.model.vectors import VectorSettings

@@ -11,7 +11,7 @@ import numpy as np
 
 from contenders.c import FLOATS, in_body
 from contenders.scene import RULES
-from posegsa.model.filter import FilterSettings
+from posegsa.filters.observer import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSamples

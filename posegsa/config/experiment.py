@@ -16,7 +16,7 @@ from posegsa.config.schedule import (
     ParametersConfig,
 )
 from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
-from posegsa.model.filter import GainLaw, Law
+from posegsa.filters.observer import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (

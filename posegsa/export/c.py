@@ -32,10 +32,10 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
+from posegsa.filters.observer import FilterSettings
 from posegsa.judging.known_sensors import of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, check_gammas
 from posegsa.model.schedules import FuzzyGain, GainSchedule, KnotGain, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
@@ -120,7 +120,6 @@ def filter_to_c(
     with jax.enable_x64(True):
         check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
-    check_gammas(settings)
     check_type("signal", signal, SignalSettings)
     check_name(name)
     if signal.signal == "pose":

@@ -16,19 +16,18 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import refuse
 from posegsa.export.scalar_c import Code, Known, literal, written
-from posegsa.model import se3
-from posegsa.model.filter import (
+from posegsa.filters.observer import (
     FilterSettings,
-    FilterState,
-    Seen,
     displacement,
     learnt_biases,
     learnt_vector_biases,
     limited_correction,
     see,
 )
+from posegsa.model import se3
+from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements, finite_array
-from posegsa.model.sample import LandmarkSample, Sample, prepare
+from posegsa.model.sample import LandmarkSample, Sample, Seen, prepare
 from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, KnotGain, ScheduleInputs
 from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, scheduled_gain
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba

@@ -1,19 +1,18 @@
 """How good a filter is on each of many scenarios: cost, settling, steady state, bias."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
-from posegsa.model.signal import SignalSettings
+from posegsa.filters.base import Filter, Samples, vectors_in
+from posegsa.filters.rollout import ErrorTrack, errors_onward
+from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
 from posegsa.search.equal_pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
-from posegsa.stored_programs import stored
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 """Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
@@ -79,17 +78,18 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     there, samples = batch.samples.time.shape
     # All of it, as a program is compiled anew for what lies on other devices.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
+    filter = _applied(candidate, batch.filter)
     parts = []
     for first in range(0, there, SCENARIOS):
         initial = jax.tree.map(lambda a, first=first: piece(a, first, SCENARIOS), batch.initial)
         some = jax.tree.map(lambda a, first=first: a[first : first + SCENARIOS], batch.samples)
-        loop, pieces = _begin(candidate, initial), []
+        loop, pieces = _begin(filter, initial, some), []
         for start in range(0, samples, SAMPLES):
             now = jax.tree.map(
                 lambda a, start=start: piece(piece(a, start, SAMPLES, axis=1), 0, SCENARIOS), some
             )
             count = np.int32(min(SAMPLES, samples - start))
-            loop, errors = _onward(candidate, now, loop, batch.settings, batch.signal, count)
+            loop, errors = _onward(filter, now, loop, count)
             pieces.append(jax.device_get(errors))
         over_time = (
             np.concatenate(each, axis=1)[:, :samples]
@@ -100,22 +100,22 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
 
 
-@stored
-def _begin(candidate: Candidate, initial: FilterState) -> ClosedLoop:
-    return jax.vmap(lambda one: begin(candidate.schedule, one))(initial)
+@jax.jit
+def _applied(candidate: Candidate, shared: Filter) -> Filter:
+    return candidate.applied(shared)
 
 
-@stored
+@jax.jit
+def _begin(filter: Filter, initial: FilterState, samples: Samples) -> Any:
+    vectors = vectors_in(samples)
+    return jax.vmap(lambda one: filter.start(one, vectors))(initial)
+
+
+@jax.jit
 def _onward(
-    candidate: Candidate,
-    samples: Samples,
-    loop: ClosedLoop,
-    settings: FilterSettings,
-    signal: SignalSettings,
-    count: np.int32,
-) -> tuple[ClosedLoop, ErrorTrack]:
-    own = candidate.applied(settings, signal)
-    return errors_onward(candidate.schedule, samples, loop, *own, jnp.asarray(count))
+    filter: Filter, samples: Samples, state: Any, count: np.int32
+) -> tuple[Any, ErrorTrack]:
+    return errors_onward(filter, samples, state, jnp.asarray(count))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such

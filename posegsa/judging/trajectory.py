@@ -10,8 +10,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import Estimates, Samples, simulate
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.rollout import Estimates, simulate
+from posegsa.model.estimate import FilterState
 from posegsa.model.se3 import (
     attitude_distance,
     euler_angles,
@@ -21,7 +22,6 @@ from posegsa.model.se3 import (
     stack,
     unstack,
 )
-from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
@@ -97,7 +97,7 @@ def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Tra
     samples, initial, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
     )
-    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.settings, batch.signal))
+    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.filter))
 
 
 def _in_float64(values: dict[str, Array]) -> Trajectory:
@@ -112,10 +112,9 @@ def _run(
     samples: Samples,
     initial: FilterState,
     vector_bias: Array,
-    settings: FilterSettings,
-    signal: SignalSettings,
+    shared: Filter,
 ) -> dict[str, Array]:
-    estimates = simulate(candidate.schedule, samples, initial, *candidate.applied(settings, signal))
+    estimates = simulate(candidate.applied(shared), samples, initial)
     assert samples.truth is not None
     R = rotation_matrix(stack(samples.truth.attitude))
     # The loop reads P as the inertial origin in the body frame, R^T P.

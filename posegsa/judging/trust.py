@@ -9,11 +9,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from pydantic import Field
 
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import Trajectory
-from posegsa.model.filter import FilterState
+from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
-from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate

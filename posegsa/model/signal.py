@@ -9,8 +9,8 @@ from jax import Array
 
 from posegsa.errors import ArgumentError
 from posegsa.model.elementwise import choose, maximum, minimum
-from posegsa.model.filter import FilterState, Seen, seen_from_estimate
-from posegsa.model.sample import Sample
+from posegsa.model.estimate import FilterState
+from posegsa.model.sample import Sample, Seen, seen_from_estimate
 from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule, ScheduleInputs
 from posegsa.model.se3 import (
     Quaternion,

@@ -18,8 +18,8 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
 from posegsa.errors import RecordingError
+from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import finite_array
-from posegsa.model.rollout import Estimates
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
 from posegsa.settings.arrays import Numbers

@@ -8,8 +8,8 @@ import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.config.imu import ImuConfig, ImuObserverConfig
-from posegsa.model.filter import FilterSettings
-from posegsa.model.rollout import Estimates
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.rollout import Estimates
 from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain
 from posegsa.model.vectors import VectorSettings
 from posegsa.recordings.imu import STARTUP, ImuRecording, with_known_bias
@@ -64,9 +64,10 @@ def run_imu(recording: ImuRecording, config: ImuConfig | None = None) -> Estimat
     check_type("config", config, ImuConfig)
     vectors = np.shape(recording.measurements.vectors)[1]
     with jax.enable_x64(True):
-        settings = imu_settings(config.observer, vectors)
-        gain = imu_schedule(config.observer, recording)
-        return in_passes(recording, lambda each: run_filter(gain, each, settings=settings))
+        observer = Observer(
+            imu_schedule(config.observer, recording), imu_settings(config.observer, vectors)
+        )
+        return in_passes(recording, lambda each: run_filter(observer, each))
 
 
 def imu_schedule(observer: ImuObserverConfig, recording: ImuRecording) -> GainSchedule:

@@ -16,11 +16,12 @@ from jax.typing import DTypeLike
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
+from posegsa.filters.base import Filter, Samples, samples_of
+from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.cost import CostWeights
+from posegsa.model.estimate import initial_state
 from posegsa.model.family import Family, Occasions, draw_with_noise
-from posegsa.model.filter import FilterSettings, VectorBias, initial_state
 from posegsa.model.fuzzy import Rules
-from posegsa.model.rollout import Samples, samples_of
 from posegsa.model.scenario import Bursts, Scenario, Sines, Underway, sense_onward, underway
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
@@ -100,26 +101,29 @@ DRAWN, PIECE = 16, 1024
 those of every length."""
 
 
-def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) -> ScenarioBatch:
+def scenario_batch(
+    experiment: config.Experiment, one: Scenario, keys: Array, filter: Filter | None = None
+) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
-    On the host, where taking some of the scenarios compiles nothing.
+    On the host, where taking some of the scenarios compiles nothing. They are made ready for a
+    filter, by default the experiment's own.
 
     Raises:
         ArgumentError: There are no keys, or they are another generator's.
     """
     dtype = jnp.dtype(experiment.run.dtype)
-    settings, drawn_from = filter_settings(experiment), family(experiment, dtype)
+    filter, drawn_from = filter or observer(experiment), family(experiment, dtype)
     words, count = np.asarray(jax.random.key_data(keys)), len(keys)
     if words.shape != (count, 2) or not count:
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
     parts, samples = [], None
     for first in range(0, count, DRAWN):
         some = piece(words, first, DRAWN)
-        drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), drawn_from, settings, some)
+        drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), drawn_from, some)
         for start in range(0, one.samples, PIECE):
             last = np.int32(min(PIECE, one.samples - start) - 1)
-            made, bias, at = _sensed(drawn, settings, of_noise, at, last)
+            made, bias, at = _sensed(drawn, filter, of_noise, at, last)
             made = jax.device_get(made)
             if samples is None:  # all at once, as they may take most of the memory
                 samples = jax.tree.map(lambda a: np.empty((count, one.samples), a.dtype), made)
@@ -132,8 +136,7 @@ def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) ->
         **kept,
         samples=cast(Samples, samples),
         weights=cost_weights(experiment.cost, one.samples, dtype),
-        settings=settings,
-        signal=signal_settings(experiment.gain, dtype),
+        filter=filter,
     )
 
 
@@ -145,7 +148,7 @@ def _put(whole: np.ndarray, part: np.ndarray, first: int, start: int) -> None:
 
 @stored
 def _drawn(
-    scenario: Scenario, family: Family, settings: FilterSettings, keys: np.ndarray
+    scenario: Scenario, family: Family, keys: np.ndarray
 ) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
     """The scenarios of keys' data (S, 2), their noise's keys, and what is kept but the samples."""
 
@@ -155,7 +158,6 @@ def _drawn(
             drawn.rotation_estimate,
             drawn.position_estimate,
             drawn.bias_estimate,
-            learnt_vectors=0 if settings.vector_bias is None else scenario.vectors.shape[0],
         )
         kept = {"initial": initial, "vector_bias": drawn.vector_bias, "end": drawn.end}
         return drawn, of_noise, underway(drawn), kept
@@ -165,14 +167,14 @@ def _drawn(
 
 @stored
 def _sensed(
-    scenarios: Scenario, settings: FilterSettings, keys: Array, at: Underway, last: np.int32
+    scenarios: Scenario, filter: Filter, keys: Array, at: Underway, last: np.int32
 ) -> tuple[Samples, Array, Underway]:
     """The next PIECE samples of each of S scenarios, and b at the one that is the `last` wanted."""
 
     def sense(one: Scenario, key: Array, at: Underway) -> tuple[Samples, Array, Underway]:
         truth, sensed, after = sense_onward(one, at, one.samples, key)
         samples = samples_of(
-            sensed.measurements, settings.vectors, truth.rotation, truth.position, truth.time
+            filter, sensed.measurements, truth.rotation, truth.position, truth.time
         )
         return samples, sensed.bias[last], after
 
@@ -351,6 +353,15 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
         else None,
+    )
+
+
+def observer(experiment: config.Experiment) -> Observer:
+    """The observer that an experiment configures, without the schedule that is searched."""
+    return Observer(
+        schedule=None,
+        settings=filter_settings(experiment),
+        signal=signal_settings(experiment.gain, jnp.dtype(experiment.run.dtype)),
     )
 
 

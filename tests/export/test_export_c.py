@@ -43,10 +43,10 @@ import posegsa
 from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import export_c, filter_to_c
+from posegsa.filters.observer import FilterSettings, ready
+from posegsa.filters.rollout import Estimates, samples_of, simulate
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, ready
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, samples_of, simulate
 from posegsa.model.schedules import (
     ConstantGain,
     Gains,

@@ -7,10 +7,10 @@ import pytest
 from builders import quietly
 from experiments import tiny
 
+from posegsa.filters.kalman import KalmanNoise, ekf_errors
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import Description
 from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune_kalman
-from posegsa.model.ekf import EkfNoise, ekf_errors
 from posegsa.search.keys import training_keys
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -25,7 +25,7 @@ def described(noises: dict[str, float]) -> Description:
 
 
 def test_the_noises_are_all_that_the_filter_has() -> None:
-    assert set(BOUNDS) == set(EkfNoise._fields)
+    assert set(BOUNDS) == set(KalmanNoise._fields)
     assert all(0 < low < high for low, high in BOUNDS.values())
 
 
@@ -61,7 +61,7 @@ def test_tracks_are_those_of_the_filter_one_by_one() -> None:
     several = jax.device_get(batch).select(np.arange(26) % 3)
     assert kalman.SCENARIOS == 25
     tracks = kalman_tracks(described(noises), several)
-    noise = EkfNoise(**{name: jnp.float32(n) for name, n in noises.items()})
+    noise = KalmanNoise(**{name: jnp.float32(n) for name, n in noises.items()})
     alone = jax.jit(ekf_errors)
     for i in range(3):
         scenario = jax.tree.map(lambda a, i=i: a[i], (several.samples, several.initial))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from experiments import tiny
 
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging import metrics
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
-from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import cost_weights, tuning_problem
 from posegsa.search.candidates import Candidate

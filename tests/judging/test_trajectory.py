@@ -10,8 +10,8 @@ import reference
 from builders import random_poses
 from scipy.spatial.transform import Rotation
 
+from posegsa.filters.rollout import Estimates
 from posegsa.judging.trajectory import Trajectory, trajectory
-from posegsa.model.rollout import Estimates
 
 pytestmark = pytest.mark.quick
 

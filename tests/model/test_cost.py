@@ -18,8 +18,8 @@ from setups import (
 )
 
 from posegsa.config import CostConfig, ObjectiveConfig
+from posegsa.filters.rollout import simulate, simulate_cost
 from posegsa.model.cost import SquaredErrors, sample_error, trajectory_cost
-from posegsa.model.rollout import simulate, simulate_cost
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
 from posegsa.search.population import over_scenarios

@@ -16,10 +16,9 @@ from jax import Array
 from reference import se3_exp
 
 from posegsa.errors import ArgumentError
-from posegsa.model.cost import CostWeights, trajectory_cost
-from posegsa.model.ekf import (
-    EkfNoise,
-    EkfState,
+from posegsa.filters.kalman import (
+    KalmanNoise,
+    KalmanState,
     ekf_cost,
     ekf_errors,
     ekf_nees,
@@ -30,9 +29,10 @@ from posegsa.model.ekf import (
     run_ekf,
     update,
 )
-from posegsa.model.filter import FilterState, initial_state
+from posegsa.filters.rollout import Samples, samples_of
+from posegsa.model.cost import CostWeights, trajectory_cost
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Samples, samples_of
 from posegsa.model.sample import Sample
 from posegsa.model.scenario import integrate, measure
 from posegsa.model.se3 import exp, transform
@@ -51,10 +51,10 @@ PLAIN = reference_ekf.Noise(
 )
 
 
-def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> EkfNoise:
+def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> KalmanNoise:
     """The same in the package's form."""
     return as_arrays(
-        EkfNoise(
+        KalmanNoise(
             angular_velocity=plain.velocity[0],
             velocity=plain.velocity[3],
             angular_walk=plain.bias_walk[0],
@@ -81,12 +81,12 @@ def leaves_close(got: Any, want: Any, atol: float) -> None:
         np.testing.assert_allclose(a, b, rtol=0, atol=atol)
 
 
-def step(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
+def step(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
     """One sample, as a user's own loop would take it."""
     return propagate(update(state, sample, noise), sample, noise)
 
 
-def held(state: EkfState) -> tuple[Array, ...]:
+def held(state: KalmanState) -> tuple[Array, ...]:
     """T_est, b_est, the vectors' biases and Sigma."""
     estimate = state.estimate
     T = transform(estimate.rotation, estimate.position)
@@ -94,10 +94,10 @@ def held(state: EkfState) -> tuple[Array, ...]:
 
 
 @jax.jit
-def one_by_one(state: EkfState, samples: Sample, noise: EkfNoise) -> tuple[Array, ...]:
+def one_by_one(state: KalmanState, samples: Sample, noise: KalmanNoise) -> tuple[Array, ...]:
     """What is `held` before each of N samples and after the last, (N + 1, ...)."""
 
-    def body(state: EkfState, now: Sample) -> tuple[EkfState, tuple[Array, ...]]:
+    def body(state: KalmanState, now: Sample) -> tuple[KalmanState, tuple[Array, ...]]:
         return step(state, now, noise), held(state)
 
     last, before = jax.lax.scan(body, state, samples)
@@ -304,13 +304,13 @@ def scenarios(keys: Array) -> tuple[Samples, FilterState]:
 
 @jax.jit
 @jax.vmap
-def watched(state: EkfState, samples: Samples, noise: EkfNoise) -> tuple[EkfState, Any]:
+def watched(state: KalmanState, samples: Samples, noise: KalmanNoise) -> tuple[KalmanState, Any]:
     """The state after a chunk of samples; NEES and covariance before every 20th of them."""
 
-    def body(state: EkfState, now: Sample) -> tuple[EkfState, None]:
+    def body(state: KalmanState, now: Sample) -> tuple[KalmanState, None]:
         return step(state, now, noise), None
 
-    def look(state: EkfState, some: Samples) -> tuple[EkfState, tuple[Array, Array]]:
+    def look(state: KalmanState, some: Samples) -> tuple[KalmanState, tuple[Array, Array]]:
         assert some.truth is not None
         now = nees(state, jax.tree.map(lambda a: a[0], some.truth)), state.covariance_matrix
         return jax.lax.scan(body, state, some.sample)[0], now

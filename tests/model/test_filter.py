@@ -45,17 +45,10 @@ from posegsa.config import (
     override,
 )
 from posegsa.errors import ArgumentError
-from posegsa.model.filter import (
-    FilterSettings,
-    FilterState,
-    _step,
-    bias_gains,
-    initial_state,
-    see,
-    step,
-)
+from posegsa.filters.observer import FilterSettings, _step, bias_gains, see, step
+from posegsa.filters.rollout import begin, run_filter, scheduled_step
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import begin, run_filter, scheduled_step
 from posegsa.model.sample import prepare
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings, signal_settings

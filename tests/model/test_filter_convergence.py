@@ -13,8 +13,9 @@ from filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 
 from posegsa.config import GainConfig, Landmark, Vector
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import Estimates, Samples, samples_of, simulate
+from posegsa.filters.observer import FilterSettings
+from posegsa.filters.rollout import Estimates, Samples, samples_of, simulate
+from posegsa.model.estimate import FilterState
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain, GainSchedule, SwitchGain
 from posegsa.model.vectors import VectorSettings

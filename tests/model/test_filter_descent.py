@@ -26,8 +26,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from jax import Array
 
+from posegsa.filters.observer import correction
 from posegsa.model import se3
-from posegsa.model.filter import correction, initial_state
+from posegsa.model.estimate import initial_state
 from posegsa.model.measurements import Measurements
 
 

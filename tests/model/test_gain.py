@@ -15,10 +15,11 @@ from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
 from posegsa.errors import ArgumentError
-from posegsa.model.filter import FilterState, see, step
+from posegsa.filters.observer import see, step
+from posegsa.filters.rollout import run_filter, samples_of, simulate
+from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import run_filter, samples_of, simulate
 from posegsa.model.sample import Sample
 from posegsa.model.schedules import (
     ConstantGain,

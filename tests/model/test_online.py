@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from filters import settings
 
-from posegsa.model.filter import initial_state
-from posegsa.model.online import Layout, OnlineLoop, OnlineParameters, _compiled
+from posegsa.filters.online import Layout, OnlineLoop, OnlineParameters, _compiled
+from posegsa.model.estimate import initial_state
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings
 

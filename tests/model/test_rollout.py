@@ -29,9 +29,9 @@ from setups import (
 )
 
 from posegsa.config import Experiment
+from posegsa.filters.rollout import Estimates, run_filter, simulate, simulate_cost
 from posegsa.judging.trajectory import trajectory
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, run_filter, simulate, simulate_cost
 from posegsa.model.scenario import Truth
 from posegsa.model.schedules import ConstantGain, FuzzyGain, SwitchGain
 from posegsa.model.signal import SignalSettings

@@ -17,8 +17,8 @@ from experiments import tiny
 from jax import random
 
 from posegsa import stored_programs
+from posegsa.filters.rollout import simulate
 from posegsa.judging.metrics import _begin, _onward, error_tracks
-from posegsa.model.rollout import simulate
 from posegsa.model.se3 import rotation_matrix
 from posegsa.optimisers import GSA
 from posegsa.optimisers.driver import _advance

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
-from posegsa.model.rollout import Estimates
+from posegsa.filters.rollout import Estimates
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import ArgumentError
+from posegsa.filters.observer import FilterSettings
 from posegsa.model import rollout
-from posegsa.model.filter import FilterSettings
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from setups import lasting, paper, posed, repaired_terms, search_vectors, searched
 
-from posegsa.model.rollout import simulate_cost
+from posegsa.filters.rollout import simulate_cost
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import (

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import posegsa
 from posegsa import config
 from posegsa.errors import ConfigError, MemoryLimitError
-from posegsa.model.rollout import simulate
+from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
 from posegsa.search import large_populations, memory

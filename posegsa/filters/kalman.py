@@ -1,16 +1,13 @@
 """A left-invariant extended Kalman filter on SE(3): the strongest filter a user could take instead.
 
-It reads the same samples as the observer and gives the same records, so that both are judged by the
-same code.
-
-symbol | meaning                                     | here                  | unit, frame
------- | ------------------------------------------- | --------------------- | ------------------
-T_est  | estimated pose (R_est, P_est)               | `EkfState.estimate`   | B to I; m, I
-b_est  | estimated bias of both velocities           | `EkfState.estimate`   | rad/s, m/s, B
-c_i    | estimated bias of vector i, where it is one | `EkfState.estimate`   | as the vector, B
+symbol | meaning                                     | here                    | unit, frame
+------ | ------------------------------------------- | ------------------------ | ------------------
+T_est  | estimated pose (R_est, P_est)               | `KalmanState.estimate` | B to I; m, I
+b_est  | estimated bias of both velocities           | `KalmanState.estimate` | rad/s, m/s, B
+c_i    | estimated bias of vector i, where it is one | `KalmanState.estimate` | as the vector, B
 xi     | pose error [theta; rho], T = T_est exp(xi^) | states 0 to 5         | rad, m, B
 b, c   | errors of the biases, b = b_est + error     | states 6 to 11, 12 on | as b_est and c_i
-Sigma  | covariance of all of them                   | `EkfState.covariance` |
+Sigma  | covariance of all of them                   | `KalmanState.covariance` |
 y, z   | predicted and measured                      | `update`              | as measured, B
 u      | displacement (Y_m - b_est) dt               | `propagate`           | rad, m, B
 
@@ -60,35 +57,22 @@ sensors' own noise 291 and 3686; 12 states tuned 167 and 634, with the sensors' 
 """
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
+from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
-from posegsa.model.cost import (
-    CostParts,
-    CostWeights,
-    RecordedCost,
-    SquaredErrors,
-    sample_error,
-)
+from posegsa.filters.base import Record, Samples, with_vector_biases
 from posegsa.model.elementwise import choose, maximum
-from posegsa.model.filter import FilterState
-from posegsa.model.loops import scan_rows, scan_together
+from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import (
-    ErrorTrack,
-    Estimates,
-    Samples,
-    distances,
-    samples_of,
-    squared_errors,
-)
-from posegsa.model.sample import Sample
+from posegsa.model.sample import LandmarkSample, Sample, prepare
 from posegsa.model.se3 import (
     Quaternion,
     Vec3,
@@ -105,9 +89,8 @@ from posegsa.model.se3 import (
     subtract,
     unrotate,
 )
-from posegsa.model.signal import TruePose, pose_errors
-from posegsa.model.vectors import VectorSettings, Wahba
-from posegsa.stored_programs import stored
+from posegsa.model.signal import TruePose
+from posegsa.model.vectors import VectorSample, VectorSettings, Wahba
 
 Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
 """Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
@@ -127,7 +110,7 @@ POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
 """Where the errors of the pose, the velocities' biases and the vectors' biases begin."""
 
 
-class EkfNoise(NamedTuple):
+class KalmanNoise(NamedTuple):
     """What the filter believes of its sensors and of its start, all standard deviations, traced.
 
     Of a sensor with white noise of standard deviation s in every sample of dt, the density is
@@ -162,7 +145,7 @@ class EkfNoise(NamedTuple):
     states."""
 
 
-class EkfState(NamedTuple):
+class KalmanState(NamedTuple):
     """The estimate and how far it may be off, by components of any common batch shape."""
 
     estimate: FilterState
@@ -176,58 +159,86 @@ class EkfState(NamedTuple):
         return _matrix(self.covariance, len(self.covariance))
 
 
-def ekf_samples(
-    measurements: Measurements, rotation: Array | None = None, position: Array | None = None
-) -> Samples:
-    """Measurements, and the truth where it is known, in the form of the loop (pure, jittable).
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class KalmanFilter:
+    """The invariant extended Kalman filter (`filters.base.Filter`)."""
 
-    Samples made for an observer that learns the vectors' biases serve as well.
+    noise: KalmanNoise
+    """What it believes of its sensors and of its start."""
+    vector_biases: bool = field(default=True, metadata={"static": True})
+    """Whether the vectors' biases are states: 12 + 3 n of them for n vectors, else 12."""
 
-    Args:
-        measurements: N samples.
-        rotation: (N, 3, 3) true R, body to inertial.
-        position: (N, 3) true P [m], inertial frame.
-    """
-    as_measured = VectorSettings(
-        weights=None,
-        cross_weight=jnp.zeros_like(measurements.time_step[0]),
-        normalise=False,
-        cross=False,
-        each_agent=True,
-    )
-    return samples_of(measurements, as_measured, rotation, position)
+    def with_values(self, values: Mapping[str, Array]) -> Self:
+        """The same with some standard deviations replaced, by their names in `KalmanNoise`.
+
+        Raises:
+            ArgumentError: There is none of such a name.
+        """
+        for key in values:
+            if key not in KalmanNoise._fields:
+                refuse(f"{key}: not a number of this filter", ", ".join(KalmanNoise._fields))
+        return replace(self, noise=self.noise._replace(**values))
+
+    def prepare(self, measurements: Measurements) -> Sample:
+        """Each vector as measured, and landmarks.
+
+        Samples that were prepared for an observer which learns the vectors' biases serve as well.
+        """
+        return prepare(measurements, AS_MEASURED)
+
+    def start(self, initial: FilterState, vectors: int) -> KalmanState:
+        """The state before the first sample; its covariance is that of the noise's start.
+
+        Raises:
+            ArgumentError: `initial` has biases of another number of vectors.
+        """
+        estimate = initial._replace(turning=())
+        if self.vector_biases:
+            estimate = with_vector_biases(estimate, vectors)
+        else:
+            estimate = estimate._replace(vector_biases=())
+        noise, like = self.noise, initial.place[0]
+        deviations = [
+            *(noise.initial_attitude,) * 3,
+            *(noise.initial_position,) * 3,
+            *(noise.initial_angular_bias,) * 3,
+            *(noise.initial_linear_bias,) * 3,
+            *(noise.initial_vector_bias,) * (3 * len(estimate.vector_biases)),
+        ]
+        count, zero = len(deviations), jnp.zeros_like(like)
+        covariance = tuple(
+            (zero + deviation * deviation, *(zero,) * (count - 1 - i))
+            for i, deviation in enumerate(deviations)
+        )
+        return KalmanState(estimate, covariance)
+
+    def ready(self) -> "KalmanFilter":
+        """Nothing to compute."""
+        return self
+
+    def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
+        """One sample: update by vectors and landmarks, then propagation by the velocities."""
+        updated = update(state, now.sample, self.noise)
+        return propagate(updated, now.sample, self.noise), Record()
+
+    def estimate(self, state: KalmanState) -> FilterState:
+        """Pose and biases."""
+        return state.estimate
 
 
-def ekf_start(initial: FilterState, noise: EkfNoise) -> EkfState:
-    """The filter before its first sample.
-
-    Args:
-        initial: the estimate there; the vectors' biases are states if it has any
-            (`initial_state(..., learnt_vectors=n)`).
-        noise: its initial standard deviations are used.
-    """
-    like = initial.place[0]
-    deviations = [
-        *(noise.initial_attitude,) * 3,
-        *(noise.initial_position,) * 3,
-        *(noise.initial_angular_bias,) * 3,
-        *(noise.initial_linear_bias,) * 3,
-        *(noise.initial_vector_bias,) * (3 * len(initial.vector_biases)),
-    ]
-    count, zero = len(deviations), jnp.zeros_like(like)
-    covariance = tuple(
-        (zero + deviation * deviation, *(zero,) * (count - 1 - i))
-        for i, deviation in enumerate(deviations)
-    )
-    return EkfState(initial._replace(turning=()), covariance)
+AS_MEASURED = VectorSettings(
+    weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
+)
+"""Vectors as the update wants them."""
 
 
-def update(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
+def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
     """The state after a sample's vectors and landmarks; what is missing is passed over.
 
     Args:
         state: before them, of the batch shape.
-        sample: with its vectors as measured (`ekf_samples`).
+        sample: with its vectors as measured (`KalmanFilter.prepare`).
         noise: of vectors and landmarks.
 
     Raises:
@@ -235,35 +246,49 @@ def update(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
     """
     if isinstance(sample.vectors, Wahba):
         raise ArgumentError(
-            "the Kalman filter needs each vector as measured: make its samples by ekf_samples"
+            "the Kalman filter needs each vector as measured: make its samples by its `prepare`"
         )
     estimate, covariance = state
     R = rows(estimate.attitude)
-    correction = [jnp.zeros_like(estimate.place[0])] * len(covariance)
+    zero = jnp.zeros_like(estimate.place[0])
+    found = Found(covariance, (zero,) * len(covariance))
+    vectors, landmarks = sample.vectors.each, sample.landmarks
     learnt = bool(estimate.vector_biases)
-    for i, vector in enumerate(sample.vectors.each):
-        known = unrotate(R, vector.known)
-        expected = add(known, estimate.vector_biases[i]) if learnt else known
-        residual, per_theta = subtract(vector.measured, expected), _cross_rows(known)
-        variance = _variance(noise.vector, vector.factor)
-        for axis in range(3):
-            h: Row = per_theta[axis] | ({VECTORS + 3 * i + axis: 1.0} if learnt else {})
-            covariance, correction = _update_by_scalar(
-                covariance, correction, h, residual[axis], variance, vector.factor
-            )
-    for landmark in sample.landmarks:
+
+    def by_vector(found: Found, vector: tuple[VectorSample, Vec3 | None]) -> tuple[Found, None]:
+        seen, bias = vector
+        known = unrotate(R, seen.known)
+        expected = known if bias is None else add(known, bias)
+        variance = _variance(noise.vector, seen.factor)
+        for axis, per_theta in enumerate(_cross_rows(known)):
+            h: Row = per_theta | ({VECTORS + axis: 1.0} if learnt else {})
+            residual = seen.measured[axis] - expected[axis]
+            found = _by_scalar(found, h, residual, variance, seen.factor)
+        return _next_vector_first(found) if learnt else found, None
+
+    def by_landmark(found: Found, landmark: LandmarkSample) -> tuple[Found, None]:
         expected = unrotate(R, subtract(landmark.inertial, estimate.place))
-        residual, per_theta = subtract(landmark.body, expected), _cross_rows(expected)
         variance = _variance(noise.landmark, landmark.factor)
-        for axis in range(3):
-            h = per_theta[axis] | {3 + axis: -1.0}
-            covariance, correction = _update_by_scalar(
-                covariance, correction, h, residual[axis], variance, landmark.factor
-            )
-    return EkfState(_corrected(estimate, correction), covariance)
+        for axis, per_theta in enumerate(_cross_rows(expected)):
+            h = per_theta | {3 + axis: -1.0}
+            residual = landmark.body[axis] - expected[axis]
+            found = _by_scalar(found, h, residual, variance, landmark.factor)
+        return found, None
+
+    if vectors:
+        biases = estimate.vector_biases if learnt else (None,) * len(vectors)
+        found, _ = lax.scan(by_vector, found, _stacked(zip(vectors, biases, strict=True)))
+    if landmarks:
+        found, _ = lax.scan(by_landmark, found, _stacked(landmarks))
+    return KalmanState(_corrected(estimate, found.correction), found.covariance)
 
 
-def propagate(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
+def _stacked(sensors: Iterable[Any]) -> Any:
+    """Sensors of one kind along a first axis: a loop over them is compiled once, however many."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
+
+
+def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
     """The state at the next sample, by the measured velocities.
 
     Args:
@@ -287,10 +312,10 @@ def propagate(state: EkfState, sample: Sample, noise: EkfNoise) -> EkfState:
         (row[0] + dt * density * density, *row[1:])
         for row, density in zip(moved, densities, strict=True)
     )
-    return EkfState(estimate._replace(attitude=attitude, place=place), covariance)
+    return KalmanState(estimate._replace(attitude=attitude, place=place), covariance)
 
 
-def nees(state: EkfState, truth: TruePose) -> Array:
+def nees(state: KalmanState, truth: TruePose) -> Array:
     """Normalised estimation error squared of the pose, xi^T Sigma^-1 xi, of the batch shape.
 
     Chi-squared with 6 degrees of freedom for a consistent filter: 6 on average. (Y. Bar-Shalom,
@@ -311,157 +336,6 @@ def nees(state: EkfState, truth: TruePose) -> Array:
     return jnp.sum(relative * jnp.linalg.solve(correlation, relative[..., None])[..., 0], axis=-1)
 
 
-# --- simulations ---
-
-
-def ekf_cost(
-    samples: Samples, initial: FilterState, weights: CostWeights, noise: EkfNoise
-) -> CostParts:
-    """Cost of one simulation, run up sample by sample; nothing else is stored (pure, jittable)."""
-
-    def look(
-        total: CostParts, state: EkfState, now: Samples, weight: Any
-    ) -> tuple[CostParts, None]:
-        transient, steady = weight
-        error = sample_error(*pose_errors(state.estimate, now.truth), weights)
-        return CostParts(total.transient + transient * error, total.steady + steady * error), None
-
-    zero = jnp.zeros_like(initial.place[0])
-    _, parts, _ = _simulate(
-        look,
-        samples,
-        initial,
-        noise,
-        extra=(weights.transient, weights.steady),
-        total=CostParts(zero, zero),
-    )
-    return parts
-
-
-def ekf_recorded_cost(
-    samples: Samples, initial: FilterState, recorded: RecordedCost, noise: EkfNoise
-) -> Array:
-    """Cost on a recording, run up sample by sample; nothing else is stored (pure, jittable)."""
-
-    def look(
-        total: SquaredErrors, state: EkfState, now: Samples, entry: Any
-    ) -> tuple[SquaredErrors, None]:
-        return squared_errors(total, state.estimate, now, *entry), None
-
-    zero = jnp.zeros_like(initial.place[0])
-    _, squares, _ = _simulate(
-        look,
-        samples,
-        initial,
-        noise,
-        extra=(recorded.weight, recorded.position),
-        total=SquaredErrors(zero, zero),
-    )
-    return squares.cost(recorded.position_weight)
-
-
-def ekf_errors(
-    samples: Samples, initial: FilterState, noise: EkfNoise, *, together: bool = False
-) -> ErrorTrack:
-    """The true errors of one simulation over all its samples (pure, jittable).
-
-    The filter has no gain K: the track's is NaN. Of S simulations `together`, all leaves but the
-    noise's have one more axis (S, ...) in front.
-    """
-
-    def look(
-        total: tuple[()], state: EkfState, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], tuple[Array, Array, Vec3]]:
-        return total, (*pose_errors(state.estimate, now.truth), state.estimate.place)
-
-    last, _, errors = _simulate(look, samples, initial, noise, together=together)
-    attitude, position, place = errors
-    return ErrorTrack(
-        attitude=attitude,
-        position=position,
-        gain=jnp.full_like(attitude, jnp.nan),
-        distance=distances(place, samples),
-        bias=last.estimate.bias,
-        vector_bias=last.estimate.vector_bias,
-    )
-
-
-def ekf_nees(samples: Samples, initial: FilterState, noise: EkfNoise) -> tuple[Array, EkfState]:
-    """`nees` (N,) before each sample's update, and the last state (pure, jittable).
-
-    Raises:
-        ArgumentError: The samples do not hold the true pose.
-    """
-
-    def look(
-        total: tuple[()], state: EkfState, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], Array]:
-        if now.truth is None:
-            raise ArgumentError("the NEES needs the true pose, which these samples do not hold")
-        return total, nees(state, now.truth)
-
-    last, _, values = _simulate(look, samples, initial, noise)
-    return values, last
-
-
-@stored
-def run_ekf(samples: Samples, initial: FilterState, noise: EkfNoise) -> Estimates:
-    """The estimates of one simulation over all its samples.
-
-    The filter has neither a gain K nor an error signal: those entries are NaN.
-    """
-
-    def look(
-        total: tuple[()], state: EkfState, now: Samples, entry: tuple[()]
-    ) -> tuple[tuple[()], FilterState]:
-        return total, state.estimate
-
-    _, _, states = _simulate(look, samples, initial, noise)
-    nothing = jnp.full_like(samples.time, jnp.nan)
-    return Estimates(
-        time=samples.time,
-        rotation=states.rotation,
-        position=states.position,
-        bias=states.bias,
-        vector_bias=states.vector_bias,
-        gain=nothing,
-        gain_used=nothing,
-        error=nothing,
-        rate=nothing,
-    )
-
-
-Look = Callable[[Any, EkfState, Samples, Any], tuple[Any, Any]]
-"""Maps what has been summed up, the state before a sample, the sample and its entry of `extra` to
-the new sum and to what is stored of the sample."""
-
-
-def _simulate(
-    look: Look,
-    samples: Samples,
-    initial: FilterState,
-    noise: EkfNoise,
-    *,
-    together: bool = False,
-    extra: Any = (),
-    total: Any = (),
-) -> tuple[EkfState, Any, Any]:
-    """Run the filter over all samples: the last state, the sum, and what `look` stored."""
-
-    def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
-        (state, total), (now, entry) = carry, inputs
-        total, stored = look(total, state, now, entry)
-        return (propagate(update(state, now.sample, noise), now.sample, noise), total), stored
-
-    if together:
-        first = jax.vmap(lambda one: ekf_start(one, noise))(initial)
-        over_time = scan_together
-    else:
-        first, over_time = ekf_start(initial, noise), scan_rows
-    (last, total), stored = over_time(body, (first, total), (samples, extra))
-    return last, total, stored
-
-
 # --- the covariance, by components ---
 
 
@@ -480,26 +354,27 @@ def _product(row: Row, column: Callable[[int], Array]) -> Array:
     return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
 
 
-def _update_by_scalar(
-    covariance: Covariance,
-    correction: list[Array],
-    h: Row,
-    residual: Array,
-    variance: Array,
-    factor: Array,
-) -> tuple[Covariance, list[Array]]:
+class Found(NamedTuple):
+    """What the measurements of a sample so far have told."""
+
+    covariance: Covariance
+    correction: tuple[Array, ...]
+    """x, the errors of all states found so far; the estimate gets them after the last one."""
+
+
+def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: Array) -> Found:
     """Covariance and correction x of the states after a measurement h x = residual + noise.
 
     The covariance loses an outer product of one vector with itself, so that it stays symmetric.
 
     Args:
-        covariance: before it.
-        correction: x, of what has been measured before it.
+        found: before it.
         h: the measurement's derivatives.
         residual: measured minus predicted with x = 0.
         variance: of its noise.
         factor: 0 where it is missing.
     """
+    covariance, correction = found
     every = range(len(covariance))
     gain = [_product(h, lambda j, i=i: _entry(covariance, i, j)) for i in every]  # not yet / total
     own = _product(h, gain.__getitem__)
@@ -513,7 +388,23 @@ def _update_by_scalar(
         tuple(entry - part[i] * gain[j] for j, entry in enumerate(row, start=i))
         for i, row in enumerate(covariance)
     )
-    return cut, [x + surprise * g for x, g in zip(correction, gain, strict=True)]
+    return Found(cut, tuple(x + surprise * g for x, g in zip(correction, gain, strict=True)))
+
+
+def _next_vector_first(found: Found) -> Found:
+    """The same with the states of the vectors' biases in turn: the second vector's come first.
+
+    So the loop over vectors always finds those of its vector in the same place, and after as many
+    turns as there are vectors all are where they were.
+    """
+    order = list(range(VECTORS))
+    biases = range(VECTORS, len(found.covariance))
+    order += [*biases[3:], *biases[:3]]
+    covariance = tuple(
+        tuple(_entry(found.covariance, order[i], order[j]) for j in range(i, len(order)))
+        for i in range(len(order))
+    )
+    return Found(covariance, tuple(found.correction[i] for i in order))
 
 
 def _congruent(covariance: Covariance, F: dict[int, Row]) -> Covariance:
@@ -561,7 +452,7 @@ def _variance(deviation: Array, factor: Array) -> Array:
     return deviation * deviation / choose(factor > 0, factor, 1.0)
 
 
-def _corrected(estimate: FilterState, correction: list[Array]) -> FilterState:
+def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterState:
     """The estimate with the errors found taken off it."""
 
     def part(first: int) -> Vec3:

@@ -1,4 +1,4 @@
-"""One step of the nonlinear pose observer on SE(3).
+"""The nonlinear pose observer on SE(3), its gain set by a schedule.
 
 symbol  | meaning                              | here                    | shape  | unit, frame
 ------- | ------------------------------------ | ----------------------- | ------ | ----------------
@@ -71,39 +71,43 @@ rotating body: df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i) of eith
 and all biases converge without noise is measured (`tests/model/test_filter_convergence.py`).
 """
 
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike, DTypeLike
 
-from posegsa.arguments import check_type, fitting, refuse
-from posegsa.errors import MeasurementError
+from posegsa.arguments import refuse
+from posegsa.errors import ArgumentError
+from posegsa.filters.base import Record, Samples, with_vector_biases
 from posegsa.model.elementwise import choose, maximum, minimum
-from posegsa.model.measurements import Measurements, finite_array, numeric_array
-from posegsa.model.sample import Sample, prepare
-from posegsa.model.schedules import Gains, check_gain
+from posegsa.model.estimate import FilterState
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample, Seen, prepare, seen_from_estimate
+from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule
 from posegsa.model.se3 import (
-    Matrix3,
-    Quaternion,
     Vec3,
     add,
     cross,
     dot,
     move,
-    quaternion,
-    rotate,
-    rotation_matrix,
     rows,
     safe_sqrt,
     scale,
-    stack,
     subtract,
     unrotate,
-    unstack,
+)
+from posegsa.model.signal import (
+    Measured,
+    SignalMemory,
+    SignalSettings,
+    initial_memory,
+    measured_errors,
+    pose_errors,
+    scheduled_gain,
 )
 from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
@@ -149,10 +153,9 @@ class FilterSettings:
     substeps: int = field(default=2, metadata={"static": True})
     """n, inner steps per sample."""
     gamma_angular: Array | float = 2.5
-    """gamma of the angular velocity's bias at K = 10/s [1/s^2]; for `run_filter` also one for each
-    of its samples, (N,)."""
+    """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
     gamma_linear: Array | float = 2.5
-    """gamma of the linear velocity's bias at K = 10/s [1/s^2]; likewise."""
+    """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
     gain_limit: Array | float = 1.5
     """c; infinite for no limit."""
     vectors: VectorSettings = field(default_factory=VectorSettings)
@@ -176,45 +179,6 @@ class FilterSettings:
         return 1 if self.length is None else self.length * self.length
 
 
-class FilterState(NamedTuple):
-    """The estimate, by components of any common batch shape."""
-
-    attitude: Quaternion
-    """R_est."""
-    place: Vec3
-    """P_est [m], inertial frame."""
-    bias_angular: Vec3
-    """b_est of the angular velocity [rad/s], body frame."""
-    bias_linear: Vec3
-    """b_est of the linear velocity [m/s], body frame."""
-    vector_biases: tuple[Vec3, ...] = ()
-    """c_i of each vector, body frame, in its unit; () where they are not learnt."""
-    turning: Vec3 | tuple[()] = ()
-    """Low-passed measured angular velocity [rad/s], body frame; () likewise."""
-
-    @property
-    def rotation(self) -> Array:
-        """R_est (..., 3, 3), body to inertial."""
-        return rotation_matrix(stack(self.attitude))
-
-    @property
-    def position(self) -> Array:
-        """P_est (..., 3) [m], inertial frame."""
-        return stack(self.place)
-
-    @property
-    def bias(self) -> Array:
-        """b_est (..., 6) [rad/s, m/s], body frame, angular first."""
-        return stack(self.bias_angular + self.bias_linear)
-
-    @property
-    def vector_bias(self) -> Array:
-        """C (..., n, 3) of n vectors, body frame; n is 0 where they are not learnt."""
-        if not self.vector_biases:
-            return jnp.zeros((*self.place[0].shape, 0, 3), self.place[0].dtype)
-        return jnp.stack([stack(c) for c in self.vector_biases], axis=-2)
-
-
 class Innovation(NamedTuple):
     """U = [u_1; u_2] and the curvature bound L of the cost whose gradient it is."""
 
@@ -230,140 +194,6 @@ class Correction(NamedTuple):
     linear: Vec3
     bias_angular: Vec3
     bias_linear: Vec3
-
-
-class Seen(NamedTuple):
-    """What the filter makes of a sample with its estimates so far."""
-
-    wahba: Wahba
-    freed: tuple[Vec3, ...]
-    """d_i = v_i^B - c_i; () where the biases are not learnt."""
-    landmark_weights: tuple[Array, ...]
-    """s_i^L, 0 where a landmark is missing."""
-
-
-def initial_state(
-    rotation: ArrayLike,
-    position: ArrayLike,
-    bias: ArrayLike | None = None,
-    *,
-    learnt_vectors: int = 0,
-) -> FilterState:
-    """Filter state from arrays.
-
-    Args:
-        rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
-        position: (..., 3) P_est [m], inertial frame.
-        bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
-        learnt_vectors: Number of vectors whose biases are learnt, all from 0.
-
-    Raises:
-        MeasurementError: wrong shape or no numbers; names the argument.
-    """
-    batch = np.shape(position)[:-1]
-    numeric_array("rotation", rotation, (*batch, 3, 3))
-    numeric_array("position", position, (*batch, 3))
-    if bias is None:
-        bias = np.zeros((*batch, 6), int)  # so that it leaves the floating type to the others
-    numeric_array("bias", bias, (*batch, 6))
-    dtype = _floating(rotation, position, bias)
-    R, P, b = (jnp.asarray(a).astype(dtype) for a in (rotation, position, bias))
-    w, x, y, z = unstack(quaternion(R))
-    px, py, pz = unstack(P)
-    b0, b1, b2, b3, b4, b5 = unstack(b)
-    zero = jnp.zeros_like(px)
-    zeros: Vec3 = (zero, zero, zero)
-    return FilterState(
-        attitude=(w, x, y, z),
-        place=(px, py, pz),
-        bias_angular=(b0, b1, b2),
-        bias_linear=(b3, b4, b5),
-        vector_biases=(zeros,) * learnt_vectors,
-        turning=zeros if learnt_vectors else (),
-    )
-
-
-def _floating(*values: ArrayLike) -> DTypeLike:
-    """The widest floating type among arrays, and at least JAX's default."""
-    dtypes = [jnp.asarray(a).dtype for a in values]
-    floating = [d for d in dtypes if jnp.issubdtype(d, jnp.floating)]
-    with jax.numpy_dtype_promotion("standard"):
-        return jnp.result_type(float, *floating)
-
-
-def checked_state(
-    rotation: ArrayLike,
-    position: ArrayLike,
-    bias: ArrayLike | None,
-    dtype: DTypeLike,
-    learnt_vectors: int = 0,
-) -> FilterState:
-    """One filter state from a user's arrays, checked (on the host, not inside jit).
-
-    Args:
-        rotation: (3, 3) R_est, body to inertial; orthonormal to 1e-3.
-        position: (3,) P_est [m], inertial frame.
-        bias: (6,) b_est [rad/s, m/s], angular first; None for zeros.
-        dtype: floating type of the state.
-        learnt_vectors: as `initial_state`'s.
-
-    Raises:
-        MeasurementError: wrong shape, not finite, or not a rotation; names the argument.
-    """
-    R = finite_array("rotation", rotation, (3, 3))
-    with np.errstate(over="ignore", invalid="ignore"):
-        rotates = np.abs(R @ R.T - np.eye(3)).max() <= 1e-3 and np.linalg.det(R) > 0
-    if not rotates:
-        raise MeasurementError(
-            f"rotation: must be a rotation (se3.project_rotation makes one), got {R.tolist()}"
-        )
-    P = finite_array("position", position, (3,))
-    b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
-    arrays = (jnp.asarray(a, dtype) for a in (R, P, b))
-    return initial_state(*arrays, learnt_vectors=learnt_vectors)
-
-
-def ready(state: FilterState, measurements: Measurements, settings: FilterSettings) -> FilterState:
-    """A state with estimates of the vectors' biases, 0 at first, where the settings learn them.
-
-    Raises:
-        ArgumentError: The settings have weights of another number of sensors than there are, or
-            gammas of another number of samples; or the state has biases of another number of
-            vectors.
-    """
-    check_gammas(settings, np.shape(measurements.time_step))
-    vectors, landmarks = (
-        np.shape(weights)[-1]
-        for weights in (measurements.vector_weights, measurements.landmark_weights)
-    )
-    for name, weights, count in (
-        ("vectors.weights", settings.vectors.weights, vectors),
-        ("landmark_weights", settings.landmark_weights, landmarks),
-    ):
-        if weights is not None and len(weights) != count:
-            refuse(f"settings.{name}: {len(weights)} of them", f"{count}, as measured, or None")
-    if settings.vector_bias is None or len(state.vector_biases) == vectors > 0:
-        return state
-    if state.vector_biases:
-        refuse(f"state.vector_biases: of {len(state.vector_biases)} vectors", f"{vectors}, or ()")
-    zero = jnp.zeros_like(state.place[0])
-    zeros: Vec3 = (zero, zero, zero)
-    return state._replace(
-        vector_biases=(zeros,) * vectors, turning=zeros if vectors else state.turning
-    )
-
-
-def check_gammas(settings: FilterSettings, samples: tuple[int, ...] = ()) -> None:
-    """Raise an ArgumentError unless each gamma is a number, or has the shape of the samples."""
-    each = f", or {samples[0]} of them, one for each sample" if samples else ""
-    for name in ("gamma_angular", "gamma_linear"):
-        if (shape := np.shape(getattr(settings, name))) not in ((), samples):
-            refuse(f"settings.{name}: of the shape {shape}", f"one number{each}")
-
-
-def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:
-    """x_i = T_est y_i, where the estimate puts each landmark [m, inertial frame]."""
-    return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
 
 
 def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
@@ -592,34 +422,153 @@ def learnt_vector_biases(
     return tuple(biases), turning
 
 
-def step(
-    state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
-) -> FilterState:
-    """One sample, for use on-line: the estimate at the next sample from one measurement.
+class ObserverState(NamedTuple):
+    """The observer between two samples."""
 
-    Args:
-        state: current estimate (`initial_state`).
-        measurement: one sample, without a time axis (`measurements.at(k)`).
-        gain: K [1/s], scalar, e.g. from `FuzzyController`; at least 0, and NaN makes the estimate
-            NaN.
-        settings: from `posegsa.filter_settings(experiment)`, or made by hand.
-
-    Raises:
-        ArgumentError: an argument is of another type, the gain is negative, or they do not fit
-            together.
-    """
-    check_type("state", state, FilterState)
-    check_gain("gain", gain)
-    check_type("measurement", measurement, Measurements)
-    check_type("settings", settings, FilterSettings)
-    with fitting("step"):
-        return _step(ready(state, measurement, settings), measurement, gain, settings)
+    estimate: FilterState
+    """At the next sample."""
+    memory: SignalMemory
+    """What its error signal and its schedule remember."""
 
 
-@jax.jit
-def _step(
-    state: FilterState, measurement: Measurements, gain: ArrayLike, settings: FilterSettings
-) -> FilterState:
-    K = jnp.asarray(gain, state.place[0].dtype)
-    sample = prepare(measurement, settings.vectors)
-    return observe(state, sample, see(state, sample, settings), Gains(K), settings)[0]
+class ReadyObserver(NamedTuple):
+    """The observer for the loop."""
+
+    schedule: PreparedSchedule
+    settings: FilterSettings
+    signal: SignalSettings
+
+    def step(self, state: ObserverState, now: Samples) -> tuple[ObserverState, Record]:
+        """One sample: error signal, gains, and the step of pose and biases."""
+        seen = see(state.estimate, now.sample, self.settings)
+        if self.signal.signal == "pose":
+            errors = Measured(*pose_errors(state.estimate, now.truth), True, True)
+        else:
+            errors = measured_errors(state.estimate, now.sample, seen)
+        gains, inputs, memory = scheduled_gain(
+            self.schedule, state.memory, errors, now.time, now.sample.time_step, self.signal
+        )
+        estimate, used = observe(state.estimate, now.sample, seen, gains, self.settings)
+        return ObserverState(estimate, memory), Record(
+            gain=gains.gain, gain_used=used, error=inputs.error, rate=inputs.rate
+        )
+
+    def estimate(self, state: ObserverState) -> FilterState:
+        """Pose and biases."""
+        return state.estimate
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Observer:
+    """The observer with its gain schedule: the paper's filter (`filters.base.Filter`)."""
+
+    schedule: GainSchedule | None
+    """Sets the gain K at each sample; None while a search has still to choose it."""
+    settings: FilterSettings = field(default_factory=FilterSettings)
+    """How a step is made."""
+    signal: SignalSettings = field(default_factory=SignalSettings)
+    """The error that the schedule looks at."""
+
+    def with_values(self, values: Mapping[str, Array]) -> Self:
+        """The same with some numbers replaced, by their keys in a configuration.
+
+        Raises:
+            ArgumentError: It has no number of such a key.
+        """
+        settings, signal = self.settings, self.signal
+        for key, value in values.items():
+            settings, signal = _with_value(settings, signal, key, value)
+        return replace(self, settings=settings, signal=signal)
+
+    def prepare(self, measurements: Measurements) -> Sample:
+        """Vectors normalised, crossed and summed up as the settings say, and landmarks.
+
+        Raises:
+            ArgumentError: The settings have weights of another number of sensors.
+        """
+        settings = self.settings
+        for name, weights, factors in (
+            ("vectors.weights", settings.vectors.weights, measurements.vector_weights),
+            ("landmark_weights", settings.landmark_weights, measurements.landmark_weights),
+        ):
+            count = np.shape(factors)[-1]
+            if weights is not None and len(weights) != count:
+                refuse(f"settings.{name}: {len(weights)} of them", f"{count}, as measured, or None")
+        return prepare(measurements, settings.vectors)
+
+    def start(self, initial: FilterState, vectors: int) -> ObserverState:
+        """The state before the first sample; the schedule begins at its initial gain.
+
+        Raises:
+            ArgumentError: `initial` has biases of another number of vectors.
+        """
+        if self.settings.vector_bias is not None and vectors:
+            initial = with_vector_biases(initial, vectors)
+            if not initial.turning:
+                zero = jnp.zeros_like(initial.place[0])
+                initial = initial._replace(turning=(zero, zero, zero))
+        return ObserverState(initial, initial_memory(self._chosen, initial.place[0]))
+
+    def ready(self) -> ReadyObserver:
+        """With the schedule's slopes and overlaps of terms."""
+        return ReadyObserver(self._chosen.prepare(), self.settings, self.signal)
+
+    @property
+    def _chosen(self) -> GainSchedule:
+        if self.schedule is None:
+            raise ArgumentError("schedule: None; allowed: a gain schedule, to run the observer")
+        return self.schedule
+
+
+def _with_value(
+    settings: FilterSettings, signal: SignalSettings, key: str, value: Array
+) -> tuple[FilterSettings, SignalSettings]:
+    """Settings with the number of one key of the configuration replaced."""
+    match key.split("."):
+        case ["gain", name]:
+            return settings, replace(signal, **{name: value})
+        case ["filter", "gamma"]:
+            return replace(settings, gamma_angular=value, gamma_linear=value), signal
+        case ["filter", "gamma", "0"]:
+            return replace(settings, gamma_angular=value), signal
+        case ["filter", "gamma", "1"]:
+            return replace(settings, gamma_linear=value), signal
+        case ["filter", "bias_bound", "0"]:
+            return replace(settings, per_angular_bias_bound=1 / value**2), signal
+        case ["filter", "bias_bound", "1"]:
+            return replace(settings, per_linear_bias_bound=1 / value**2), signal
+        case ["filter", "length"]:
+            return replace(settings, length=value), signal
+        case ["filter", "gain_limit"]:
+            return replace(settings, gain_limit=value), signal
+        case ["filter", "cross_vector_weight"]:
+            return replace(settings, vectors=replace(settings.vectors, cross_weight=value)), signal
+        case ["scenario", "vectors", index, "weight"]:
+            weights = _with_weight(settings.vectors.weights, index, value)
+            return replace(settings, vectors=replace(settings.vectors, weights=weights)), signal
+        case ["scenario", "landmarks", index, "weight"]:
+            weights = _with_weight(settings.landmark_weights, index, value)
+            return replace(settings, landmark_weights=weights), signal
+        case ["filter", name] if settings.vector_bias is not None and name in _OF_VECTOR_BIAS:
+            number, made = _OF_VECTOR_BIAS[name]
+            learning = replace(settings.vector_bias, **{number: made(value)})
+            return replace(settings, vector_bias=learning), signal
+    raise ArgumentError(f"{key}: not a number of this filter")
+
+
+_OF_VECTOR_BIAS: dict[str, tuple[str, Callable[[Array], Array]]] = {
+    "vector_bias_gain": ("gain", lambda gain: gain),
+    "vector_bias_leak": ("leak", lambda leak: leak),
+    "vector_bias_bound": ("per_bound", lambda bound: 1 / bound**2),
+    "excitation": ("per_turning", lambda turning: 1 / turning**4),
+    "excitation_time": ("excitation_time", lambda time: time),
+}
+"""The field of `VectorBias` that a key of [filter] sets, and what it is set to."""
+
+
+def _with_weight(
+    weights: tuple[Array, ...] | None, index: str, value: Array
+) -> tuple[Array, ...] | None:
+    assert weights is not None  # settings that come from a configuration have them all
+    return tuple(value if i == int(index) else weight for i, weight in enumerate(weights))

@@ -1,9 +1,9 @@
-"""The closed loop compiled for one sample after another, on a few flat arrays.
+"""A filter compiled for one sample after another, on a few flat arrays.
 
-`rollout.scheduled_step` takes some fifty small arrays, and passing them costs more than the step.
-Here the loop and a sample travel as one array, all numbers of filter, signal and schedule as a
-second, and the result as a third. The program is compiled once for all filters of one structure:
-their numbers are its arguments.
+`rollout.step` takes some fifty small arrays, and passing them costs more than the step. Here the
+state and a sample travel as one array, all numbers of the filter as a second, and the result as a
+third. The program is compiled once for all filters of one structure: their numbers are its
+arguments.
 """
 
 import pickle
@@ -16,20 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.filters.base import Filter, Samples
+from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import ClosedLoop, Samples, begin, closed_loop_step
-from posegsa.model.sample import prepare
-from posegsa.model.schedules import GainSchedule
-from posegsa.model.signal import SignalSettings
 
 
 class OnlineParameters(NamedTuple):
     """All that stays the same from sample to sample."""
 
-    schedule: GainSchedule
-    settings: FilterSettings
-    signal: SignalSettings
+    filter: Filter
     vector_references: np.ndarray
     """(n, 3) v_i^I."""
     landmark_references: np.ndarray
@@ -58,14 +53,18 @@ class OnlineSample(NamedTuple):
 
 
 class OnlineRecord(NamedTuple):
-    """The closed loop after a sample, and what happened there."""
+    """The filter after a sample, and what happened there."""
 
-    loop: ClosedLoop
-    """With the estimate at the next sample."""
+    state: Any
+    """The filter's own."""
+    estimate: FilterState
+    """At the next sample."""
     rotation: Any
     """(3, 3) the same R_est, as a matrix."""
+    gain: Any
+    """The gain K that the schedule asked for [1/s]; None of a filter without one."""
     gain_used: Any
-    """K after the gain limit [1/s]; what was asked for is `loop.memory.gain`."""
+    """K after the gain limit [1/s]; likewise."""
 
 
 class Layout:
@@ -106,33 +105,31 @@ class Layout:
 
 
 class OnlineLoop:
-    """The closed loop of one filter, compiled (which takes a second or two).
+    """One filter, compiled for one sample after another (which takes a second or two).
 
     Args:
         parameters: All numbers at the filter's dtype.
-        example: Any state of the filter, with biases of as many vectors as there are if it learns
-            them; its dtype is the filter's.
+        example: Any estimate; its dtype is the filter's.
     """
 
     def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
-        loop = begin(parameters.schedule, example)
         self._made_of = parameters, example
-        self._schedule = parameters.schedule
+        self._filter = parameters.filter
+        self._vectors = len(parameters.vector_references)
         self.dtype = np.dtype(example.place[0].dtype)
-        self.record = Layout(_first_record(loop))
-        layout, before = Layout(parameters), Layout(loop)
-        sample = _sample_layout(
-            len(parameters.vector_references), len(parameters.landmark_references)
-        )
+        layout = Layout(parameters)
+        sample = _sample_layout(self._vectors, len(parameters.landmark_references))
+        state = Layout(self._filter.start(example, self._vectors))
+        self._program, after = _compiled(layout, state, sample, self.dtype.name)
+        self.record: Layout = after
         self.parameters = layout.pack(parameters, self.dtype)
         """All numbers of the parameters, packed."""
         self.structure = zlib.crc32(str(jax.tree.structure(parameters)).encode())
         """A number of what is no number in them: laws, switches, rules, sub-steps."""
         self._on_device = jnp.asarray(self.parameters)
-        self._before = before.size
+        self._before = state.size
         self.sample_size = sample.size
         """Numbers in a packed sample."""
-        self._program = _compiled(layout, before, sample, self.dtype.name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as what it was made of: a compiled program stays in its process."""
@@ -141,9 +138,13 @@ class OnlineLoop:
             return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
 
     def start(self, initial: FilterState) -> np.ndarray:
-        """The packed record before the first sample, at an estimate."""
+        """The packed record before the first sample, at an estimate; no gain is known of it."""
         with jax.enable_x64(self.dtype == np.float64):
-            return self.record.pack(_first_record(begin(self._schedule, initial)), self.dtype)
+            state = self._filter.start(initial, self._vectors)
+            estimate = self._filter.ready().estimate(state)
+            unknown = self.record.unpack(np.full(self.record.size, np.nan, self.dtype))
+            first = unknown._replace(state=state, estimate=estimate, rotation=estimate.rotation)
+            return self.record.pack(first, self.dtype)
 
     def __call__(self, record: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """The packed record after one packed `OnlineSample`, from the one before it."""
@@ -156,12 +157,6 @@ def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
     """The loop of what was pickled."""
     with jax.enable_x64(dtype == "float64"):
         return OnlineLoop(*pickle.loads(made_of))
-
-
-def _first_record(loop: ClosedLoop) -> OnlineRecord:
-    """Before the first sample: no gain has been used, and it is the one that is begun with."""
-    rotation, gain = np.asarray(loop.state.rotation), np.asarray(loop.memory.gain)
-    return OnlineRecord(loop, rotation, gain)
 
 
 def _sample_layout(vectors: int, landmarks: int) -> Layout:
@@ -181,13 +176,14 @@ def _sample_layout(vectors: int, landmarks: int) -> Layout:
 
 
 @lru_cache(maxsize=32)
-def _compiled(parameters: Layout, loop: Layout, sample: Layout, dtype: str) -> jax.stages.Compiled:
-    """The program of all filters whose arrays have these layouts."""
+def _compiled(
+    parameters: Layout, state: Layout, sample: Layout, dtype: str
+) -> tuple[jax.stages.Compiled, Layout]:
+    """The program of all filters whose arrays have these layouts, and what it returns."""
 
-    def program(given: Array, numbers: Array) -> Array:
+    def step(given: Array, numbers: Array) -> OnlineRecord:
         p = parameters.unpack(numbers)
-        before = loop.unpack(given[: loop.size])
-        now = sample.unpack(given[loop.size :])
+        now = sample.unpack(given[state.size :])
         measurement = Measurements(
             time_step=now.time_step,
             angular_velocity=now.angular_velocity,
@@ -199,14 +195,20 @@ def _compiled(parameters: Layout, loop: Layout, sample: Layout, dtype: str) -> j
             landmark_references=p.landmark_references,
             landmark_weights=now.landmark_weights,
         )
-        samples = Samples(now.time, prepare(measurement, p.settings.vectors), None)
-        after, step = closed_loop_step(before, samples, p.schedule.prepare(), p.settings, p.signal)
-        record = OnlineRecord(after, after.state.rotation, step.gain_used)
-        return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(record)])
+        ready = p.filter.ready()
+        samples = Samples(now.time, p.filter.prepare(measurement), None)
+        after, record = ready.step(state.unpack(given[: state.size]), samples)
+        estimate = ready.estimate(after)
+        return OnlineRecord(after, estimate, estimate.rotation, record.gain, record.gain_used)
+
+    def program(given: Array, numbers: Array) -> Array:
+        leaves = jax.tree.leaves(step(given, numbers))
+        return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
 
     with jax.enable_x64(dtype == "float64"):
-        shapes = (
+        shapes = [
             jax.ShapeDtypeStruct((size,), dtype)
-            for size in (loop.size + sample.size, parameters.size)
-        )
-        return jax.jit(program).lower(*shapes).compile()
+            for size in (state.size + sample.size, parameters.size)
+        ]
+        after = Layout(jax.eval_shape(step, *shapes))
+        return jax.jit(program).lower(*shapes).compile(), after
