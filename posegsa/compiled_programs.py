@@ -18,7 +18,6 @@ from typing import Any
 import jax
 
 from posegsa.errors import PosegsaWarning
-from posegsa.stored_programs import store_in
 
 LEAST_SECONDS = 0.1
 """Time that a program must take to compile to be kept [s]: most here take under a second, and are
@@ -45,7 +44,6 @@ def enable_compilation_cache() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             _write_whole_files(_can_write(folder))
             _remove_abandoned(folder)
-            store_in(folder)
     except (OSError, RuntimeError) as error:
         config.update("jax_compilation_cache_dir", None)
         _say_not_kept(error)

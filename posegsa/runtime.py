@@ -17,7 +17,6 @@ import numpy as np
 from posegsa.arguments import check_whole
 from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.errors import PosegsaWarning
-from posegsa.stored_programs import store_in
 from posegsa.version import VERSION
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
@@ -97,7 +96,6 @@ def enable_fast_path(devices: int | None = None) -> bool:
             stacklevel=2,
         )
         enable_compilation_cache()
-        store_in(None)  # programs are stored by XLA's options, and which it has read is unknown
         return False
     os.environ["XLA_FLAGS"] = flags
     enable_compilation_cache()

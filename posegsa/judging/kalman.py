@@ -19,7 +19,6 @@ from posegsa.optimisers import Box, DifferentialEvolution, runner, start
 from posegsa.search.build import scenario_batch
 from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, TrackCost, over_scenarios
-from posegsa.stored_programs import stored
 
 AGENTS = 20
 CHECKED = 200
@@ -179,6 +178,6 @@ class _Objective(NamedTuple):
         return costs
 
 
-@stored
+@jax.jit
 def _tracks(samples: Samples, initial: FilterState, noise: EkfNoise) -> ErrorTrack:
     return ekf_errors(samples, initial, noise, together=True)

@@ -13,7 +13,6 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.equal_pieces import piece
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
-from posegsa.stored_programs import stored
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 """Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
@@ -100,12 +99,12 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
 
 
-@stored
+@jax.jit
 def _begin(candidate: Candidate, initial: FilterState) -> ClosedLoop:
     return jax.vmap(lambda one: begin(candidate.schedule, one))(initial)
 
 
-@stored
+@jax.jit
 def _onward(
     candidate: Candidate,
     samples: Samples,

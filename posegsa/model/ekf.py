@@ -107,7 +107,6 @@ from posegsa.model.se3 import (
 )
 from posegsa.model.signal import TruePose, pose_errors
 from posegsa.model.vectors import VectorSettings, Wahba
-from posegsa.stored_programs import stored
 
 Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
 """Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
@@ -404,7 +403,7 @@ def ekf_nees(samples: Samples, initial: FilterState, noise: EkfNoise) -> tuple[A
     return values, last
 
 
-@stored
+@jax.jit
 def run_ekf(samples: Samples, initial: FilterState, noise: EkfNoise) -> Estimates:
     """The estimates of one simulation over all its samples.
 

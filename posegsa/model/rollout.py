@@ -40,7 +40,6 @@ from posegsa.model.signal import (
     scheduled_gain,
 )
 from posegsa.model.vectors import VectorSettings
-from posegsa.stored_programs import stored
 
 
 class Samples(NamedTuple):
@@ -282,7 +281,7 @@ def simulate_recorded_cost(
     return squares.cost(recorded.position_weight)
 
 
-@stored
+@jax.jit
 def simulate(
     schedule: GainSchedule,
     samples: Samples,
@@ -296,7 +295,7 @@ def simulate(
     return _estimates(samples, *stored)
 
 
-@stored
+@jax.jit
 def simulate_part(
     schedule: GainSchedule,
     samples: Samples,

@@ -17,7 +17,6 @@ from posegsa.model.schedules import GainSchedule, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
-from posegsa.stored_programs import stored
 
 PART = 2**12
 """Samples that are on the device at once."""
@@ -97,7 +96,7 @@ def state_of(start: Start, learnt_vectors: int = 0) -> FilterState:
     return initial_state(*arrays, learnt_vectors=learnt_vectors)
 
 
-@stored
+@jax.jit
 def _prepared(measurements: Measurements, settings: FilterSettings) -> Samples:
     return samples_of(measurements, settings.vectors)
 

@@ -42,7 +42,6 @@ from posegsa.search.build import (
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.recorded_schedules import RecordedSchedule
-from posegsa.stored_programs import stored
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
@@ -275,7 +274,7 @@ def recorded_batch(
     )
 
 
-@stored
+@jax.jit
 def _prepared(
     measurements: Measurements, rotation: Array, position: Array, settings: FilterSettings
 ) -> Samples:
