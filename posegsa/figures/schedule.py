@@ -17,7 +17,6 @@ from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style
 from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.stored_programs import stored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -177,7 +176,7 @@ def _apart(places: np.ndarray, distance: float) -> np.ndarray:
     return 0.5 * (right + left)
 
 
-@stored
+@jax.jit
 def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
     """Gains (rate, error) [1/s]; compiled, so that a sampled centroid's samples take no memory."""
     over_error = jax.vmap(controller, in_axes=(0, None))

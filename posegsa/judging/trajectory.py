@@ -26,7 +26,6 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
 from posegsa.settings.plain import decimal
-from posegsa.stored_programs import stored
 
 _column = partial(Columns, allow="any")
 """Columns of a filter that may have diverged."""
@@ -106,7 +105,7 @@ def _in_float64(values: dict[str, Array]) -> Trajectory:
     )
 
 
-@stored
+@jax.jit
 def _run(
     candidate: Candidate,
     samples: Samples,
@@ -122,7 +121,7 @@ def _run(
     return _values(R, P, estimates, vector_bias)
 
 
-@stored
+@jax.jit
 def _values(
     rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike
 ) -> dict[str, Array]:

@@ -19,7 +19,6 @@ from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
 from posegsa.settings.arrays import Columns
-from posegsa.stored_programs import stored
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
 """What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
@@ -68,7 +67,7 @@ def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     """
     for phase in optimiser.phases:
         phase.check_usable()
-    return (_started if optimiser.on_host else _stored_start)(optimiser, box, key)
+    return (_started if optimiser.on_host else _compiled_start)(optimiser, box, key)
 
 
 def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
@@ -369,13 +368,13 @@ def _finite_costs(optimiser: Optimiser, search: Search, costs: Array) -> Array:
     return jnp.where(jnp.isfinite(costs), costs, instead)
 
 
-_stored_start = stored(_started, static_argnums=(0,))
-_compiled_ask = stored(ask, static_argnums=(0,))
-_compiled_tell = stored(tell, static_argnums=(0,))
-_compiled_begun = stored(_begun, static_argnums=(0,))
-_compiled_finite = stored(_finite_costs, static_argnums=(0,))
-_compiled_prepare = stored(_prepared, static_argnums=(0,))
-_compiled_tell_prepared = stored(_told_prepared, static_argnums=(0,))
+_compiled_start = jax.jit(_started, static_argnums=(0,))
+_compiled_ask = jax.jit(ask, static_argnums=(0,))
+_compiled_tell = jax.jit(tell, static_argnums=(0,))
+_compiled_begun = jax.jit(_begun, static_argnums=(0,))
+_compiled_finite = jax.jit(_finite_costs, static_argnums=(0,))
+_compiled_prepare = jax.jit(_prepared, static_argnums=(0,))
+_compiled_tell_prepared = jax.jit(_told_prepared, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:

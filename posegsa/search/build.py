@@ -32,7 +32,6 @@ from posegsa.search.equal_pieces import piece
 from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
-from posegsa.stored_programs import stored
 
 
 class TuningProblem(NamedTuple):
@@ -146,7 +145,7 @@ def _put(whole: np.ndarray, part: np.ndarray, first: int, start: int) -> None:
     place[:] = part[: place.shape[0], : place.shape[1]]
 
 
-@stored
+@jax.jit
 def _drawn(
     scenario: Scenario, family: Family, keys: np.ndarray
 ) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
@@ -165,7 +164,7 @@ def _drawn(
     return jax.vmap(draw)(jnp.asarray(keys))
 
 
-@stored
+@jax.jit
 def _sensed(
     scenarios: Scenario, filter: Filter, keys: Array, at: Underway, last: np.int32
 ) -> tuple[Samples, Array, Underway]:

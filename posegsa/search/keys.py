@@ -1,5 +1,6 @@
 """Random keys, named by use."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,6 @@ import jax.numpy as jnp
 from jax import Array, random
 
 from posegsa.arguments import check_whole
-from posegsa.stored_programs import stored
 
 GENERATOR = "threefry2x32"
 """Of random numbers, whatever JAX's default one is."""
@@ -37,12 +37,12 @@ def keys(seed: int) -> Keys:
     return _for_uses(random.key(seed, impl=GENERATOR))
 
 
-@stored
+@jax.jit
 def _for_uses(root: Array) -> Keys:
     return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
 
 
-@stored(static_argnums=(1,))
+@partial(jax.jit, static_argnums=(1,))
 def scenario_keys(key: Array, count: int) -> Array:
     """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
     return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))

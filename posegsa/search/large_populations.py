@@ -9,6 +9,7 @@ gradients, a simulation may be rounded otherwise in a piece (`population.partiti
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -25,7 +26,6 @@ from posegsa.search.devices import collect, on_each, spread
 from posegsa.search.objective import SearchObjective, packed_batch
 from posegsa.search.packing import Packed
 from posegsa.search.population import PIECE, ScenarioBatch, agent_costs, costs_of_agents
-from posegsa.stored_programs import stored
 
 WORK = 50_000_000
 """Most samples that one compiled call simulates on CPUs, agents x scenarios x samples; measured
@@ -245,7 +245,7 @@ class PiecewiseCosts:
         return np.asarray(found[0]), np.asarray(found[1])
 
 
-@stored
+@jax.jit
 def _candidates(vectors: Any, space: SearchSpace) -> Leaves:
     """The agents of vectors (A, d)."""
     return jax.tree.leaves(jax.vmap(space.candidate)(vectors))
@@ -257,7 +257,7 @@ def _candidate_of(leaves: Leaves, space: SearchSpace) -> Candidate:
     return jax.tree.unflatten(structure, leaves)
 
 
-@stored(static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1))
 def _simulated(
     objective: SearchObjective,
     mesh: Mesh | None,
@@ -277,7 +277,7 @@ def _simulated(
     return on_each(mesh)(on_device)(agents, packed, space)
 
 
-@stored(static_argnums=(0,))
+@partial(jax.jit, static_argnums=(0,))
 def _together(
     objective: SearchObjective,
     vectors: Any,
@@ -289,7 +289,7 @@ def _together(
     return costs_of_agents(vectors, costs, further, space, objective.objective)
 
 
-@stored(static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1))
 def _with_gradients(
     objective: SearchObjective,
     mesh: Mesh | None,

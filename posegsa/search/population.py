@@ -21,7 +21,6 @@ from posegsa.filters.rollout import (
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate, SearchSpace
-from posegsa.stored_programs import stored
 
 MEAN = ObjectiveConfig(name="mean")
 
@@ -281,5 +280,5 @@ def costs_of_agents(
     return jnp.where(jax.vmap(space.valid)(vectors), together, jnp.inf)
 
 
-costs_by_scenario = stored(agent_costs, static_argnums=(2, 3))
+costs_by_scenario = jax.jit(agent_costs, static_argnums=(2, 3))
 evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis", "cost"))

@@ -43,7 +43,6 @@ from posegsa.search.build import (
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.recorded_schedules import RecordedSchedule
-from posegsa.stored_programs import stored
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
@@ -277,7 +276,7 @@ def recorded_batch(
     )
 
 
-@stored
+@jax.jit
 def _prepared(
     measurements: Measurements, rotation: Array, position: Array, filter: Filter
 ) -> Samples:

@@ -10,7 +10,7 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words lazy version stored_programs compiled_programs runtime steps settings"
+    "errors arguments words lazy version compiled_programs runtime steps settings"
     " | optimisers model | exchange config | recordings | search | judging | figures"
     " | report export | saving"
     " | tuning imu_tuning evaluating replaying comparing sweeping streaming"
