@@ -77,7 +77,7 @@ def _function(function: ClassicalFunction) -> Subject:
 
     def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
         run, begin = runner(optimiser, function, box), start(optimiser, box, key)
-        return run_timed(lambda _: run, begin, optimiser.total_iterations, tell)
+        return run_timed(run, begin, optimiser.total_iterations, tell)
 
     return Subject(function.title, search, lambda _: None)
 
@@ -223,11 +223,7 @@ def _tell(
     progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int, now: Progress
 ) -> None:
     if progress is not None:
-        progress(
-            Status(
-                name, repeat, repeats, (now.iteration + now.share) / now.iterations, now.best_cost
-            )
-        )
+        progress(Status(name, repeat, repeats, now.iteration / now.iterations, now.best_cost))
 
 
 def _search(
@@ -238,7 +234,7 @@ def _search(
     def told(progress: Progress) -> None:
         if progress.iteration > stamps[-1][0]:  # not when it is compiled, nor within an iteration
             stamps.append((progress.iteration, progress.seconds))
-        if progress.iteration or progress.share:
+        if progress.iteration:
             tell(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)

@@ -21,7 +21,6 @@ from posegsa.saving.interrupt import resumable
 from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
-from posegsa.search.large_populations import most_work, work
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.run import Found, Progress, run_search, search_batch, structure
 from posegsa.settings.plain import plain
@@ -191,7 +190,7 @@ def _made(
         def show(
             at: Progress, size: int = len({id(one) for one in batch}), done: int = done
         ) -> None:
-            running = size * (at.iteration + at.share) / at.iterations
+            running = size * at.iteration / at.iterations
             tell(SweepStatus(done, total, running, at.best_cost))
 
         for run in _search(base, batch, show):
@@ -201,37 +200,30 @@ def _made(
 
 
 def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]:
-    """What is searched at once: of one structure, within memory and the work of a compiled call.
+    """What is searched at once: of one structure, within memory.
 
     The batches of a structure have the same size, so that one program serves all of them; the last
     one may repeat its last run.
     """
     structures: dict[str, Hashable] = {}
-    fit: dict[Hashable, int] = {}
     groups: dict[Hashable, list[_Planned]] = {}
     for one in planned:
         key = repr(one.values)
         if key not in structures:  # the seed changes numbers only
-            structures[key], most = _structure(one.experiment)
-            fit[structures[key]] = most
+            structures[key] = _structure(one.experiment)
         groups.setdefault(structures[key], []).append(one)
-    for kind, group in groups.items():
+    for group in groups.values():
         most = 1 if group[0].experiment.search.on_host else _within_memory(group, together)
-        most = min(most, fit[kind])
         batches = -(-len(group) // most)
         size = -(-len(group) // batches)
         for first in range(0, len(group), size):
             yield group[first : first + size] + group[-1:] * (first + size - len(group))
 
 
-def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
-    """The structure of an experiment, and how many of it a compiled call is to search.
-
-    Where one alone is much work, each is kept as soon as it is done.
-    """
+def _structure(experiment: config.Experiment) -> Hashable:
+    """What the searches of a batch must have in common."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        problem = tuning_problem(experiment)
-        return structure(problem), max(1, most_work() // work(problem))
+        return structure(tuning_problem(experiment))
 
 
 def _within_memory(group: list[_Planned], together: int) -> int:

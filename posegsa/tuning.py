@@ -108,8 +108,7 @@ def tune(
     """Tune a fuzzy gain schedule, on simulated scenarios or on recordings.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
-    it can report progress and save its state, or in several calls an iteration where that simulates
-    more than 50 million samples (`posegsa.search.large_populations`). With a folder it saves its
+    it can report progress and save its state. With a folder it saves its
     state by itself, and Ctrl-C, SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
     devices of the process, or of all processes that have joined
     (`posegsa.search.devices.join_processes`), to the same bits.
@@ -298,9 +297,6 @@ def tune_batch(
     progress: Tell = None,
 ) -> TuneBatch:
     """Tune many problems in one compiled loop: many seeds, or experiments that differ in numbers.
-
-    Problems whose iterations simulate more than 50 million samples together are searched one after
-    the other by one compiled program.
 
     Args:
         experiments: One experiment (or a TOML file, by default the recommended experiment), or

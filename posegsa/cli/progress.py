@@ -174,16 +174,16 @@ class TuneDisplay(Display):
 
     def __call__(self, progress: "Progress") -> None:
         """Show where the search stands."""
-        iteration, iterations, best_cost, seconds, share = progress
+        iteration, iterations, best_cost, seconds = progress
         if self._from is None:
             self._from = iteration
-        done = iteration + share - self._from
+        done = iteration - self._from
         if (done >= 1 or (done > 0 and seconds >= FIRST_PIECES)) and not self._said:
             self._said = True
             whole = seconds / done * (iterations - self._from)
             if whole >= LONG and not self.quiet:
                 self.say(f"about {span(whole)} to search; {self.judging}")
-        self.show(Step("searching", iteration + share, iterations, best_cost=best_cost))
+        self.show(Step("searching", iteration, iterations, best_cost=best_cost))
 
 
 class CompareDisplay(Display):

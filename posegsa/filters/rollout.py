@@ -80,6 +80,11 @@ class ErrorTrack(NamedTuple):
         """Some of the scenarios, of leaves (S, ...)."""
         return ErrorTrack(*(leaf[scenarios] for leaf in self))
 
+    def until(self, sample: int) -> "ErrorTrack":
+        """The errors before a sample, of leaves (S, N)."""
+        names = ("attitude", "position", "gain", "distance")
+        return self._replace(**{name: getattr(self, name)[:, :sample] for name in names})
+
 
 Look = Callable[[Any, FilterState, Record, Samples, Any], tuple[Any, Any]]
 """Maps what has been summed up, the estimate before a sample, the step, the sample and its entry of
@@ -228,17 +233,18 @@ def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> E
     return _error_track(filter, samples, last, errors)
 
 
-def errors_onward(
-    filter: Filter, samples: Samples, state: Any, count: Array
-) -> tuple[Any, ErrorTrack]:
-    """The true errors over more samples of S simulations, and their states after them.
+def simulate_errors_together(
+    filter: Filter, samples: Samples, initial: FilterState, count: Array
+) -> ErrorTrack:
+    """The true errors of S simulations, all leaves (S, ...) (pure, jittable).
 
-    All leaves of samples, state and what is returned have an axis (S, ...) in front. Samples from
-    `count` on change nothing, and what is stored of them means nothing: so pieces of any length run
-    as one program (pure, jittable).
+    Samples from `count` on change nothing, and what is stored of them means nothing: so samples of
+    any number can be filled up, to be run by one program.
     """
+    vectors = vectors_in(samples)
+    state = jax.vmap(lambda one: filter.start(one, vectors))(initial)
     last, _, errors = run(_true_errors, filter, samples, state, count=count, together=True)
-    return last, _error_track(filter, samples, last, errors)
+    return _error_track(filter, samples, last, errors)
 
 
 def _true_errors(

@@ -1,16 +1,17 @@
 """How good a filter is on each of many scenarios: cost, settling, steady state, bias."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from posegsa.filters.base import Filter, Samples, vectors_in
-from posegsa.filters.rollout import ErrorTrack, errors_onward
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
-from posegsa.search.equal_pieces import piece
+from posegsa.search.groups import in_groups, padded
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
@@ -19,10 +20,6 @@ SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 makes errors of 8 deg RMS."""
 DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
 """Mean errors [deg], [m] over the last second above which a run counts as diverged."""
-SCENARIOS, SAMPLES = 32, 1024
-"""Scenarios and samples that one call simulates, whatever there are, filled up with some that do
-not count: so all that is judged runs as one program, training, held-out and longer scenarios."""
-
 POSITION_WORDS = (
     "P_err is the cost's position error, |P_est - R_err P|; distance is |P_est - P|, how far the "
     "estimate is from the body."
@@ -75,47 +72,27 @@ class Bands(NamedTuple):
 
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
-    there, samples = batch.samples.time.shape
+    count, samples = batch.samples.time.shape
     # All of it, as a program is compiled anew for what lies on other devices.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
-    filter = _applied(candidate, batch.filter)
-    parts = []
-    for first in range(0, there, SCENARIOS):
-        initial = jax.tree.map(lambda a, first=first: piece(a, first, SCENARIOS), batch.initial)
-        some = jax.tree.map(lambda a, first=first: a[first : first + SCENARIOS], batch.samples)
-        loop, pieces = _begin(filter, initial, some), []
-        for start in range(0, samples, SAMPLES):
-            now = jax.tree.map(
-                lambda a, start=start: piece(piece(a, start, SAMPLES, axis=1), 0, SCENARIOS), some
-            )
-            count = np.int32(min(SAMPLES, samples - start))
-            loop, errors = _onward(filter, now, loop, count)
-            pieces.append(jax.device_get(errors))
-        over_time = (
-            np.concatenate(each, axis=1)[:, :samples]
-            for each in zip(*(errors[:4] for errors in pieces), strict=True)
+    length = padded(samples)
+
+    def some(index: np.ndarray) -> ErrorTrack:
+        chosen = batch.select(index)
+        longer = jax.tree.map(
+            lambda a: np.pad(a, [(0, 0), (0, length - samples)], mode="edge"), chosen.samples
         )
-        over_all = dict(zip(("attitude", "position", "gain", "distance"), over_time, strict=True))
-        parts.append(pieces[-1]._replace(**over_all))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
+        track = _tracks(candidate, batch.filter, longer, chosen.initial, np.int32(samples))
+        return track.until(samples)
+
+    return in_groups(some, count, length)
 
 
 @jax.jit
-def _applied(candidate: Candidate, shared: Filter) -> Filter:
-    return candidate.applied(shared)
-
-
-@jax.jit
-def _begin(filter: Filter, initial: FilterState, samples: Samples) -> Any:
-    vectors = vectors_in(samples)
-    return jax.vmap(lambda one: filter.start(one, vectors))(initial)
-
-
-@jax.jit
-def _onward(
-    filter: Filter, samples: Samples, state: Any, count: np.int32
-) -> tuple[Any, ErrorTrack]:
-    return errors_onward(filter, samples, state, jnp.asarray(count))
+def _tracks(
+    candidate: Candidate, shared: Filter, samples: Samples, initial: FilterState, count: Array
+) -> ErrorTrack:
+    return simulate_errors_together(candidate.applied(shared), samples, initial, count)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such

@@ -125,9 +125,7 @@ def search_with_checkpoints(
         cost = cost_name(problem.cost)
         writer = CheckpointWriter(folder, experiment, request, before, cost, recorded)
         with resumable(lambda: f"interrupted {writer.where()}"), writer:
-            found = run_search(
-                problem, progress, search=search, keep=writer, pause=writer.stop_if_asked
-            )
+            found = run_search(problem, progress, search=search, after_chunk=writer)
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -218,7 +216,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """Write a checkpoint if one is due; called as `search.run.Keep` says.
+        """Write a checkpoint if one is due; called as `search.run.AfterChunk` says.
 
         Raises:
             SearchInterrupted: A signal has asked to stop; the search is saved.

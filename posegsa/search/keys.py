@@ -24,8 +24,6 @@ class Keys(NamedTuple):
     """Of the scenarios that only judge."""
     validation: Array
     """Of the scenarios that choices between configurations are made on."""
-    open_loop: Array
-    """Not used any more; it keeps the numbers of those after it."""
     baselines: Array
     """Of the searches for the baselines."""
     endurance: Array
@@ -33,13 +31,24 @@ class Keys(NamedTuple):
 
 
 def keys(seed: int) -> Keys:
-    """The keys of a seed. A use added at the end changes none of those before it."""
+    """The keys of a seed, each by the number of its use."""
     return _for_uses(random.key(seed, impl=GENERATOR))
 
 
 @jax.jit
 def _for_uses(root: Array) -> Keys:
-    return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
+    return Keys(**{name: random.fold_in(root, use) for name, use in _USES.items()})
+
+
+_USES = {
+    "search": 0,
+    "training": 1,
+    "held_out": 2,
+    "validation": 3,
+    "baselines": 5,
+    "endurance": 6,
+}
+"""The number of each use, which never changes; 4 was another's."""
 
 
 @partial(jax.jit, static_argnums=(1,))
