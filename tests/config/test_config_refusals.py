@@ -2,7 +2,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from experiments import BASE
+from helpers.experiments import BASE
 
 import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override

@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from experiments import BASE
+from helpers.experiments import BASE
 
 from posegsa import config
 from posegsa.config.tunable import AlsoTuned, tunable

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from evaluations import endurance as made
-from experiments import tiny
+from helpers.builders import quietly
+from helpers.evaluations import endurance as made
+from helpers.experiments import tiny
 
 from posegsa import config
 from posegsa.judging.endurance import endurance

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from experiments import tiny
+from helpers.builders import quietly
+from helpers.experiments import tiny
 
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import Description

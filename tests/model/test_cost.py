@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import (
+from helpers import reference
+from helpers.setups import (
     PAPER,
     cost_of_estimates,
     lasting,

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_measurements, random_poses, reference_sample
-from filters import (
+from helpers import reference
+from helpers.builders import as_arrays, random_measurements, random_poses, reference_sample
+from helpers.filters import (
     GAMMA,
     biases,
     fitting,

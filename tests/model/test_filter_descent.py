@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_poses
-from filters import (
+from helpers import reference
+from helpers.builders import as_arrays, random_poses
+from helpers.filters import (
     fitting,
     innovated,
     jitted_innovation,

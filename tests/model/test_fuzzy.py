@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
 import skfuzzy
-from setups import (
+from helpers import reference
+from helpers.setups import (
     GAPPED,
     INPUTS,
     OUTPUTS,

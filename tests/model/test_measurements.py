@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from builders import as_arrays, random_measurements
-from filters import jitted_prepare, prepared
+from helpers.builders import as_arrays, random_measurements
+from helpers.filters import jitted_prepare, prepared
 
 from posegsa.errors import MeasurementError
 from posegsa.model.measurements import Measurements

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from filters import settings
+from helpers.filters import settings
 
 from posegsa.model.filter import initial_state
 from posegsa.model.online import Layout, OnlineLoop, OnlineParameters, _compiled

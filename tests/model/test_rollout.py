@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays
-from filters import state_of
-from setups import (
+from helpers import reference
+from helpers.builders import as_arrays
+from helpers.filters import state_of
+from helpers.setups import (
     PAPER,
     cost_of_estimates,
     lasting,

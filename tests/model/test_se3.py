@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import directions, epsilon
+from helpers import reference
+from helpers.builders import directions, epsilon
 from jax import Array, lax
 from scipy.spatial.transform import Rotation
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
-import reference
 import scipy.linalg
-from builders import directions, epsilon
+from helpers import reference
+from helpers.builders import directions, epsilon
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 from jax import random
 
 from posegsa import stored_programs

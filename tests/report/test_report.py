@@ -9,7 +9,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 import pytest
-from evaluations import (
+from helpers.evaluations import (
     ANGLES,
     FILTERS,
     changed,
@@ -19,7 +19,7 @@ from evaluations import (
     evaluation,
     trust,
 )
-from reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
+from helpers.reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
 from posegsa import config

@@ -16,9 +16,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from evaluations import description, evaluation
-from experiments import tiny
-from reports import consistent
+from helpers.evaluations import description, evaluation
+from helpers.experiments import tiny
+from helpers.reports import consistent
 
 import posegsa
 from posegsa.errors import RunFolderError

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
-from experiments import tiny
+from helpers.bits import assert_same
+from helpers.experiments import tiny
 from hypothesis import given
 from hypothesis import strategies as st
 

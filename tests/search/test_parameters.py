@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import PAPER, RULES, corner_vectors, search_vectors, space
+from helpers import reference
+from helpers.setups import PAPER, RULES, corner_vectors, search_vectors, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import lasting, paper, posed, repaired_terms, search_vectors, searched
+from helpers.setups import lasting, paper, posed, repaired_terms, search_vectors, searched
 
 from posegsa.model.rollout import simulate_cost
 from posegsa.model.schedules import ConstantGain

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import LEARNT, paper, posed, search_vectors, searched, without_limit
+from helpers import reference
+from helpers.setups import LEARNT, paper, posed, search_vectors, searched, without_limit
 
 from posegsa.search.population import ScenarioBatch, evaluate_population
 

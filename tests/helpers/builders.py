@@ -6,9 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import reference
 from scipy.spatial.transform import Rotation
 
+from helpers import reference
 from posegsa.config import CostConfig, Experiment, FilterConfig, RunConfig, ScenarioConfig
 from posegsa.errors import PosegsaWarning
 from posegsa.model.measurements import Measurements

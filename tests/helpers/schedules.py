@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from evaluations import FILTERS, endurance, trust
-from setups import paper, search_vectors
 
 import posegsa
+from helpers.evaluations import FILTERS, endurance, trust
+from helpers.setups import paper, search_vectors
 from posegsa.judging.evaluation import CONSTANT, TUNED, Contender, Evaluation
 from posegsa.judging.metrics import Bands, Metrics
 from posegsa.judging.result import TuneResult

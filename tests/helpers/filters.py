@@ -6,10 +6,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import as_arrays, random_measurements, random_poses
 from jax import Array
 from scipy.spatial.transform import Rotation
 
+from helpers.builders import as_arrays, random_measurements, random_poses
 from posegsa.model import se3
 from posegsa.model.filter import (
     FilterSettings,

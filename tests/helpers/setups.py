@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import reference
 import scipy.linalg
-from builders import as_arrays, reference_sample
-from filters import state_of
 from jax import Array
 from numpy.typing import ArrayLike
 
+from helpers import reference
+from helpers.builders import as_arrays, reference_sample
+from helpers.filters import state_of
 from posegsa import config
 from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.model.filter import FilterSettings, FilterState, initial_state
@@ -40,7 +40,7 @@ from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
 
-PAPER = config.load(Path(__file__).parent.parent / "configs" / "paper.toml")
+PAPER = config.load(Path(__file__).parents[2] / "configs" / "paper.toml")
 RULES = tuple(tuple(row) for row in reference.PAPER_RULES.tolist())
 
 LEARNT = (

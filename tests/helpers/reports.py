@@ -5,10 +5,10 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
-from evaluations import ANGLES, TIME, description, endurance, evaluation, trust
-from experiments import BASE
-from pictures import history, trajectory
 
+from helpers.evaluations import ANGLES, TIME, description, endurance, evaluation, trust
+from helpers.experiments import BASE
+from helpers.pictures import history, trajectory
 from posegsa import config
 from posegsa.judging.evaluation import TUNED, Contender
 from posegsa.judging.metrics import Bands, Metrics
