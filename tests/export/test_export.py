@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.evaluations import endurance
+from helpers.results import endurance
 from helpers.schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa

@@ -33,10 +33,10 @@ from helpers.compiled_c import (
     sanitizers,
 )
 from helpers.compiled_c import build as build
-from helpers.evaluations import endurance, trust
+from helpers.controllers import fuzzy
 from helpers.filters import settings, state_of, vector_bias, vector_settings
+from helpers.results import endurance, trust
 from helpers.schedules import K, tuned
-from helpers.setups import fuzzy
 from scipy.spatial.transform import Rotation
 
 import posegsa

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.evaluations import trust
+from helpers.controllers import corner_vectors
+from helpers.results import trust
 from helpers.schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
-from helpers.setups import corner_vectors
 
 import posegsa
 from posegsa.export import export_c_gain

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
-from helpers.pictures import history, legend, lines, trajectory
+from helpers.figures import legend, lines
+from helpers.results import history, trajectory
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 

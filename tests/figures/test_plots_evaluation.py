@@ -7,8 +7,8 @@ from functools import partial
 import matplotlib
 import numpy as np
 import pytest
-from helpers.evaluations import ANGLES, FILTERS, TIME, changed, evaluation, trust
-from helpers.pictures import legend, lines
+from helpers.figures import legend, lines
+from helpers.results import ANGLES, FILTERS, TIME, changed, evaluation, trust
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 

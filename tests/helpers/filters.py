@@ -9,7 +9,9 @@ import numpy as np
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from helpers.builders import as_arrays, random_measurements, random_poses
+from helpers.arrays import as_arrays
+from helpers.experiments import PAPER
+from helpers.measurements import random_measurements, random_poses, reference_start
 from posegsa.model import se3
 from posegsa.model.filter import (
     FilterSettings,
@@ -153,6 +155,11 @@ def state_of(
         turning=zeros if learnt_vectors else (),
     )
     return jax.tree.map(lambda a: a.astype(dtype), made)
+
+
+def start(dtype: str, learnt_vectors: int = 0) -> FilterState:
+    """The paper's initial estimate."""
+    return state_of(reference_start(PAPER.scenario), None, dtype, learnt_vectors)
 
 
 def random_estimates(

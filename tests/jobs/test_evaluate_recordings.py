@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.recorded_motion import bench
-from helpers.recorded_motion import short_parts as short_parts
+from helpers.recordings import bench
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config

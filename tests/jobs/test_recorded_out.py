@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.compiled_c import Build, Layout, needs_cc, run_c
 from helpers.compiled_c import build as build
-from helpers.recorded_motion import motion
+from helpers.recordings import motion
 
 import posegsa
 from posegsa import config

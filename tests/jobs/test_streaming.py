@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.evaluations import trust
 from helpers.experiments import tiny
+from helpers.results import trust
 from helpers.schedules import K, tuned
 
 import posegsa

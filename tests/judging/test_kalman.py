@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.builders import quietly
-from helpers.experiments import tiny
+from helpers.experiments import quietly, tiny
 
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import Description

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import random_poses
+from helpers.measurements import random_poses
 from scipy.spatial.transform import Rotation
 
 from posegsa.judging.trajectory import Trajectory, trajectory

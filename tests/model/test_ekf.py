@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import scipy.stats
 from helpers import reference_ekf
-from helpers.builders import as_arrays, experiment, quietly, random_measurements, random_poses
-from helpers.builders import reference_sample as sample_of
+from helpers.arrays import as_arrays
+from helpers.experiments import experiment, quietly
 from helpers.filters import state_of
+from helpers.measurements import random_measurements, random_poses
+from helpers.measurements import reference_sample as sample_of
 from helpers.reference import se3_exp
 from jax import Array
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import as_arrays, random_measurements, random_poses, reference_sample
+from helpers.arrays import as_arrays
 from helpers.filters import (
     GAMMA,
     biases,
@@ -32,6 +32,7 @@ from helpers.filters import (
     vector_settings,
     with_vector_biases,
 )
+from helpers.measurements import random_measurements, random_poses, reference_sample
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.builders import AT_REST, experiment, quietly
+from helpers.experiments import AT_REST, experiment, quietly
 from helpers.filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import as_arrays, random_poses
+from helpers.arrays import as_arrays
 from helpers.filters import (
     fitting,
     innovated,
@@ -21,6 +21,7 @@ from helpers.filters import (
     settings,
     state_of,
 )
+from helpers.measurements import random_poses
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

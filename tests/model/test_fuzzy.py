@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import skfuzzy
 from helpers import reference
-from helpers.setups import (
+from helpers.controllers import (
     GAPPED,
     INPUTS,
     OUTPUTS,
-    PAPER,
     RULES,
     corner_vectors,
     evaluated,
@@ -23,6 +22,7 @@ from helpers.setups import (
     repaired_terms,
     search_vectors,
 )
+from helpers.experiments import PAPER
 
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import FuzzyController, _compiled_gain

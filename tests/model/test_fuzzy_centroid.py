@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.setups import (
+from helpers.controllers import (
     GAPPED,
     INPUTS,
     OUTPUTS,

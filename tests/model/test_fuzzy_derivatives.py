@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.setups import (
+from helpers.controllers import (
     INPUTS,
     OUTPUTS,
     RULES,

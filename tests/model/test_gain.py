@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import as_arrays, random_measurements, random_poses, reference_sample
+from helpers.arrays import as_arrays
+from helpers.controllers import fuzzy
+from helpers.experiments import PAPER
 from helpers.filters import jitted_prepare, settings, stacked, state_of
-from helpers.setups import PAPER, fuzzy
+from helpers.measurements import random_measurements, random_poses, reference_sample
 from jax import Array
 from scipy.spatial.transform import Rotation
 

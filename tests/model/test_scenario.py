@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import AT_REST, experiment, quietly
+from helpers.experiments import AT_REST, experiment, quietly
 from jax import Array
 from scipy.spatial.transform import Rotation
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.builders import directions, epsilon
+from helpers.arrays import epsilon
+from helpers.measurements import directions
 from jax import Array, lax
 from scipy.spatial.transform import Rotation
 

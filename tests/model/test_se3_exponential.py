@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import reference
-from helpers.builders import directions, epsilon
+from helpers.arrays import epsilon
+from helpers.measurements import directions
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.bits import assert_same
+from helpers.arrays import assert_same
 from helpers.experiments import tiny
 from jax import Array, random
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.bits import assert_same
+from helpers.arrays import assert_same
 from helpers.searches import AGENTS, ITERATIONS, Fixed, fixed_search, sphere, steered
 from hypothesis import given
 from hypothesis import strategies as st

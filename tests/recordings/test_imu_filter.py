@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers.compiled_c import Build, Layout, needs_cc, run_c
 from helpers.compiled_c import build as build
-from helpers.inertial_motion import BIAS, inertial_motion
-from helpers.recorded_motion import short_parts as short_parts
+from helpers.recordings import BIAS, inertial_motion
+from helpers.recordings import short_parts as short_parts
 from scipy.spatial.transform import Rotation
 
 import posegsa

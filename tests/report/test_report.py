@@ -4,22 +4,25 @@ import base64
 import html
 import re
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import jinja2
 import numpy as np
 import pytest
-from helpers.evaluations import (
+from helpers.results import (
     ANGLES,
     FILTERS,
+    PARAMETERS,
     changed,
+    consistent,
     contender,
     description,
     endurance,
     evaluation,
+    result,
     trust,
 )
-from helpers.reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
 from posegsa import config
@@ -35,11 +38,76 @@ from posegsa.judging.evaluation import (
     SWITCH,
     TUNED,
 )
+from posegsa.judging.result import TuneResult
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
 from posegsa.report.words import filter_words, verdict
 
 pytestmark = pytest.mark.quick
+
+PICTURE = b"\x89PNG\r\n\x1a\n not more than that"
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """What a reader finds in a page; refuses elements that are not closed in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[tuple[str, dict]] = []
+        self.elements: list[tuple[str, dict]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs)))
+        if tag == "table":
+            self.rows: list[list[str]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        inside = [tag for tag, _ in self.open]
+        if "style" in inside:
+            return
+        self.texts.append(data)
+        if "caption" in inside:
+            self.tables[data] = self.rows
+        elif "td" in inside or "th" in inside:
+            self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return spaced(" ".join(self.texts))
+
+    def table(self, caption: str) -> list[list[str]]:
+        (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
+        return [[spaced(cell) for cell in row] for row in found]
+
+
+def spaced(text: str) -> str:
+    """A text as a browser shows it: spaces and ends of lines in a row are one space."""
+    return re.sub(r"[ \n]+", " ", text).strip(" ")
+
+
+def page(given: TuneResult | None = None, pictures=None) -> Page:
+    return Page(report_html(given or result(), pictures or {"costs": PICTURE}))
+
+
+def values(cell: str) -> list[float]:
+    """The numbers in a cell."""
+    cell = cell.replace("\u2212", "-").replace("\u221e", "inf")
+    return [float(found) for found in re.findall(r"[-+]?(?:inf|\d[\d.]*(?:e[-+]\d+)?)", cell)]
 
 
 def test_it_needs_nothing_else():

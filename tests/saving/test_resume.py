@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from helpers.bits import assert_same
+from helpers.arrays import assert_same
 from helpers.experiments import tiny
 
 import posegsa

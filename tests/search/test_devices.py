@@ -7,7 +7,8 @@ processes of their own `test_joined_processes`.
 import jax
 import numpy as np
 import pytest
-from helpers.setups import paper, posed, search_vectors, searched
+from helpers.controllers import search_vectors
+from helpers.experiments import paper, posed, searched
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.bits import assert_same
+from helpers.arrays import assert_same
 from helpers.experiments import tiny
 from hypothesis import given
 from hypothesis import strategies as st

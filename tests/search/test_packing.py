@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.bits import assert_same
-from helpers.setups import lasting, paper
+from helpers.arrays import assert_same
+from helpers.experiments import lasting, paper
 
 from posegsa.search.build import tuning_problem
 from posegsa.search.packing import packed

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.setups import PAPER, RULES, corner_vectors, search_vectors, space
+from helpers.controllers import RULES, corner_vectors, search_vectors
+from helpers.experiments import PAPER, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError

@@ -5,8 +5,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.bits import assert_same
-from helpers.recorded_motion import motion
+from helpers.arrays import assert_same
+from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
