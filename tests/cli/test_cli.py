@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import jax
 import pytest
-from experiments import TINY
+from helpers.experiments import TINY
 
 from posegsa import comparing, config
 from posegsa.cli.command import main

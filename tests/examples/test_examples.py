@@ -10,8 +10,8 @@ import jax
 import matplotlib as mpl
 import numpy as np
 import pytest
-from experiments import tiny
-from schedules import K, tuned
+from helpers.experiments import tiny
+from helpers.schedules import K, tuned
 from scipy.spatial.transform import Rotation
 
 import posegsa

@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from fuzzy_readers import CASES, by_samples, controller, inputs
-from schedules import GAPS, MIDRANGE, K, tuned
+from helpers.fuzzy_readers import CASES, by_samples, controller, inputs
+from helpers.schedules import GAPS, MIDRANGE, K, tuned
 
 import posegsa
 

@@ -5,8 +5,8 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from fuzzy_readers import CASES, controller
-from schedules import MIDRANGE, K, tuned
+from helpers.fuzzy_readers import CASES, controller
+from helpers.schedules import MIDRANGE, K, tuned
 
 import posegsa
 from posegsa.errors import ArgumentError, FuzzyError

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluations import endurance
-from schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
+from helpers.results import endurance
+from helpers.schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa
 from posegsa import config

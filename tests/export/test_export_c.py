@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled_c import (
+from helpers.compiled_c import (
     COMPILERS,
     WARNINGS,
     Build,
@@ -32,12 +32,12 @@ from compiled_c import (
     run_c,
     sanitizers,
 )
-from compiled_c import build as build
-from evaluations import endurance, trust
-from filters import settings, state_of, vector_bias, vector_settings
-from schedules import K, tuned
+from helpers.compiled_c import build as build
+from helpers.controllers import fuzzy
+from helpers.filters import settings, state_of, vector_bias, vector_settings
+from helpers.results import endurance, trust
+from helpers.schedules import K, tuned
 from scipy.spatial.transform import Rotation
-from setups import fuzzy
 
 import posegsa
 from posegsa import config

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import BASE, TINY, tiny
-from generated import call, configuration, some_result
+from helpers.experiments import BASE, TINY, tiny
+from helpers.generated import call, configuration, some_result
 
 import posegsa
 from posegsa import config

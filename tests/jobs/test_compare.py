@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 from scipy import stats
 
 import posegsa

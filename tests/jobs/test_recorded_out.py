@@ -9,9 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from compiled_c import Build, Layout, needs_cc, run_c
-from compiled_c import build as build
-from recorded_motion import motion
+from helpers.compiled_c import Build, Layout, needs_cc, run_c
+from helpers.compiled_c import build as build
+from helpers.recordings import motion
 
 import posegsa
 from posegsa import config

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import tiny
-from recorded_motion import bench, motion
-from recorded_motion import short_parts as short_parts
+from helpers.experiments import tiny
+from helpers.recordings import bench, motion
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main

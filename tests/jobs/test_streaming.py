@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluations import trust
-from experiments import tiny
-from schedules import K, tuned
+from helpers.experiments import tiny
+from helpers.results import trust
+from helpers.schedules import K, tuned
 
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning

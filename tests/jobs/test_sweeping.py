@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import TINY, tiny
+from helpers.experiments import TINY, tiny
 
 import posegsa
 from posegsa import sweeping

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_motion import motion
-from recorded_motion import short_parts as short_parts
+from helpers.recordings import motion
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config

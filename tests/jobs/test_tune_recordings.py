@@ -11,9 +11,9 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import TINY as SCENARIOS
-from recorded_motion import bench
-from recorded_motion import short_parts as short_parts
+from helpers.experiments import TINY as SCENARIOS
+from helpers.recordings import bench
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
-from experiments import tiny
-from generated import configuration, not_numbers, structure
+from helpers.experiments import tiny
+from helpers.generated import configuration, not_numbers, structure
 
 import posegsa
 from posegsa import config

@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from evaluations import endurance as made
-from experiments import tiny
+from helpers.experiments import quietly, tiny
+from helpers.results import endurance as made
 
 from posegsa import config
 from posegsa.judging.endurance import endurance

@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 from scipy import stats
 
 import posegsa

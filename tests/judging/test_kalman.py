@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from experiments import tiny
+from helpers.experiments import quietly, tiny
 
 from posegsa.filters.kalman import KalmanNoise, ekf_errors
 from posegsa.judging import kalman

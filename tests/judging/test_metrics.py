@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging import metrics

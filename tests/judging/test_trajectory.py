@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import random_poses
+from helpers import reference
+from helpers.measurements import random_poses
 from scipy.spatial.transform import Rotation
 
 from posegsa.filters.rollout import Estimates

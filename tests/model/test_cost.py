@@ -4,18 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import (
-    PAPER,
-    cost_of_estimates,
-    lasting,
-    paper,
-    search_vectors,
-    sensed,
-    space,
-    start,
-    tracked,
-)
+from helpers import reference
+from helpers.controllers import search_vectors
+from helpers.experiments import PAPER, lasting, paper, space
+from helpers.filters import start
+from helpers.measurements import cost_of_estimates, sensed, tracked
 
 from posegsa.config import CostConfig, ObjectiveConfig
 from posegsa.filters.rollout import simulate, simulate_cost

@@ -7,13 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference_ekf
 import scipy.stats
-from builders import as_arrays, experiment, quietly, random_measurements, random_poses
-from builders import reference_sample as sample_of
-from filters import state_of
+from helpers import reference_ekf
+from helpers.arrays import as_arrays
+from helpers.experiments import experiment, quietly
+from helpers.filters import state_of
+from helpers.measurements import random_measurements, random_poses
+from helpers.measurements import reference_sample as sample_of
+from helpers.reference import se3_exp
 from jax import Array
-from reference import se3_exp
 
 from posegsa.errors import ArgumentError
 from posegsa.filters.kalman import (

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_measurements, random_poses, reference_sample
-from filters import (
+from helpers import reference
+from helpers.arrays import as_arrays
+from helpers.filters import (
     GAMMA,
     biases,
     fitting,
@@ -32,6 +32,7 @@ from filters import (
     vector_settings,
     with_vector_biases,
 )
+from helpers.measurements import random_measurements, random_poses, reference_sample
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import AT_REST, experiment, quietly
-from filters import jitted_state, settings, vector_bias, vector_settings
+from helpers.experiments import AT_REST, experiment, quietly
+from helpers.filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 
 from posegsa.config import GainConfig, Landmark, Vector

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_poses
-from filters import (
+from helpers import reference
+from helpers.arrays import as_arrays
+from helpers.filters import (
     fitting,
     innovated,
     jitted_innovation,
@@ -21,6 +21,7 @@ from filters import (
     settings,
     state_of,
 )
+from helpers.measurements import random_poses
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

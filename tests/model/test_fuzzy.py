@@ -8,13 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
 import skfuzzy
-from setups import (
+from helpers import reference
+from helpers.controllers import (
     GAPPED,
     INPUTS,
     OUTPUTS,
-    PAPER,
     RULES,
     corner_vectors,
     evaluated,
@@ -23,6 +22,7 @@ from setups import (
     repaired_terms,
     search_vectors,
 )
+from helpers.experiments import PAPER
 
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import FuzzyController, _compiled_gain

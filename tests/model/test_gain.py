@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_measurements, random_poses, reference_sample
-from filters import jitted_prepare, settings, stacked, state_of
+from helpers import reference
+from helpers.arrays import as_arrays
+from helpers.controllers import fuzzy
+from helpers.experiments import PAPER
+from helpers.filters import jitted_prepare, settings, stacked, state_of
+from helpers.measurements import random_measurements, random_poses, reference_sample
 from jax import Array
 from scipy.spatial.transform import Rotation
-from setups import PAPER, fuzzy
 
 from posegsa.config import GainConfig
 from posegsa.errors import ArgumentError

@@ -6,8 +6,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from builders import as_arrays, random_measurements
-from filters import jitted_prepare, prepared
+from helpers.arrays import as_arrays
+from helpers.filters import jitted_prepare, prepared
+from helpers.measurements import random_measurements
 
 from posegsa.errors import MeasurementError
 from posegsa.model.measurements import Measurements

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from filters import settings
+from helpers.filters import settings
 
 from posegsa.filters.online import Layout, OnlineLoop, OnlineParameters, _compiled
 from posegsa.model.estimate import initial_state

@@ -8,22 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays
-from filters import state_of
-from setups import (
-    PAPER,
+from helpers import reference
+from helpers.arrays import as_arrays
+from helpers.controllers import repaired_terms, search_vectors
+from helpers.experiments import PAPER, lasting, paper, space
+from helpers.filters import start, state_of
+from helpers.measurements import (
     cost_of_estimates,
-    lasting,
-    paper,
     reference_samples,
     reference_start,
     reference_truth,
-    repaired_terms,
-    search_vectors,
     sensed,
-    space,
-    start,
     tracked,
     world,
 )

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import AT_REST, experiment, quietly
+from helpers import reference
+from helpers.experiments import AT_REST, experiment, quietly
 from jax import Array
 from scipy.spatial.transform import Rotation
 

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import directions, epsilon
+from helpers import reference
+from helpers.arrays import epsilon
+from helpers.measurements import directions
 from jax import Array, lax
 from scipy.spatial.transform import Rotation
 

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
-import reference
 import scipy.linalg
-from builders import directions, epsilon
+from helpers import reference
+from helpers.arrays import epsilon
+from helpers.measurements import directions
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.reference import gsa_acceleration, gsa_masses
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array, lax
-from reference import gsa_acceleration, gsa_masses
 from scipy import stats
 
 from posegsa.errors import ConfigError

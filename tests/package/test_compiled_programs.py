@@ -273,7 +273,7 @@ import numpy as np
 import posegsa
 posegsa.enable_fast_path(devices=1)
 from posegsa.model import filter
-from posegsa.model.rollout import run_filter
+from posegsa.filters.rollout import run_filter
 if sys.argv[1:]:
     filter.REFERENCE_GAIN = float(sys.argv[1])
 measurements = posegsa.Measurements.from_arrays(

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 from posegsa import config
 from posegsa.cli.command import _parser

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
 import posegsa

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from inertial_motion import BIAS, ENU_TO, FIELD, RATE, inertial_motion
+from helpers.recordings import BIAS, ENU_TO, FIELD, RATE, inertial_motion
 from scipy.signal import butter, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 

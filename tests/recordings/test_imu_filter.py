@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compiled_c import Build, Layout, needs_cc, run_c
-from compiled_c import build as build
-from inertial_motion import BIAS, inertial_motion
-from recorded_motion import short_parts as short_parts
+from helpers.compiled_c import Build, Layout, needs_cc, run_c
+from helpers.compiled_c import build as build
+from helpers.recordings import BIAS, inertial_motion
+from helpers.recordings import short_parts as short_parts
 from scipy.spatial.transform import Rotation
 
 import posegsa

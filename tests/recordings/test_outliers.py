@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.recordings.outliers import landmark_outliers

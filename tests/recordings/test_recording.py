@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_motion import GRAVITY, motion
+from helpers.recordings import GRAVITY, motion
 from scipy.spatial.transform import Rotation
 
 import posegsa

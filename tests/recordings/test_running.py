@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recorded_motion import motion
-from recorded_motion import short_parts as short_parts
+from helpers.recordings import motion
+from helpers.recordings import short_parts as short_parts
 from scipy.spatial.transform import Rotation
 
 import posegsa

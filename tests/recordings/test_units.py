@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inertial_motion import RATE, inertial_motion
+from helpers.recordings import RATE, inertial_motion
 
 from posegsa.errors import RecordingError
 from posegsa.recordings.units import check_units, gyroscope_unit

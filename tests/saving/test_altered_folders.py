@@ -16,9 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from evaluations import description, evaluation
-from experiments import tiny
-from reports import consistent
+from helpers.experiments import tiny
+from helpers.results import consistent, description, evaluation
 
 import posegsa
 from posegsa.errors import RunFolderError

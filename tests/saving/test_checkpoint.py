@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
+from helpers.arrays import assert_same
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import (

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import pytest
-from pictures import history, trajectory
+from helpers.results import history, trajectory
 from pydantic import Field
 
 from posegsa.errors import RunFolderError

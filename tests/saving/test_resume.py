@@ -5,8 +5,8 @@ import signal
 
 import numpy as np
 import pytest
-from bits import assert_same
-from experiments import tiny
+from helpers.arrays import assert_same
+from helpers.experiments import tiny
 
 import posegsa
 from posegsa import config

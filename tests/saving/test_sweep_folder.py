@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 import posegsa
 from posegsa.errors import RunFolderError

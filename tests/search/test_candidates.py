@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import LEARNT, paper
+from helpers.experiments import LEARNT, paper
 
 from posegsa import config
 from posegsa.config.tunable import tunable

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 
 from posegsa import config
 from posegsa.errors import ArgumentError

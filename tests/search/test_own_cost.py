@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from setups import paper
+from helpers.experiments import paper
 
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.search.build import tuning_problem

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import PAPER, RULES, corner_vectors, search_vectors, space
+from helpers import reference
+from helpers.controllers import RULES, corner_vectors, search_vectors
+from helpers.experiments import PAPER, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError

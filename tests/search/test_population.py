@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import lasting, paper, posed, repaired_terms, search_vectors, searched
+from helpers.controllers import repaired_terms, search_vectors
+from helpers.experiments import lasting, paper, posed, searched
 
 from posegsa.filters.rollout import simulate_cost
 from posegsa.model.schedules import ConstantGain

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import LEARNT, paper, posed, search_vectors, searched, without_limit
+from helpers import reference
+from helpers.controllers import search_vectors
+from helpers.experiments import LEARNT, paper, posed, searched, without_limit
 
 from posegsa.search.population import ScenarioBatch, evaluate_population
 

@@ -5,8 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
-from recorded_motion import motion
+from helpers.arrays import assert_same
+from helpers.recordings import motion
+from posegsa.search.large_populations import is_large
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -18,7 +19,6 @@ from posegsa.recordings.recording import Recording
 from posegsa.search import large_populations, memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
-from posegsa.search.large_populations import is_large
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
 from posegsa.search.run import on_all_devices, run_search

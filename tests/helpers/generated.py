@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from experiments import tiny
 
 import posegsa
+from helpers.experiments import tiny
 from posegsa import config
 from posegsa.judging.evaluation import TUNED
 from posegsa.search.build import TuningProblem

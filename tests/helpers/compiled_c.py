@@ -18,7 +18,7 @@ WARNINGS = [
     *("-Wdouble-promotion", "-Wshadow", "-Werror"),
 ]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
-DRIVER = Path(__file__).parent / "export" / "drive_filter.c"
+DRIVER = Path(__file__).parents[1] / "export" / "drive_filter.c"
 
 
 def need(compiler: str) -> str:

@@ -1,65 +1,45 @@
-"""Tuned schedules for the tests of exports, without a search."""
+"""Tuned schedules without a search: what the tests of exports and of streams take."""
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from evaluations import FILTERS, endurance, trust
-from setups import paper, search_vectors
 
 import posegsa
-from posegsa.judging.evaluation import CONSTANT, TUNED, Contender, Evaluation
-from posegsa.judging.metrics import Bands, Metrics
+from helpers.controllers import search_vectors
+from helpers.experiments import paper
+from helpers.results import FILTERS, TIME, contender, result, trust
+from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.result import TuneResult
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.search.population import cost_name
 
 COUNT = 10_000
 
 
-def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **fields: Any) -> TuneResult:
+def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **values: Any) -> TuneResult:
     """A result with this vector k; what a search would say of itself is made up."""
     experiment = paper(*settings, dtype=dtype)
     with jax.enable_x64(dtype == "float64"):
         space = posegsa.parameter_space(experiment)
         vector = space.vector(space.controller(space.checked(k)))
         repaired = np.asarray(vector, np.float64)
-    costs = {TUNED: np.array([41.0, 43.5, 45.25]), CONSTANT: np.array([44.0, 46.0, 52.5])}
-    nothing = Bands(*[np.zeros((len(Bands._fields), 1))] * len(Bands._fields))
-    values: dict[str, Any] = {
+    costs = {TUNED: [41.0, 43.5, 45.25], CONSTANT: [44.0, 46.0, 52.5]}
+    contenders = {
+        name: contender(0, 3, FILTERS[name], cost=np.array(cost)) for name, cost in costs.items()
+    }
+    made_up: dict[str, Any] = {
         "experiment": experiment,
-        "cost": cost_name(None),
-        "best_cost": 40.5,
         "parameters": repaired,
-        "also": {},
+        "best_cost": 40.5,
         "training_costs": np.array([40.0, 41.0]),
         "constant_gain": 27.5,
         "constant_training_costs": np.array([44.0, 45.0]),
-        "evaluation": Evaluation(
-            seed=None,
-            time=np.zeros(1),
-            contenders={
-                name: Contender(
-                    Metrics(*[cost] * len(Metrics._fields))._replace(diverged=np.zeros(3, bool)),
-                    nothing,
-                    FILTERS[name],
-                )
-                for name, cost in costs.items()
-            },
-        ),
-        "endurance": endurance(),
+        "evaluation": Evaluation(seed=None, time=TIME, contenders=contenders),
         "trust": trust(cost_float32=40.5, cost_float64=40.5, cost_perturbed=40.5),
-        "evaluations": 24,
-        "non_finite": 0,
-        "compile_seconds": 1.0,
-        "search_seconds": 1.0,
-        "history": None,
-        "trajectory": None,
-        "environment": {},
         "version": "0.0.1",
     }
-    return TuneResult(**values | fields)
+    return result(**made_up | values)
 
 
 K, *DRAWN = search_vectors(1, seed=5)[0], *search_vectors(4)

@@ -11,11 +11,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-import reference
 from jax import Array
 from jax.typing import ArrayLike
-from schedules import DRAWN, GAPS, K, tuned
 
+from helpers import reference
+from helpers.schedules import DRAWN, GAPS, K, tuned
 from posegsa.model.fuzzy import FuzzyController
 
 FUZZYLITE = shutil.which("fuzzylite")

@@ -8,7 +8,8 @@ left-invariant, T = T_est exp(xi^), and the states are [xi; b; c_1; ...], rotati
 from dataclasses import dataclass
 
 import numpy as np
-from reference import Array, Sample, adjoint, se3_exp, skew
+
+from helpers.reference import Array, Sample, adjoint, se3_exp, skew
 
 
 @dataclass(frozen=True)

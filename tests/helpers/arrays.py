@@ -1,4 +1,4 @@
-"""Equality to the last bit."""
+"""Arrays: made at a precision, and compared to the last bit."""
 
 from typing import Any
 
@@ -6,6 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+
+
+def epsilon(dtype: type[np.floating]) -> float:
+    return float(np.finfo(dtype).eps)
+
+
+def as_arrays(tree: Any, dtype: Any) -> Any:
+    """Every leaf as a JAX array of this dtype."""
+    return jax.tree.map(lambda a: jnp.asarray(a, dtype), tree)
 
 
 def assert_same(a: Any, b: Any) -> None:

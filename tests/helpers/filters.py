@@ -6,10 +6,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import as_arrays, random_measurements, random_poses
 from jax import Array
 from scipy.spatial.transform import Rotation
 
+from helpers.arrays import as_arrays
+from helpers.experiments import PAPER
+from helpers.measurements import random_measurements, random_poses, reference_start
 from posegsa.filters.observer import (
     FilterSettings,
     GainLaw,
@@ -152,6 +154,11 @@ def state_of(
         turning=zeros if learnt_vectors else (),
     )
     return jax.tree.map(lambda a: a.astype(dtype), made)
+
+
+def start(dtype: str, learnt_vectors: int = 0) -> FilterState:
+    """The paper's initial estimate."""
+    return state_of(reference_start(PAPER.scenario), None, dtype, learnt_vectors)
 
 
 def random_estimates(
