@@ -21,7 +21,6 @@ from posegsa.judging.result import TuneResult
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
-from posegsa.model.schedules import check_schedule
 
 FORMAT = 3
 """Number of the layout of a checkpoint; it changes with what is in it."""
@@ -451,10 +450,7 @@ def _by_hand(source: Any) -> Filter:
         refuse('source.signal: "pose", the true errors, which no vehicle knows', '"measured"')
     dtype = _dtype_of(source)
     with np.errstate(over="ignore"), jax.enable_x64(dtype == np.float64):
-        filter = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), source)
-        if isinstance(filter, Observer) and filter.schedule is not None:
-            check_schedule(filter.schedule)
-    return filter
+        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), source)
 
 
 def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | None]:

@@ -87,7 +87,7 @@ from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, Seen, prepare, seen_from_estimate
-from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule
+from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule, check_schedule
 from posegsa.model.se3 import (
     Vec3,
     add,
@@ -501,8 +501,10 @@ class Observer:
         """The state before the first sample; the schedule begins at its initial gain.
 
         Raises:
-            ArgumentError: `initial` has biases of another number of vectors.
+            ArgumentError: `initial` has biases of another number of vectors, or the schedule is
+                none or begins at a negative gain.
         """
+        check_schedule(self._chosen)
         if self.settings.vector_bias is not None and vectors:
             initial = with_vector_biases(initial, vectors)
             if not initial.turning:

@@ -43,8 +43,9 @@ import posegsa
 from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import export_c, filter_to_c
-from posegsa.filters.observer import FilterSettings, ready
-from posegsa.filters.rollout import Estimates, samples_of, simulate
+from posegsa.filters.base import samples_of
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.rollout import Estimates, simulate
 from posegsa.judging.result import TuneResult
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import (
@@ -311,9 +312,8 @@ def in_python(case: Case, m: Measurements, dtype: str) -> Estimates:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rotation_matrices(START[None, :4])[0], START[4:]
         start = state_of(T, dtype=dtype)
-        samples = jax.jit(samples_of)(measured, at.settings.vectors)
-        start = ready(start, measured, at.settings)
-        found = simulate(at.schedule, samples, start, at.settings, at.signal)
+        observer = Observer(at.schedule, at.settings, at.signal)
+        found = simulate(observer, jax.jit(samples_of)(observer, measured), start)
         return jax.tree.map(np.asarray, found)
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from posegsa import config
 from posegsa.config import CostConfig, Experiment, FilterConfig, RunConfig, ScenarioConfig
 from posegsa.errors import PosegsaWarning
+from posegsa.filters.observer import Observer
 from posegsa.model.scenario import Scenario
 from posegsa.search.build import parameter_space, scenario, scenario_batch, search_space
 from posegsa.search.candidates import SearchSpace
@@ -63,11 +64,10 @@ def posed(experiment: config.Experiment, scenarios: int = 1) -> ScenarioBatch:
 
 def without_limit(limited: ScenarioBatch) -> ScenarioBatch:
     """The same problem with every gain applied as it is."""
-    return limited._replace(
-        settings=dataclasses.replace(
-            limited.settings, gain_limit=jnp.full_like(limited.settings.gain_limit, jnp.inf)
-        )
-    )
+    assert isinstance(limited.filter, Observer)
+    settings = limited.filter.settings
+    free = dataclasses.replace(settings, gain_limit=jnp.full_like(settings.gain_limit, jnp.inf))
+    return limited._replace(filter=dataclasses.replace(limited.filter, settings=free))
 
 
 # Very small ones ----------------------------------------------------------------------------------

@@ -17,16 +17,18 @@ from posegsa.filters.observer import (
     GainLaw,
     Innovation,
     Law,
+    Observer,
     VectorBias,
     innovation,
     observe,
     see,
 )
+from posegsa.filters.rollout import step
 from posegsa.model import se3
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
-from posegsa.model.schedules import Gains
+from posegsa.model.schedules import ConstantGain, Gains
 from posegsa.model.vectors import VectorSettings
 
 GAMMA = (3.0, 7.0)
@@ -120,6 +122,15 @@ def observed(
 ) -> tuple[FilterState, Array]:
     """One sample of the filter, all that is learnt at its full gain."""
     return observe(state, sample, see(state, sample, chosen), Gains(gain), chosen)
+
+
+def stepped(
+    state: FilterState, measurement: Measurements, gain: Any, chosen: FilterSettings
+) -> FilterState:
+    """The estimate after one sample of the observer with a constant gain, by the public step."""
+    observer = Observer(ConstantGain(gain), chosen)
+    before = observer.start(state, np.shape(measurement.vector_weights)[-1])
+    return step(observer, before, measurement)[0].estimate
 
 
 jitted_observe, jitted_innovation = jax.jit(observed), jax.jit(innovated)

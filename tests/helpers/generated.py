@@ -136,12 +136,14 @@ def some_result() -> posegsa.TuneResult:
 def stream_filter() -> posegsa.PoseFilter:
     """One filter for all that is tried on it; its gain needs no signal."""
     return posegsa.PoseFilter(
-        5.0,
+        posegsa.Observer(
+            posegsa.ConstantGain(np.float32(5.0)),  # type: ignore[arg-type]  # NumPy's will do
+            posegsa.filter_settings(tiny()),
+        ),
         rotation=np.eye(3),
         position=np.zeros(3),
         vector_references=np.eye(3)[:2],
         landmark_references=[[1.0, 2.0, 3.0]],
-        settings=posegsa.filter_settings(tiny()),
     )
 
 
@@ -196,6 +198,7 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
     N, n, m = (int(rng.integers(1, 4)) for _ in range(3))
     settings = posegsa.filter_settings(experiment)
     signal = posegsa.signal_settings(experiment.gain, np.float32)
+    observer = posegsa.Observer(result.schedule, settings, signal)
     state = posegsa.initial_state(np.eye(3), np.zeros(3))
     calls: dict[str, Callable[[], Any]] = {
         "from_arrays": lambda: posegsa.Measurements.from_arrays(
@@ -243,14 +246,8 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "initial_state": lambda: posegsa.initial_state(array(3, 3), array(3), any_of(None)),
         "filter_settings": lambda: posegsa.filter_settings(hostile()),
         "signal_settings": lambda: posegsa.signal_settings(hostile(), np.float32),
-        "step": lambda: posegsa.step(state, hostile(), 1.0, settings),
-        "begin": lambda: posegsa.begin(any_of(result.schedule), hostile()),
-        "scheduled_step": lambda: posegsa.scheduled_step(
-            hostile(), hostile(), result.schedule, settings, signal
-        ),
-        "run_filter": lambda: posegsa.run_filter(
-            any_of(result.schedule), hostile(), state, settings, signal
-        ),
+        "step": lambda: posegsa.step(any_of(observer), hostile(), hostile()),
+        "run_filter": lambda: posegsa.run_filter(any_of(observer), hostile(), state),
         "estimate": lambda: result.estimate(hostile(), np.eye(3), np.zeros(3)),
         "parameter_space": lambda: posegsa.parameter_space(hostile()),
         "plot_surface": lambda: posegsa.plot_surface(hostile()),
@@ -268,17 +265,12 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
             any_of(folder / "none.fis", str(folder)), no_rule=hostile()
         ),
         "PoseFilter": lambda: posegsa.PoseFilter(
-            any_of(hostile(), controller),
+            any_of(hostile(), controller, posegsa.Observer(hostile(), settings)),
             rotation=array(3, 3),
             position=array(3),
             vector_references=any_of(None, array(n, 3)),
             landmark_references=array(m, 3),
-            settings=any_of(settings),
-            signal=any_of(signal),
             hold_time=any_of(0.1),
-        ),
-        "PoseFilter settings": lambda: posegsa.PoseFilter(
-            5.0, rotation=np.eye(3), position=np.zeros(3), settings=hostile()
         ),
         "update": lambda: stream_filter().update(
             time_step=any_of(0.01),

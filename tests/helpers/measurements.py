@@ -17,15 +17,15 @@ from helpers import reference
 from helpers.arrays import as_arrays
 from helpers.experiments import PAPER
 from posegsa import config
-from posegsa.filters.observer import FilterSettings
-from posegsa.filters.rollout import Estimates, Samples, samples_of
+from posegsa.filters.base import Filter, Samples, samples_of
+from posegsa.filters.observer import Observer
+from posegsa.filters.rollout import Estimates
 from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
-from posegsa.model.vectors import VectorSettings
-from posegsa.search.build import filter_settings, scenario
+from posegsa.search.build import observer, scenario
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:
@@ -74,21 +74,20 @@ class World(NamedTuple):
 
 
 @jax.jit
-def _world(one: Scenario, settings: FilterSettings, key: Array) -> World:
+def _world(one: Scenario, filter: Observer, key: Array) -> World:
     truth = integrate(one)
     m = measure(one, truth, key).measurements
     initial = initial_state(
         one.rotation_estimate,
         one.position_estimate,
         one.bias_estimate,
-        learnt_vectors=0 if settings.vector_bias is None else one.vectors.shape[0],
     )
-    return World(truth, m, samples_of(m, settings.vectors, truth.rotation, truth.position), initial)
+    return World(truth, m, samples_of(filter, m, truth.rotation, truth.position), initial)
 
 
 def world(experiment: config.Experiment, seed: int = 0) -> World:
     """Truth and measurements of an experiment's scenario, at its dtype."""
-    return _world(scenario(experiment), filter_settings(experiment), jax.random.key(seed))
+    return _world(scenario(experiment), observer(experiment), jax.random.key(seed))
 
 
 # The reference's view -----------------------------------------------------------------------------
@@ -190,12 +189,10 @@ def sensed(
     return truth, Measurements(step, *noisy, v_B, v_I, v_weights, y, p_I, y_weights)
 
 
-def tracked(
-    measurements: Measurements, truth: np.ndarray, vectors: VectorSettings, dtype: str
-) -> Samples:
+def tracked(measurements: Measurements, truth: np.ndarray, filter: Filter, dtype: str) -> Samples:
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
-    return jax.jit(samples_of)(as_arrays(measurements, dtype), vectors, rotation, position)
+    return jax.jit(samples_of)(filter, as_arrays(measurements, dtype), rotation, position)
 
 
 @jax.jit

@@ -161,15 +161,15 @@ def test_weights_go_in_order_whatever_a_run_was_tuned_on(
 ) -> None:
     two = {"scenario.vectors.0.weight": 0.5, "scenario.landmarks.0.weight": 0.25}
     run = replace(run, experiment=run.experiment.replace(**two))
-    settings = run.settings_for(vectors=3, landmarks=2)
+    settings = run.filter_for(vectors=3, landmarks=2).settings
     assert [float(w) for w in settings.vectors.weights or ()] == [0.5, 1.0, 1.0]
     assert [float(w) for w in settings.landmark_weights or ()] == [0.25, 1.0]
-    fewer = run.settings_for(vectors=1, landmarks=0)
+    fewer = run.filter_for(vectors=1, landmarks=0).settings
     assert [float(w) for w in fewer.vectors.weights or ()] == [0.5]
     assert fewer.landmark_weights == ()
     given = replace(result, experiment=run.experiment, filter=result.filter._replace(also={}))
-    same, _ = given.settings(recordings[0])
-    assert same == run.settings_for(vectors=2, landmarks=1)
+    same = given.filter_on(recordings[0]).settings
+    assert same == run.filter_for(vectors=2, landmarks=1).settings
 
 
 def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(

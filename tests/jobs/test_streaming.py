@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import tiny
 from helpers.results import trust
 from helpers.schedules import K, tuned
 
@@ -115,34 +114,47 @@ def test_a_schedule_over_time_by_hand(result):
         signal = posegsa.signal_settings(result.experiment.gain, "float64")
         # The gain falls, and learning begins, in the middle between two samples.
         schedule = SwitchGain(*jnp.asarray([30.0, 4.0, steps[:19].sum() + 0.002, 0.1]))
-        start = posegsa.initial_state(**START, learnt_vectors=2)
-        run = (at_once(steps, samples, references, "float64"), start, settings, signal)
-        expected = jax.tree.map(np.asarray, posegsa.run_filter(schedule, *run))
-    pose_filter = posegsa.PoseFilter(schedule, **START, **references, settings=settings)
-    assert pose_filter.gain == 30
+        observer = posegsa.Observer(schedule, settings, signal)
+        run = at_once(steps, samples, references, "float64"), posegsa.initial_state(**START)
+        expected = jax.tree.map(np.asarray, posegsa.run_filter(observer, *run))
+    pose_filter = posegsa.PoseFilter(observer, **START, **references)
+    assert math.isnan(pose_filter.gain), "none was asked for yet"
     poses = fed(pose_filter, steps, samples, slice(N - 1))
     np.testing.assert_allclose([p.position for p in poses], expected.position[1:], atol=1e-13)
     np.testing.assert_allclose([p.rotation for p in poses], expected.rotation[1:], atol=1e-13)
     assert pose_filter.gain == 4
 
 
-def test_a_gain_as_a_number_and_a_controller_by_itself(result):
+def test_a_filter_of_ones_own_numbers_is_that_of_the_result(result):
     steps, samples, references = stream(result)
     with jax.enable_x64(True):
-        settings = posegsa.filter_settings(result.experiment)
-        signal = posegsa.signal_settings(result.experiment.gain, "float64")
-    common = {**START, **references}
-    # The settings of another file's filter with a constant gain, which is the same program.
-    plain = posegsa.filter_settings(tiny())
-    number = posegsa.PoseFilter(7, **common, settings=plain)
-    constant = posegsa.PoseFilter(posegsa.ConstantGain(np.float64(7.0)), **common, settings=plain)
-    controller = posegsa.PoseFilter(result.controller, **common, settings=settings, signal=signal)
-    tuned_filter = posegsa.PoseFilter(result, **START)
-    last = [fed(each, steps, samples)[-1] for each in (number, constant, controller, tuned_filter)]
-    np.testing.assert_array_equal(last[0].position, last[1].position)
-    np.testing.assert_array_equal(last[2].position, last[3].position)
-    assert np.abs(last[0].position - last[2].position).max() > 1e-4
-    assert number.gain == 7
+        by_hand = posegsa.Observer(
+            posegsa.FuzzyGain(result.controller),
+            posegsa.filter_settings(result.experiment),
+            posegsa.signal_settings(result.experiment.gain, "float64"),
+        )
+    filters = (
+        posegsa.PoseFilter(by_hand, **START, **references),
+        posegsa.PoseFilter(result, **START),
+    )
+    one, other = (fed(each, steps, samples)[-1] for each in filters)
+    np.testing.assert_array_equal(one.position, other.position)
+
+
+def test_a_kalman_filter_is_streamed_as_it_is_run(result):
+    steps, samples, references = stream(result)
+    noise = posegsa.KalmanNoise(*np.geomspace(0.01, 0.5, len(posegsa.KalmanNoise._fields)))
+    with jax.enable_x64(True):
+        filter = posegsa.KalmanFilter(jax.tree.map(jnp.asarray, noise))
+        measured = at_once(steps, samples, references, "float64")
+        expected = posegsa.run_filter(filter, measured, posegsa.initial_state(**START))
+        expected = jax.tree.map(np.asarray, expected)
+    pose_filter = posegsa.PoseFilter(filter, **START, **references)
+    poses = fed(pose_filter, steps, samples, slice(N - 1))
+    np.testing.assert_allclose([p.position for p in poses], expected.position[1:], atol=1e-12)
+    np.testing.assert_allclose([p.rotation for p in poses], expected.rotation[1:], atol=1e-12)
+    np.testing.assert_allclose(pose_filter.vector_bias, expected.vector_bias[-1], atol=1e-12)
+    assert math.isnan(pose_filter.gain), "it has none"
 
 
 def test_weights_of_a_sample_are_factors_on_those_of_the_filter(result):
@@ -369,7 +381,6 @@ def test_what_a_result_warns_of_is_said(result):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"settings": 5}, "settings, signal: given beside a result"),
         ({"rotation": np.ones((3, 3))}, "rotation: must be a rotation"),
         ({"position": [0, 0]}, "position: must have the shape"),
         ({"vector_references": np.ones((2, 2))}, "vector_references: must have the shape"),
@@ -387,21 +398,25 @@ def test_bad_arguments_are_refused_by_name(result, change, message):
 
 def test_bad_sources_are_refused(result):
     settings = posegsa.filter_settings(tuned(K).experiment)
-    varied = dataclasses.replace(settings, gamma_linear=np.ones(9))
-    for source, given, message in (
-        (7.0, {}, "settings: None; allowed: the filter's"),
-        (-7.0, {"settings": settings}, "source, a constant gain = -7.0"),
-        ("run", {}, "source: a str; allowed: a TuneResult"),
-        (result.controller, {"settings": settings}, "signal: None; allowed"),
-        (7.0, {"settings": settings}, "settings.vectors.weights: 2 of them; allowed: 0"),
+    constant = posegsa.ConstantGain(jnp.float32(7.0))
+    for source, message in (
+        (7.0, "source: a float; allowed: a TuneResult"),
+        ("run", "source: a str; allowed: a TuneResult"),
+        (result.controller, "source: a FuzzyController; allowed: .*Observer"),
+        (posegsa.Observer, "source: the class Observer; allowed"),
+        (posegsa.Observer(posegsa.ConstantGain(jnp.float32(-7.0))), "gain = -7.0; allowed"),
+        (posegsa.Observer(None), "schedule: None; allowed: a gain schedule"),
         (
-            7.0,
-            {"settings": varied},
-            r"settings.gamma_linear: of the shape \(9,\); allowed: one num",
+            posegsa.Observer(constant, signal=posegsa.SignalSettings(signal="pose")),
+            'source.signal: "pose"',
+        ),
+        (
+            posegsa.Observer(constant, settings),
+            "settings.vectors.weights: 2 of them; allowed: 0",
         ),
     ):
         with pytest.raises(ArgumentError, match=message):
-            posegsa.PoseFilter(source, **START, **given)
+            posegsa.PoseFilter(source, **START)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.quick
 
 LAYERS = (
     "errors arguments words lazy version compiled_programs runtime steps settings"
-    " | optimisers model | exchange config | recordings | search | judging | figures"
+    " | optimisers model | filters | exchange config | recordings | search | judging | figures"
     " | report export | saving"
     " | tuning imu_tuning evaluating replaying comparing sweeping streaming"
     " | __init__ | cli | __main__"

@@ -46,12 +46,7 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one() -> None:
     one = jax.jit(
         lambda k, tracks, initial: (
             simulate_cost(
-                made.candidate(k).schedule,
-                tracks,
-                initial,
-                problem.weights,
-                problem.settings,
-                problem.signal,
+                made.candidate(k).applied(problem.filter), tracks, initial, problem.weights
             ).total
         )
     )

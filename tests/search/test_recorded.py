@@ -5,9 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.arrays import assert_same
 from helpers.recordings import motion
-from posegsa.search.large_populations import is_large
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -16,12 +14,12 @@ from posegsa.errors import ConfigError, MemoryLimitError
 from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
-from posegsa.search import large_populations, memory
+from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
-from posegsa.search.run import on_all_devices, run_search
+from posegsa.search.run import on_all_devices
 
 BASE: dict[str, Any] = {
     "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
@@ -152,29 +150,6 @@ def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -
         recorded_problem(oracle, recordings, "constant", 1.0)
 
 
-def test_gradients_go_in_pieces_as_in_the_whole(
-    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of any size to the same bits; a program of the whole may round a position otherwise."""
-    search = {"optimiser": "adam", "agents": 4, "iterations": 3}
-    experiment = config.from_dict(BASE | {"search": search})
-    problem = recorded_problem(experiment, recordings, "smooth", 100.0)
-    assert not is_large(problem)
-    whole = run_search(problem).search
-    monkeypatch.setattr(large_populations, "WORK", 2 * 400 * 3)
-    assert is_large(problem)
-    told = []
-    pieces = run_search(problem, told.append).search
-    # One agent on both recordings at once.
-    shares = [progress.share for progress in told if progress.iteration == 1]
-    assert shares == [0, 0.25, 0.5, 0.75, 1]
-    monkeypatch.setattr(large_populations, "WORK", 2 * 2 * 400 * 3)  # two agents
-    assert_same(run_search(problem).search, pieces)
-    np.testing.assert_allclose(pieces.best_position, whole.best_position, rtol=1e-5)
-    np.testing.assert_allclose(pieces.history.best, whole.history.best, rtol=1e-5)
-    assert whole.history.best[-1] < whole.history.best[0] - 0.01, "they go down"
-
-
 # Simulated scenarios beside recordings ------------------------------------------------------------
 
 
@@ -210,9 +185,8 @@ def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Reco
     weight[:10], weight[20:46] = 0.3, 1.0
     for i in range(2):
         one = problem.beside.select(np.array(i))
-        est = simulate(
-            ConstantGain(jnp.float32(9)), one.samples, one.initial, one.settings, one.signal
-        )
+        filter = Candidate(ConstantGain(jnp.float32(9))).applied(one.filter)
+        est = simulate(filter, one.samples, one.initial)
         assert one.samples.truth is not None
         w, x, y, z = one.samples.truth.attitude
         true = Rotation.from_quat(np.stack([x, y, z, w], axis=1))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.filters import settings
 
+from posegsa.filters.observer import Observer
 from posegsa.filters.online import Layout, OnlineLoop, OnlineParameters, _compiled
 from posegsa.model.estimate import initial_state
 from posegsa.model.schedules import ConstantGain
@@ -44,9 +45,7 @@ def test_filters_of_one_structure_are_compiled_once():
             **{name: jnp.asarray(value) for name, value in numbers.items()},
         )
         parameters = OnlineParameters(
-            ConstantGain(jnp.asarray(gain)),
-            settings(gamma=(gain, gain)),
-            signal,
+            Observer(ConstantGain(jnp.asarray(gain)), settings(gamma=(gain, gain)), signal),
             np.eye(3)[:1],
             np.ones((landmarks, 3)),
         )

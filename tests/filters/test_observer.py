@@ -27,6 +27,7 @@ from helpers.filters import (
     settings,
     stacked,
     state_of,
+    stepped,
     vector_bias,
     vector_biases,
     vector_settings,
@@ -40,19 +41,18 @@ from jax import Array
 from posegsa.config import (
     Experiment,
     FilterConfig,
-    GainConfig,
     ParametersConfig,
     RunConfig,
     override,
 )
 from posegsa.errors import ArgumentError
-from posegsa.filters.observer import FilterSettings, _step, bias_gains, see, step
-from posegsa.filters.rollout import begin, run_filter, scheduled_step
+from posegsa.filters.observer import FilterSettings, Observer, bias_gains, see
+from posegsa.filters.rollout import run_filter
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import filter_settings, signal_settings
+from posegsa.search.build import filter_settings
 
 COUNT = 30
 """States that are stepped at once; of one number wherever it does not matter: one program."""
@@ -163,7 +163,7 @@ def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_ref
     m = as_arrays(raw, np.float64)
     law = {"gain": 0.5, "leak": 0.1, "bound": 0.5, "excitation": 0.2, "excitation_time": 1.0}
     chosen, K = learning(**law), 8.0
-    schedule, signal = ConstantGain(jnp.asarray(K)), signal_settings(GainConfig(), np.float64)
+    observer = Observer(ConstantGain(jnp.asarray(K)), chosen)
     (T,), (b,), states = random_estimates(rng, 1)
     state = plain = jax.tree.map(lambda a: a[0], states)
     c, turning = np.zeros((2, 3)), np.zeros(3)
@@ -172,7 +172,7 @@ def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_ref
         # Sample k is the estimate before its update, so that sample 0 is the initial one.
         online.append(with_none(state))
         by_reference.append((T, b, c))
-        state = step(state, m.at(k), K, chosen)
+        state = stepped(state, m.at(k), K, chosen)
         sample, gains = reference_sample(raw, k), []
         used = reference.used_sample(sample, c, normalise=True, cross_weight=0.5)
         after = reference.filter_step(
@@ -191,7 +191,7 @@ def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_ref
         T, b = after
     one_by_one = stacked(jax.tree.map(lambda *a: np.stack(a), *online))
     for start in (plain, with_none(plain)):
-        estimates = run_filter(schedule, m, start, chosen, signal)
+        estimates = run_filter(observer, m, start)
         at_once = np.asarray(jitted_transform(estimates.rotation, estimates.position))
         found = at_once, estimates.bias, estimates.vector_bias
         wanted = zip(*by_reference, strict=True)
@@ -201,8 +201,6 @@ def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_ref
             np.testing.assert_allclose(got, want, rtol=0, atol=1e-10)
     assert np.abs(c).max() > 0.01
     np.testing.assert_allclose(estimates.time, np.cumsum(raw.time_step) - raw.time_step)
-    loop, _ = scheduled_step(begin(schedule, plain), m.at(0), schedule, chosen, signal)
-    np.testing.assert_allclose(vector_biases(loop.state), by_reference[1][2], rtol=1e-12)
 
 
 def with_none(state: FilterState) -> FilterState:
@@ -247,7 +245,7 @@ def test_step_takes_a_gain_of_any_kind_and_keeps_the_states_dtype(gain, wide) ->
     raw, T, b = one_sample()
     state, chosen = state_of(T, b, np.float32), settings(np.float32)
     with jax.enable_x64(wide):
-        after = jax.eval_shape(lambda: step(state, raw.at(0), gain, chosen))
+        after = jax.eval_shape(lambda: stepped(state, raw.at(0), gain, chosen))
     assert {a.dtype for a in jax.tree.leaves(after)} == {np.dtype(np.float32)}
 
 
@@ -255,7 +253,7 @@ def test_step_takes_a_gain_of_any_kind_and_keeps_the_states_dtype(gain, wide) ->
 def test_step_is_the_references_whatever_the_kind_of_the_gain(gain, wide) -> None:
     raw, T, b = one_sample()
     with jax.enable_x64(wide):
-        after = step(state_of(T, b, np.float32), raw.at(0), gain, settings(np.float32))
+        after = stepped(state_of(T, b, np.float32), raw.at(0), gain, settings(np.float32))
         found = stacked(after)[:2]
     T, b = (a.astype(np.float64) for a in (T, b))
     want = reference.filter_step(T, b, reference_sample(raw, 0), 5.0, gamma=GAMMA, gain_limit=1.5)
@@ -271,15 +269,17 @@ def one_sample() -> tuple[Measurements, np.ndarray, np.ndarray]:
     return raw, T[0], b[0]
 
 
-def test_step_compiles_once_for_all_numbers() -> None:
+def test_step_compiles_once_for_all_numbers(caplog: pytest.LogCaptureFixture) -> None:
     rng = np.random.default_rng(0)
     m = as_arrays(random_measurements(rng, 3, 2, 1, missing=0.3), np.float32)
     state = as_arrays(jax.tree.map(lambda a: a[0], random_estimates(rng, 1)[2]), np.float32)
-    before = _step._cache_size()
     for k, (gamma, limit) in enumerate([((1.0, 2.0), 1.5), ((0.0, 0.0), 0.7), ((5.0, 5.0), 1.0)]):
         chosen = settings(np.float32, gamma=gamma, gain_limit=limit)
-        state = step(state, m.at(k), np.float32(k), chosen)
-    assert _step._cache_size() <= before + 1
+        with caplog.at_level("WARNING"), jax.log_compiles():
+            state = stepped(state, m.at(k), np.float32(k), chosen)
+        if k == 0:
+            caplog.clear()
+    assert not [r for r in caplog.records if "Compiling" in r.message]
 
 
 def configured(dtype: Any, **section: Any) -> FilterSettings:
@@ -461,7 +461,7 @@ def test_with_fewer_than_two_vectors_there_is_no_cross_product(learns, vectors) 
 def test_without_vectors_a_filter_that_learns_their_biases_takes_a_step_all_the_same() -> None:
     m = as_arrays(random_measurements(np.random.default_rng(0), 1, 0, 3), np.float64)
     start = state_of(np.eye(4))
-    after = jax.eval_shape(lambda: step(start, m.at(0), 5.0, learning()))
+    after = jax.eval_shape(lambda: stepped(start, m.at(0), 5.0, learning()))
     assert jax.tree.structure(after) == jax.tree.structure(start)
 
 
@@ -471,10 +471,10 @@ def test_settings_of_another_number_of_sensors_are_refused() -> None:
     chosen = filter_settings(override(Experiment(), ["run.dtype=float64"]))
     start = state_of(np.eye(4))
     with pytest.raises(ArgumentError, match=r"vectors.weights: 2 of them; allowed: 3"):
-        step(start, m.at(0), 5.0, chosen)
+        stepped(start, m.at(0), 5.0, chosen)
     two = state_of(np.eye(4), learnt_vectors=2)
     with pytest.raises(ArgumentError, match=r"vector_biases: of 2 vectors; allowed: 3"):
-        step(two, m.at(0), 5.0, learning())
+        stepped(two, m.at(0), 5.0, learning())
 
 
 # Transformations ---------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Whole simulations, against the reference: the compiled chain in float64, agent by agent."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -24,13 +25,15 @@ from helpers.measurements import (
 )
 
 from posegsa.config import Experiment
+from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, run_filter, simulate, simulate_cost
 from posegsa.judging.trajectory import trajectory
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Truth
-from posegsa.model.schedules import ConstantGain, FuzzyGain, SwitchGain
+from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, SwitchGain
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
+from posegsa.search.build import observer as observer_of
 
 VECTOR = search_vectors(1, seed=1)[0]
 """A schedule with nothing special about it; its gains run from 11 to 75 in the paper's scenario."""
@@ -44,6 +47,11 @@ cost_of = jax.jit(simulate_cost)
 @cache
 def fuzzy_schedule() -> FuzzyGain:
     return FuzzyGain(space().controller(jnp.asarray(VECTOR)))
+
+
+def observed(experiment: Experiment, schedule: GainSchedule | None = None) -> Observer:
+    """The experiment's observer with a schedule, by default `fuzzy_schedule`."""
+    return replace(observer_of(experiment), schedule=schedule or fuzzy_schedule())
 
 
 def reference_gain(experiment: Experiment) -> Callable[[float, float, float], float]:
@@ -154,15 +162,15 @@ def test_the_papers_experiment_against_the_reference() -> None:
     truth, measurements, scenario, initial = world(experiment)
     true_poses = reference_truth(experiment.scenario)
     expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
-    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, "float64")
+    observer = observed(experiment)
 
-    estimates = simulate(fuzzy_schedule(), scenario, initial, settings, signal)
+    estimates = simulate(observer, scenario, initial)
     assert_same_run(estimates, expected, signal)
     assert_same_errors(truth, estimates, expected)
 
     weights = cost_weights(experiment.cost, 1500, jnp.dtype("float64"))
-    cost = cost_of(fuzzy_schedule(), scenario, initial, weights, settings, signal)
+    cost = cost_of(observer, scenario, initial, weights)
     theirs = reference.cost(expected.attitude_error, expected.position_error)
     np.testing.assert_allclose(cost.total, theirs, rtol=1e-8)
 
@@ -281,11 +289,11 @@ def test_the_chain_against_the_reference(chain: Chain) -> None:
     )
     expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
     settings = filter_settings(experiment)
-    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
+    scenario = tracked(measurements, true_poses, observed(experiment), "float64")
     signal = signal_settings(experiment.gain, "float64")
     learnt = chain.vectors if settings.vector_bias is not None else 0
 
-    estimates = simulate(fuzzy_schedule(), scenario, start("float64", learnt), settings, signal)
+    estimates = simulate(observed(experiment), scenario, start("float64"))
     assert_same_run(estimates, expected, signal)
     assert estimates.vector_bias.shape == (200, learnt, 3)
     if learnt:
@@ -330,10 +338,9 @@ def test_run_filter_with_missing_measurements_and_uneven_steps_against_the_refer
     )
     assert nothing[1:].any()  # some samples have only the velocities
     expected = reference_run(experiment, measurements, true_poses, reference_gain(experiment))
-    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, "float64")
     own = as_arrays(measurements, "float64")
-    estimates = run_filter(fuzzy_schedule(), own, start("float64", 3), settings, signal)
+    estimates = run_filter(observed(experiment), own, start("float64"))
     assert_same_run(estimates, expected, signal)
     np.testing.assert_allclose(estimates.time, np.cumsum(step) - step, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(np.asarray(estimates.gain_used)[nothing], estimates.gain[nothing])
@@ -360,11 +367,11 @@ def test_a_switch_of_gain_and_learning_against_the_reference() -> None:
         lambda error, rate, last: before if next(clock) < time else after,
         learning=lambda now: float(now >= learning_time),
     )
-    settings = filter_settings(experiment)
     signal = signal_settings(experiment.gain, "float64")
     schedule = SwitchGain(*(jnp.asarray(x) for x in (before, after, time, learning_time)))
-    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
-    estimates = simulate(schedule, scenario, start("float64", 2), settings, signal)
+    observer = observed(experiment, schedule)
+    scenario = tracked(measurements, true_poses, observer, "float64")
+    estimates = simulate(observer, scenario, start("float64"))
     assert_same_run(estimates, expected, signal)
     assert (np.asarray(estimates.vector_bias)[:121] == 0).all()
     assert (np.asarray(estimates.vector_bias)[122] != 0).any()
@@ -376,11 +383,9 @@ def test_run_filter_refuses_the_pose_signal() -> None:
     _, measurements = sensed(np.full(200, 0.01), THREE, TWO)
     with pytest.raises(ValueError, match='signal "pose" needs the true pose; use "measured"'):
         run_filter(
-            ConstantGain(jnp.asarray(10.0)),
+            observed(experiment, ConstantGain(jnp.asarray(10.0))),
             as_arrays(measurements, "float64"),
             state_of(np.eye(4)),
-            filter_settings(experiment),
-            signal_settings(experiment.gain, "float64"),
         )
 
 
@@ -392,21 +397,23 @@ def test_derivatives_of_the_cost_by_the_parameters_are_those_of_the_cost() -> No
     experiment = paper(*lasting(2.0))
     true_poses, measurements = sensed(np.full(200, 0.01), THREE[:2], [[0.5, 1.4, 1]])
     made = space()
-    settings = filter_settings(experiment)
-    scenario = tracked(measurements, true_poses, settings.vectors, "float64")
-    signal = signal_settings(experiment.gain, "float64")
+    scenario = tracked(measurements, true_poses, observed(experiment), "float64")
     weights = cost_weights(experiment.cost, 200, jnp.dtype("float64"))
 
-    given = scenario, start("float64"), weights, settings, signal
-    schedule = jax.jit(lambda k: FuzzyGain(made.controller(k)))
+    given = scenario, start("float64"), weights
+
+    def observer(k: np.ndarray) -> Observer:
+        return observed(experiment, FuzzyGain(made.controller(k)))
+
+    of_vector = jax.jit(observer)
 
     def cost(k: np.ndarray) -> float:
-        return float(cost_of(schedule(k), *given).total)
+        return float(cost_of(of_vector(k), *given).total)
 
     k = VECTOR
     slope = jax.jit(
         lambda k, along: jax.jvp(
-            lambda k: simulate_cost(FuzzyGain(made.controller(k)), *given).total, (k,), (along,)
+            lambda k: simulate_cost(observer(k), *given).total, (k,), (along,)
         )[1]
     )
     rng, h = np.random.default_rng(0), 1e-6

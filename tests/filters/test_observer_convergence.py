@@ -13,8 +13,9 @@ from helpers.filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 
 from posegsa.config import GainConfig, Landmark, Vector
-from posegsa.filters.observer import FilterSettings
-from posegsa.filters.rollout import Estimates, Samples, samples_of, simulate
+from posegsa.filters.base import Samples, samples_of
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.rollout import Estimates, simulate
 from posegsa.model.estimate import FilterState
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain, GainSchedule, SwitchGain
@@ -52,7 +53,7 @@ def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
     initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
-    made = truth, jax.jit(samples_of)(m, papers())
+    made = truth, jax.jit(samples_of)(Observer(None, settings(vectors=papers())), m)
     minute = jax.tree.map(lambda a: np.asarray(a)[:6000], made)
     return *minute, initial
 
@@ -60,8 +61,8 @@ def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
 def run(chosen: FilterSettings, gain: float, *, biased: bool) -> tuple[Truth, Estimates]:
     """That motion filtered with a constant gain."""
     truth, sensors, initial = sensed(biased)
-    signal = signal_settings(GainConfig(), np.float64)
-    return truth, simulate(ConstantGain(jnp.asarray(gain)), sensors, initial, chosen, signal)
+    observer = Observer(ConstantGain(jnp.asarray(gain)), chosen)
+    return truth, simulate(observer, sensors, initial)
 
 
 def errors(truth: Truth, estimates: Estimates) -> tuple[np.ndarray, np.ndarray]:
@@ -143,11 +144,10 @@ def learnt(
     """A scenario filtered with the vectors' biases learnt from 0."""
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
-    initial = jitted_state(
-        s.rotation_estimate, s.position_estimate, s.bias_estimate, learnt_vectors=2
-    )
-    sensors = jax.jit(samples_of)(m, chosen.vectors)
-    return truth, simulate(schedule, sensors, initial, chosen, signal_settings(GainConfig(), dtype))
+    initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
+    signal = signal_settings(GainConfig(), dtype)
+    observer = Observer(schedule, chosen, signal)
+    return truth, simulate(observer, jax.jit(samples_of)(observer, m), initial)
 
 
 @pytest.mark.usefixtures("x64")

@@ -18,24 +18,20 @@ from helpers.reference import se3_exp
 from jax import Array
 
 from posegsa.errors import ArgumentError
+from posegsa.filters.base import Samples, samples_of
 from posegsa.filters.kalman import (
+    KalmanFilter,
     KalmanNoise,
     KalmanState,
-    ekf_cost,
-    ekf_errors,
-    ekf_nees,
-    ekf_samples,
-    ekf_start,
     nees,
     propagate,
-    run_ekf,
     update,
 )
-from posegsa.filters.rollout import Samples, samples_of
+from posegsa.filters.rollout import simulate, simulate_cost, simulate_errors
 from posegsa.model.cost import CostWeights, trajectory_cost
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
-from posegsa.model.sample import Sample
+from posegsa.model.sample import Sample, prepare
 from posegsa.model.scenario import integrate, measure
 from posegsa.model.se3 import exp, transform
 from posegsa.model.signal import TruePose
@@ -74,8 +70,24 @@ def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> KalmanNoise
     )
 
 
-jitted_samples = jax.jit(ekf_samples)
-jitted_nees = jax.jit(nees)
+def samples_for(m: Measurements, rotation: Any = None, position: Any = None) -> Samples:
+    """What the filter reads, whatever its noise."""
+    return samples_of(KalmanFilter(noise_of(PLAIN, np.float32)), m, rotation, position)
+
+
+def begun(initial: FilterState, noise: KalmanNoise) -> KalmanState:
+    """The state before the first sample; the vectors' biases that `initial` has are states."""
+    learnt = len(initial.vector_biases)
+    return KalmanFilter(noise, vector_biases=learnt > 0).start(initial, learnt)
+
+
+def plain(noise: KalmanNoise) -> KalmanFilter:
+    """The filter of 12 states."""
+    return KalmanFilter(noise, vector_biases=False)
+
+
+jitted_samples = jax.jit(samples_for)
+jitted_nees, jitted_prepare = jax.jit(nees), jax.jit(prepare)
 
 
 def leaves_close(got: Any, want: Any, atol: float) -> None:
@@ -127,7 +139,7 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt) -> None:
     m = random_measurements(rng, COUNT, vectors, landmarks, missing=0.3)
     T, b = random_poses(rng, 1)[0], 0.3 * rng.normal(size=6)
     samples, noise = seen(m, rng), noise_of(PLAIN)
-    state = ekf_start(state_of(T, b, learnt_vectors=learnt), noise)
+    state = begun(state_of(T, b, learnt_vectors=learnt), noise)
     begin = reference_ekf.start(T, b, learnt, PLAIN)
     want = reference_ekf.run([sample_of(m, k) for k in range(COUNT)], begin, PLAIN)
     wanted = zip(*((one.T, one.b, one.c, one.Sigma) for one in want), strict=True)
@@ -147,7 +159,7 @@ def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> 
     rng = np.random.default_rng(5)
     T = random_poses(rng, 1)[0]
     xi = np.concatenate([size * np.array([0.6, 0.0, -0.8]), rng.normal(size=3)])
-    state = ekf_start(state_of(T), noise_of(PLAIN))
+    state = begun(state_of(T), noise_of(PLAIN))
     truth = T @ se3_exp(xi)
     origin = truth[:3, :3].T @ truth[:3, 3]
     truth = TruePose(state_of(truth).attitude, (origin[0], origin[1], origin[2]))
@@ -179,7 +191,7 @@ def test_a_step_is_the_same_jitted_and_not() -> None:
     rng = np.random.default_rng(1)
     samples = seen(random_measurements(rng, COUNT, 1, 0), rng)
     noise = noise_of(PLAIN)
-    state = ekf_start(state_of(random_poses(rng, 1)[0]), noise)
+    state = begun(state_of(random_poses(rng, 1)[0]), noise)
     jitted = [a[1] for a in one_by_one(state, samples.sample, noise)]
     leaves_close(jitted, list(jax.jit(held)(step(state, first_of(samples), noise))), atol=1e-12)
 
@@ -206,21 +218,23 @@ def test_all_simulations_are_the_same_steps() -> None:
     all_noises = jax.tree.map(lambda *a: np.stack(a), *noises)
 
     def costs(samples: Samples, initial: FilterState) -> Array:
-        return jax.vmap(lambda noise: ekf_cost(samples, initial, weights, noise).total)(all_noises)
+        return jax.vmap(lambda noise: simulate_cost(plain(noise), samples, initial, weights).total)(
+            all_noises
+        )
 
     together = jax.jit(jax.vmap(costs))(all_samples, all_initial)
-    errors_of, cost_of = jax.jit(ekf_errors), jax.jit(trajectory_cost)
+    errors_of, cost_of = jax.jit(simulate_errors), jax.jit(trajectory_cost)
     for i, (samples, initial) in enumerate(runs):
         for j, noise in enumerate(noises):
-            track = errors_of(samples, initial, noise)
+            track = errors_of(plain(noise), samples, initial)
             alone = cost_of(track.attitude, track.position, weights).total
             np.testing.assert_allclose(together[i, j], alone, rtol=1e-10)
             assert np.isnan(track.gain).all()
-        estimates = jax.tree.map(np.asarray, run_ekf(samples, initial, noises[0]))
+        estimates = jax.tree.map(np.asarray, simulate(plain(noises[0]), samples, initial))
         away = np.linalg.norm(estimates.position - places[i], axis=1)
-        track = errors_of(samples, initial, noises[0])
+        track = errors_of(plain(noises[0]), samples, initial)
         np.testing.assert_allclose(track.distance, away, atol=1e-10)
-        T, bias, _, _ = one_by_one(ekf_start(initial, noises[0]), samples.sample, noises[0])
+        T, bias, _, _ = one_by_one(begun(initial, noises[0]), samples.sample, noises[0])
         np.testing.assert_allclose(estimates.rotation, T[:-1, :3, :3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.position, T[:-1, :3, 3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.bias, bias[:-1], rtol=0, atol=1e-10)
@@ -237,7 +251,7 @@ def test_without_measurements_an_update_changes_nothing() -> None:
         landmark_weights=np.zeros_like(m.landmark_weights),
     )
     noise = noise_of(PLAIN)
-    state = ekf_start(state_of(random_poses(rng, 1)[0]), noise)
+    state = begun(state_of(random_poses(rng, 1)[0]), noise)
     sample = first_of(seen(missing, rng))
     leaves_close(update(state, sample, noise), state, atol=1e-15)
 
@@ -251,22 +265,14 @@ def test_samples_of_an_observer_that_learns_the_biases_serve_too() -> None:
         cross=True,
         each_agent=True,
     )
-    theirs, own = jax.jit(samples_of)(m, settings).sample, jitted_samples(m).sample
+    theirs, own = jitted_prepare(m, settings), jitted_samples(m).sample
     for a, b in zip(theirs.vectors.each, own.vectors.each, strict=True):
         leaves_close((a.measured, a.known, a.factor), (b.measured, b.known, b.factor), atol=0)
-    sums = jax.eval_shape(samples_of, m, replace(settings, weights=None, each_agent=False)).sample
+    sums = jax.eval_shape(prepare, m, replace(settings, weights=None, each_agent=False))
     noise = noise_of(PLAIN, np.float32)
-    state = ekf_start(state_of(np.eye(4), dtype=np.float32), noise)
-    with pytest.raises(ArgumentError, match="ekf_samples"):
+    state = begun(state_of(np.eye(4), dtype=np.float32), noise)
+    with pytest.raises(ArgumentError, match="each vector"):
         update(state, sums, noise)
-
-
-def test_the_nees_needs_the_truth() -> None:
-    m = as_arrays(random_measurements(np.random.default_rng(4), 3, 2, 1), np.float32)
-    with pytest.raises(ArgumentError, match="true pose"):
-        ekf_nees(
-            jitted_samples(m), state_of(np.eye(4), dtype=np.float32), noise_of(PLAIN, np.float32)
-        )
 
 
 # The paper's sensors; how far off a start and the biases are is drawn from the last four.
@@ -299,7 +305,7 @@ def scenarios(keys: Array) -> tuple[Samples, FilterState]:
         T = transform(truth.rotation[0], truth.position[0]) @ exp(-error[:6])
         m = measure(scenario, truth, of_noise).measurements
         initial = initial_state(T[:3, :3], T[:3, 3], learnt_vectors=2)
-        return ekf_samples(m, truth.rotation, truth.position), initial
+        return samples_for(m, truth.rotation, truth.position), initial
 
     return jax.vmap(one)(keys)
 
@@ -321,7 +327,7 @@ def watched(state: KalmanState, samples: Samples, noise: KalmanNoise) -> tuple[K
     return jax.lax.scan(look, state, parts)
 
 
-starts = jax.jit(jax.vmap(ekf_start))
+starts = jax.jit(jax.vmap(begun))
 
 
 def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
