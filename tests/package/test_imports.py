@@ -104,13 +104,16 @@ def test_every_name_is_found_and_listed(package):
 
 @pytest.mark.parametrize("package", [posegsa, config, export])
 def test_a_name_that_is_not_there_is_an_attribute_error(package):
-    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nam'"):
+    with pytest.raises(AttributeError, match=f"No {package.__name__} attribute nam"):
         _ = package.nam
     assert not hasattr(package, "__wrapped__")
 
 
-def test_modules_are_found_without_an_import_of_their_own():
-    assert posegsa.model is import_module("posegsa.model")
+@pytest.mark.parametrize("name", ["config", "runtime"])
+def test_public_modules_need_no_import_of_their_own(name):
+    code = f"import posegsa; posegsa.{name}.__name__"
+    assert "pydantic" not in loaded(code)
+    assert getattr(posegsa, name) is import_module(f"posegsa.{name}")
 
 
 def test_the_stubs_are_installed_beside_the_packages():
