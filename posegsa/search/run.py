@@ -39,7 +39,7 @@ LONGEST_CHUNK = 2.0
 
 
 class Progress(NamedTuple):
-    """What a progress callback is told."""
+    """Where a search stands."""
 
     iteration: int
     """Iterations done."""
@@ -51,6 +51,12 @@ class Progress(NamedTuple):
     """Time since the search began or went on, compiling not counted."""
     share: float = 0.0
     """Share of the next iteration that is done, where it goes in pieces."""
+
+
+def tell_search(progress: Progress) -> None:
+    """Tell how far a search is that is a step of its own (`posegsa.steps`)."""
+    done = progress.iteration + progress.share
+    steps.tell(steps.Step("searching", done, progress.iterations, best_cost=progress.best_cost))
 
 
 def tell_share(progress: Progress) -> None:
@@ -91,7 +97,7 @@ def run_timed(
         make: Makes what takes the search on, or where it is there already only compiles.
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
-        progress: As `tune`'s.
+        progress: Called when it is compiled, and after each chunk of iterations.
         keep: Looks at the search on its way, such as to save it.
         pause: Called between the pieces of an iteration; what it raises stops the search there.
         piecewise: Its iterations have pieces, so that each is a chunk of its own.
@@ -157,7 +163,7 @@ def run_search(
 
     Args:
         problem: What to search.
-        progress: As `tune`'s.
+        progress: As `run_timed`'s.
         search: A search of this problem to go on with; by default a new one.
         keep: As `run_timed`'s.
         pause: As `run_timed`'s.

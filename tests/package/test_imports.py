@@ -64,16 +64,6 @@ def test_help_lists_and_refused_arguments_need_nothing_heavy(arguments):
     assert loaded(command(*arguments)) == set()
 
 
-def test_the_help_of_compare_names_what_only_the_registry_knows(capsys):
-    from posegsa.cli.command import _parser
-
-    with pytest.raises(SystemExit):
-        _parser().parse_args(["compare", "--help"])
-    words = " ".join(capsys.readouterr().out.split())
-    assert "gsa,random_search,pso,de" in words
-    assert "rastrigin, ackley" in words
-
-
 def test_import_posegsa_needs_nothing_heavy():
     assert loaded("import posegsa; dir(posegsa); posegsa.__version__; posegsa.__all__") == set()
     assert "numpy" in loaded("import posegsa; posegsa.box"), "the check sees what is loaded"

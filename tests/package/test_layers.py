@@ -10,7 +10,8 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words version stored_programs compiled_programs runtime steps settings"
+    "errors arguments words defaults version stored_programs compiled_programs runtime steps"
+    " settings"
     " | optimisers model | exchange config | recordings | search | judging | figures"
     " | report export | saving"
     " | tuning imu_tuning evaluating replaying comparing sweeping streaming"
