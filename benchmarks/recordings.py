@@ -25,6 +25,7 @@ import numpy as np
 from readme import ROOT, write_block
 
 import posegsa
+from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import EKF
 from posegsa.judging.recorded import RecordingResult, mean_errors
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
@@ -67,7 +68,8 @@ def euroc(folder: Path) -> list[dict[str, Any]]:
         ]
         tuned = posegsa.tune(ROOT / "configs" / "landmarks.toml", recordings=training)
         print(tuned.summary(), flush=True)
-        judged = posegsa.evaluate(tuned, recordings=held_out, training=training, progress=print)
+        with Display():
+            judged = posegsa.evaluate(tuned, recordings=held_out, training=training)
         rows += _rows(rate, judged)
     return rows
 

@@ -4,6 +4,6 @@ Every constant of the paper, and every one that it leaves out, is a default here
 `Experiment()` is the recommended experiment.
 """
 
-from posegsa.lazy import attached
+import lazy_loader
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

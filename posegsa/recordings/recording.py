@@ -21,7 +21,7 @@ from posegsa.recordings.broad import read_broad
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.files import as_path
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
-from posegsa.recordings.policies import Policy
+from posegsa.recordings.policies import LONGEST_GAP, Policy
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
@@ -118,7 +118,7 @@ class Recording:
         phases: Mapping[str, ArrayLike] | None = None,
         start: StartRule | Sequence[ArrayLike] = "sensors",
         bridge: Policy = "refuse",
-        longest_gap: float = 1.0,
+        longest_gap: float = LONGEST_GAP,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
         notes: Sequence[str] = (),

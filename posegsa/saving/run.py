@@ -42,7 +42,8 @@ EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
 RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
-RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
+FILES = (REPORT, RESULT, EVALUATION, TABLE, HISTORY, TRAJECTORY)
+RUN_FILES = [*FILES, *RUN_FIGURES]
 """All that a finished run's folder may hold beside checkpoints."""
 MAX_ROW = 2**10
 """Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 26

@@ -33,6 +33,7 @@ SCHEMA = 1
 """Number of the layout of a run's file; it changes with its record."""
 RUNS = "runs"
 TABLE, DATA, EACH = "sweep.txt", "sweep.csv", "runs.csv"
+FILES = (TABLE, DATA, EACH)
 
 
 def stored_runs(folder: Path) -> list[SweepRun]:

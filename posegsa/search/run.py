@@ -37,7 +37,7 @@ LONGEST_CHUNK = 2.0
 
 
 class Progress(NamedTuple):
-    """What a progress callback is told."""
+    """Where a search stands."""
 
     iteration: int
     """Iterations done."""
@@ -47,6 +47,12 @@ class Progress(NamedTuple):
     """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
+
+
+def tell_search(progress: Progress) -> None:
+    """Tell how far a search is that is a step of its own (`posegsa.steps`)."""
+    done, parts = progress.iteration, progress.iterations
+    steps.tell(steps.Step("searching", done, parts, best_cost=progress.best_cost))
 
 
 def tell_share(progress: Progress) -> None:
@@ -80,7 +86,7 @@ def run_timed(
         run: Takes the search on; where it is there already, it only compiles.
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
-        progress: As `tune`'s.
+        progress: Called when it is compiled, and after each chunk of iterations.
         after_chunk: Sees the search on its way, to save it.
     """
     tell, seen = progress or (lambda _: None), after_chunk or (lambda *_: None)
@@ -135,7 +141,7 @@ def run_search(
 
     Args:
         problem: What to search.
-        progress: As `tune`'s.
+        progress: As `run_timed`'s.
         search: A search of this problem to go on with; by default a new one.
         after_chunk: As `run_timed`'s.
     """

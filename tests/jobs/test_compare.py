@@ -14,7 +14,7 @@ from scipy import stats
 
 import posegsa
 from posegsa.cli.command import main
-from posegsa.comparing import Status, Subject, _search
+from posegsa.comparing import Subject, _search
 from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
 from posegsa.figures.comparison import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
@@ -27,6 +27,7 @@ from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.steps import Step
 
 SPHERE = ClassicalFunction("sphere", 2)
 
@@ -147,9 +148,9 @@ def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     assert third.held_out is None
     np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
     assert np.all(np.diff(third.times) >= 0)
-    assert told[-1] == Status(
-        "random_search", 2, 3, 1.0, comparison.repeats["random_search"][2].cost
-    )
+    searches = [step for step in told if step.name == "comparing"]
+    assert searches[0] == Step("comparing", 0, 6, "gsa 1/3")
+    assert searches[-1] == Step("comparing", 6, 6, "random_search 3/3")
 
 
 def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None:
@@ -212,8 +213,8 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
 def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:
     same = {"repeats": 2, "evaluations": 32, "function": SPHERE, "out": tmp_path}
 
-    def interrupted(status: Status) -> None:
-        if status.repeat == 1:
+    def interrupted(step: Step) -> None:
+        if step.about == "gsa 2/2":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -228,9 +229,10 @@ def test_what_replaces_a_comparison_takes_its_table_and_figure_away(on_sphere, t
     folder = tmp_path / "copy"
     shutil.copytree(on_sphere[1], folder)
 
-    def look(status: Status) -> None:
-        assert not (folder / "comparison.txt").exists()
-        assert not (folder / "comparison.png").exists()
+    def look(step: Step) -> None:
+        if step.name == "comparing":
+            assert not (folder / "comparison.txt").exists()
+            assert not (folder / "comparison.png").exists()
 
     posegsa.compare(
         tiny(),

@@ -23,6 +23,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.saving.run import write_run
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import Found, first_search
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
@@ -60,12 +61,13 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
 ) -> None:
     monkeypatch.setattr("posegsa.judging.kalman.MOST", 40)
     monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 40)
-    said: list[str] = []
+    told: list[Step] = []
     judged = posegsa.evaluate(
-        result, recordings=recordings[1], training=recordings[0], progress=said.append
+        result, recordings=recordings[1], training=recordings[0], progress=told.append
     )
     assert list(judged.baselines) == [CONSTANT, EKF]
-    assert said == [f"searching: {CONSTANT}", f"searching: {EKF}"]
+    searched = (step.about for step in told if step.name == "searching")
+    assert list(dict.fromkeys(searched)) == [CONSTANT, EKF]
     for (score,) in (judged.held_out, *judged.baselines.values()):
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
@@ -120,9 +122,9 @@ def noises(run: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     run: TuneResult, recordings: list[Recording]
 ) -> None:
-    said: list[str] = []
-    judged = posegsa.evaluate(run, recordings=recordings, progress=said.append)
-    assert said == [f"searching: {EKF}"]
+    told: list[Step] = []
+    judged = posegsa.evaluate(run, recordings=recordings, progress=told.append)
+    assert {(step.name, step.about) for step in told} == {("searching", EKF)}
     assert list(judged.baselines) == [CONSTANT, EKF]
     assert judged.filter == run.evaluation.contenders[TUNED].filter
     constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
@@ -145,11 +147,11 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     other = NOISES._replace(numbers=NOISES.numbers | {"landmark": [0.3]})
     known = own[CONSTANT]._replace(filter=other)
     wider = replace(run.evaluation, contenders=own | {EKF: known})
-    said.clear()
+    told.clear()
     again = posegsa.evaluate(
-        replace(run, evaluation=wider), recordings=recordings[0], progress=said.append
+        replace(run, evaluation=wider), recordings=recordings[0], progress=told.append
     )
-    assert not said
+    assert not told
     (estimates,) = recorded_kalman_estimates(other, run.experiment, recordings[:1])
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected

@@ -35,9 +35,9 @@ def searched(monkeypatch) -> list[int]:
     sizes: list[int] = []
     search = sweeping.search_batch
 
-    def counted(problems, progress):
+    def counted(problems, told):
         sizes.append(len(problems))
-        return search(problems, progress)
+        return search(problems, told)
 
     monkeypatch.setattr(sweeping, "search_batch", counted)
     return sizes
@@ -97,8 +97,8 @@ def test_a_run_that_is_done_is_not_made_again(whole, searched, tmp_path):
 def test_stopped_it_goes_on(whole, searched, tmp_path):
     _, found = whole
 
-    def stop(status) -> None:
-        if status.done == 2:
+    def stop(step) -> None:
+        if step.name == "sweeping" and step.done > 2:  # in the second batch
             raise KeyboardInterrupt
 
     asked = {"vary": {GAMMA: GAMMAS}, "seeds": 2, "together": 2, "out": tmp_path}
@@ -107,7 +107,7 @@ def test_stopped_it_goes_on(whole, searched, tmp_path):
     assert len(posegsa.load_sweep(tmp_path).runs) == 2
     assert not (tmp_path / "sweep.txt").exists()
     again = posegsa.sweep(tiny(), **asked)
-    assert searched == [2, 2]
+    assert searched == [2, 2, 2]
     assert again.csv() == found.csv()
 
 
@@ -190,8 +190,8 @@ def test_what_differs_in_structure_is_batched_apart(unsearched):
 
 
 def test_a_rule_table_that_is_searched_stands_in_its_run(whole, monkeypatch):
-    def one_by_one(problems, progress):
-        return [run_search(problem, progress) for problem in problems]
+    def one_by_one(problems, told):
+        return [run_search(problem, told) for problem in problems]
 
     monkeypatch.setattr(sweeping, "search_batch", one_by_one)  # by the program of `tune`
     searched, given = (

@@ -34,7 +34,8 @@ from posegsa.saving.folder import CHECKPOINT_SUFFIX
 from posegsa.saving.resume import check_same_recordings
 from posegsa.search.build import rule_indices
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import Found, Progress, first_search
+from posegsa.search.run import Found, first_search
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
@@ -226,8 +227,8 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
 def test_an_interrupted_search_goes_on_to_the_same_bits(
     result: RecordingResult, recordings: list[Recording], tmp_path: Path
 ) -> None:
-    def stop(progress: Progress) -> None:
-        if progress.iteration == 1:
+    def stop(step: Step) -> None:
+        if step.name == "searching" and step.done == 1:
             signal.raise_signal(signal.SIGINT)
 
     given = {"recordings": recordings[0], "held_out": recordings[1], "schedule": "constant"}

@@ -37,7 +37,7 @@ from posegsa.search.build import (
 )
 from posegsa.search.keys import keys, scenario_keys, training_keys
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Progress
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -45,7 +45,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A finished run: its result, its folder and the progress it told."""
-    told: list[Progress] = []
+    told: list[Step] = []
     folder = tmp_path_factory.mktemp("run") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figure_style, "DPI", 15)
@@ -108,10 +108,17 @@ def test_history_and_counts(run):
 
 
 def test_progress_begins_at_zero_and_ends_at_the_end(run):
-    _, _, told = run
-    assert [p.iteration for p in told] == [0, 1, 2, 3, 4]
-    assert told[0].best_cost == math.inf
-    assert told[-1].best_cost == run[0].best_cost
+    result, _, told = run
+    searching = [step for step in told if step.name == "searching"]
+    assert [step.done for step in searching] == [0, 1, 2, 3, 4]
+    assert {step.parts for step in searching} == {4}
+    assert searching[0].best_cost == math.inf
+    assert searching[-1].best_cost == result.best_cost
+
+
+def test_progress_is_told_of_every_step(run):
+    names = dict.fromkeys(step.name for step in run[2])
+    assert list(names) == ["preparing", "compiling", "searching", "judging", "drawing"]
 
 
 def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
@@ -254,11 +261,15 @@ def comparable(folder: Path) -> dict:
 
 
 def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
-    told: list[int] = []
+    told: list[float] = []
 
-    def interrupt(progress: Progress) -> None:
-        told.append(progress.iteration)
-        if progress.iteration == 1:
+    def iterations(step: Step) -> None:
+        if step.name == "searching":
+            told.append(step.done)
+
+    def interrupt(step: Step) -> None:
+        iterations(step)
+        if step.name == "searching" and step.done == 1:
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
@@ -270,7 +281,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
     with pytest.raises(RunFolderError, match="no finished run"):
         posegsa.load(tmp_path)
     told.clear()
-    posegsa.tune(resume=tmp_path, progress=lambda p: told.append(p.iteration), figures=[])
+    posegsa.tune(resume=tmp_path, progress=iterations, figures=[])
     assert told == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])
     # Once more: it is finished, and says so without searching.

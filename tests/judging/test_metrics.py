@@ -6,7 +6,6 @@ import pytest
 from helpers.experiments import tiny
 
 from posegsa.filters.rollout import ErrorTrack
-from posegsa.judging import metrics
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.model.schedules import ConstantGain

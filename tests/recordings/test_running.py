@@ -11,8 +11,8 @@ from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.errors import ArgumentError
-from posegsa.filters.observer import Observer
 from posegsa.filters import rollout
+from posegsa.filters.observer import Observer
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings

@@ -1,11 +1,19 @@
-"""Arguments that commands of the command line share."""
+"""What commands of the command line share: their arguments, and what is made of them.
+
+As in the modules of the commands, what takes long to import is imported inside functions: help and
+refused arguments come at once.
+"""
 
 import argparse
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
+from posegsa.errors import ArgumentError
 from posegsa.recordings.frames import UP
-from posegsa.recordings.policies import Policy
+from posegsa.recordings.policies import LONGEST_GAP, Policy
+
+if TYPE_CHECKING:
+    from posegsa.recordings.recording import Recording
 
 RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
@@ -115,7 +123,7 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
         help="what is done about gaps, stamps that go back and samples without velocities: "
         "refused (default), the last velocities held, or interpolated",
     )
-    words = "time up to which anything is bridged [s] (default: 1)"
+    words = f"time up to which anything is bridged [s] (default: {LONGEST_GAP:g})"
     parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
 
 
@@ -128,3 +136,30 @@ def _rest(text: str) -> float | Literal["auto"]:
     except ValueError:
         words = f"{text!r}; allowed: auto, or a time in seconds"
         raise argparse.ArgumentTypeError(words) from None
+
+
+def refuse_imu_options(options: argparse.Namespace) -> None:
+    """Raise an ArgumentError where --frame or --rest is given, for a filter that has neither."""
+    if options.frame != "ENU" or options.rest != "auto":
+        raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
+
+
+def read(
+    paths: list[str],
+    part: tuple[float, float] | None,
+    bridge: Policy | None = None,
+    longest_gap: float | None = None,
+) -> "list[Recording]":
+    """The recordings of some paths, bridged as stated, cut to a window.
+
+    Raises:
+        ArgumentError: A longest gap is given, and none is bridged.
+    """
+    from posegsa.recordings.recording import Recording
+
+    if longest_gap is not None and bridge in (None, "refuse"):
+        raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
+    stated = {"bridge": bridge, "longest_gap": longest_gap}
+    more = {name: value for name, value in stated.items() if value is not None}
+    found = [Recording.read(path, **more) for path in paths]
+    return found if part is None else [each.window(*part) for each in found]

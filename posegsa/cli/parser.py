@@ -3,7 +3,7 @@
 import argparse
 import difflib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import IO, Any
 
 
@@ -13,6 +13,15 @@ class Parser(argparse.ArgumentParser):
     Of an option that is not known, the nearest one is named. Help that can't be written is an
     error.
     """
+
+    late_epilog: Callable[[], str] | None = None
+    """Makes what ends the help, called only when help is shown, as what it imports takes long."""
+
+    def format_help(self) -> str:
+        """The help, its end included."""
+        if self.late_epilog is not None:
+            self.epilog = self.late_epilog()
+        return super().format_help()
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:
         """Parse all arguments: none may be unknown, so that a command shows its own usage."""
