@@ -25,7 +25,7 @@ from helpers.controllers import (
 from helpers.experiments import PAPER
 
 from posegsa.errors import FuzzyError
-from posegsa.model.fuzzy import FuzzyController, _compiled_gain
+from posegsa.model.fuzzy import FuzzyController
 from posegsa.search.build import rule_indices
 
 DTYPES = ("float32", "float64")
@@ -163,17 +163,19 @@ def test_arrays_and_vmap_equal_single_calls() -> None:
     assert (np.asarray(each) == last).any()  # some held the last gain
 
 
-def test_inputs_are_clipped_and_broadcast() -> None:
+def test_inputs_are_clipped_and_broadcast(caplog: pytest.LogCaptureFixture) -> None:
     controller = fuzzy(INPUTS, OUTPUTS, "float32")
     ends = evaluated(controller, [0.0, 1.0], [1.0, 0.0])
     np.testing.assert_array_equal(evaluated(controller, [-3.0, 1.5], [7.0, -0.1]), ends)
     assert evaluated(controller, np.zeros((3, 2)), 0.5).shape == (3, 2)
     assert controller(0.3, 0.2).shape == ()
     # Outside of a compiled program a call is one, found again for other numbers and controllers.
-    before = _compiled_gain._cache_size()
     other = dataclasses.replace(controller, output_terms=0.5 * controller.output_terms)
-    assert controller(0.4, 0.1) != other(0.4, 0.1)
-    assert _compiled_gain._cache_size() == before
+    with jax.log_compiles():
+        assert float(controller(0.4, 0.1)) != float(other(0.4, 0.1))
+        assert "Compiling" not in caplog.text
+        controller(np.zeros(7), 0.1)
+        assert "Compiling" in caplog.text
 
 
 def test_the_surfaces_rows_are_the_rate() -> None:
