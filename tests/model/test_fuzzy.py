@@ -198,14 +198,14 @@ def changed(terms: np.ndarray, i: int, values: list[float]) -> np.ndarray:
 REFUSED = {
     "shape": (
         {"inputs": np.zeros((5, 2))},
-        r"input_terms: must have the shape \(terms, 3\).*\(5, 2\)",
+        r"input_terms:.* \(terms, 3\).*\(5, 2\)",
     ),
     "one term flat": ({"outputs": np.zeros(3)}, r"output_terms: must have the shape.*\(3,\)"),
     "no terms": ({"outputs": np.zeros((0, 3))}, r"output_terms: must have the shape.*\(0, 3\)"),
-    "nan": ({"inputs": changed(INPUTS, 1, [0, np.nan, 0.2])}, "input_terms: must be finite.*nan"),
+    "nan": ({"inputs": changed(INPUTS, 1, [0, np.nan, 0.2])}, r"input_terms:.*finite.*nan"),
     "infinite": (
         {"outputs": changed(OUTPUTS, 4, [50, 100, np.inf])},
-        "output_terms: must be finite",
+        r"output_terms:.*finite",
     ),
     "triangle": (
         {"inputs": changed(INPUTS, 1, [0.1, 0.05, 0.2])},
@@ -215,8 +215,8 @@ REFUSED = {
         {"outputs": changed(OUTPUTS, 2, [0, 0, 0])},
         "output_terms: the a's, b's and c's must each ascend.*centroid=\"sampled\"",
     ),
-    "few rows": ({"rules": RULES[:4]}, "rules: must be 5 rows of 5"),
-    "short row": ({"rules": (*RULES[:4], (1, 2))}, "rules: must be 5 rows of 5"),
+    "few rows": ({"rules": RULES[:4]}, r"rules:.* 5 rows of 5"),
+    "short row": ({"rules": (*RULES[:4], (1, 2))}, r"rules:.* 5 rows of 5"),
     "unknown output": (
         {"rules": (*RULES[:4], (0, 0, 0, 0, 5))},
         "rules: entries must be output terms 0 to 4",
@@ -227,22 +227,22 @@ REFUSED = {
     ),
     "sampled_points": (
         {"centroid": "sampled", "sampled_points": 1},
-        "sampled_points: must be at least 2, got 1",
+        r"sampled_points:.* at least 2.* 1",
     ),
-    "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
+    "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend.* \(100.0, 0.0\)"),
     "ends that are no tuple": (
         {"output_range": [0.0, 100.0]},
-        r"output_range: must be a tuple of two finite numbers, got \[0.0, 100.0\]",
+        r"output_range:.* a tuple of two finite numbers.* \[0.0, 100.0\]",
     ),
     "rules as lists": (
         {"rules": [list(row) for row in RULES]},
-        "rules: must be a tuple of tuples of output terms",
+        r"rules:.* a tuple of tuples of output terms",
     ),
     "infinite offset": (
         {"offset": np.inf},
-        "offset: must be a finite number of at least 0, got inf",
+        r"offset:.* a finite number of at least 0.* inf",
     ),
-    "negative reach": ({"reach": -1}, "reach: must be a whole number from 0, or None, got -1"),
+    "negative reach": ({"reach": -1}, r"reach:.* a whole number from 0, or None.* -1"),
     "short reach": ({"reach": 0}, "reach: must not be 0, as output terms 1 apart overlap"),
 }
 
@@ -255,7 +255,7 @@ def test_what_is_refused(given: dict, message: str) -> None:
 
 def test_terms_as_numpy_arrays_are_checked_too() -> None:
     words: Any = [["small"] * 3] * 5
-    with pytest.raises(FuzzyError, match="input_terms: must be an array of numbers"):
+    with pytest.raises(FuzzyError, match=r"input_terms:.*array of numbers"):
         FuzzyController(words, OUTPUTS, RULES, (0.0, 100.0))
     with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
         FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))

@@ -83,7 +83,7 @@ def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
     for gamma, words in (
         (
             np.ones(349),
-            r"gamma_angular: of the shape \(349,\); allowed: one number, or 350 of them",
+            r"gamma_angular: of the shape \(349,\).*one number, or 350 of them",
         ),
         (np.ones((350, 1)), r"gamma_angular: of the shape \(350, 1\)"),
     ):
@@ -106,7 +106,7 @@ def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
             signal=signal,
         ),
     ):
-        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(350,\); allowed: one number$"):
+        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(350,\).*one number$"):
             call()
 
 
