@@ -165,12 +165,6 @@ def test_tuned_numbers_stay_within_their_bounds() -> None:
     assert found.also == base.also
 
 
-def test_a_gain_limit_that_is_off_is_no_number() -> None:
-    off = config.override(PLAIN, ["filter.gain_limit=off"])
-    said = refusal({"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}, base=off)
-    assert_told(said, 'parameters.also.0.key = "filter.gain_limit"')
-
-
 def test_a_key_twice_is_refused() -> None:
     one = {"key": "gain.smoothing", "lower": 1.0, "upper": 2.0}
     assert_told(refusal(one, one), 'parameters.also.1.key = "gain.smoothing"', "once")

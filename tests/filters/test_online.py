@@ -7,7 +7,7 @@ import pytest
 from helpers.filters import settings
 
 from posegsa.filters.observer import Observer
-from posegsa.filters.online import Layout, OnlineLoop, OnlineParameters, _compiled
+from posegsa.filters.online import Layout, OnlineLoop, OnlineParameters
 from posegsa.model.estimate import initial_state
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings
@@ -36,7 +36,7 @@ def test_layouts_are_equal_where_shapes_and_structure_are():
 
 
 @pytest.mark.usefixtures("x64")
-def test_filters_of_one_structure_are_compiled_once():
+def test_filters_of_one_structure_are_compiled_once(caplog):
     def loop(gain: float, landmarks: int = 0) -> OnlineLoop:
         numbers = {"position_weight": gain, "smoothing": 0.0, "error_scale": 1.0, "rate_scale": 1.0}
         signal = SignalSettings(
@@ -51,13 +51,15 @@ def test_filters_of_one_structure_are_compiled_once():
         )
         return OnlineLoop(parameters, initial_state(np.eye(3), np.zeros(3)))
 
-    _compiled.cache_clear()
-    loops = [loop(1.0), loop(2.0)]
-    assert (_compiled.cache_info().misses, _compiled.cache_info().hits) == (1, 1)
-    sample = np.zeros(loops[0].sample_size)
-    sample[1], sample[8:11], sample[11] = 0.01, [0.0, 1.0, 0.0], 1.0  # step, vector, its weight
-    gains = [
-        one.record.unpack(one(one.start(initial_state(np.eye(3), np.zeros(3))), sample)).gain_used
-        for one in loops
-    ]
-    assert gains == [1.0, 2.0]
+    def gain_used(one: OnlineLoop) -> float:
+        sample = np.zeros(one.sample_size)
+        sample[1], sample[8:11], sample[11] = 0.01, [0.0, 1.0, 0.0], 1.0  # step, vector, its weight
+        state = one.start(initial_state(np.eye(3), np.zeros(3)))
+        return one.record.unpack(one(state, sample)).gain_used
+
+    assert gain_used(loop(1.0)) == 1.0
+    with jax.log_compiles():
+        assert gain_used(loop(2.0)) == 2.0
+        assert "Compiling" not in caplog.text
+        gain_used(loop(2.0, landmarks=1))
+        assert "Compiling" in caplog.text, "another structure"

@@ -22,5 +22,6 @@ What comes out, made up without a run:
 - `results`: results, and the evaluations and trust in them.
 - `schedules`: results with a controller of one's own, for exports and streams.
 
-And `arrays` compares to the last bit, `figures` tells what a figure shows.
+And `arrays` compares to the last bit, `messages` looks for facts in a text, `figures` tells what a
+figure shows.
 """

@@ -88,9 +88,9 @@ def test_configurations_hold_no_paths():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda r: posegsa.tune({"run": {}}), "experiment: a dict; allowed: an Experiment"),
+        (lambda r: posegsa.tune({"run": {}}), r"experiment:.* dict.*Experiment"),
         (lambda r: posegsa.tune(5), "experiment: a int"),
-        (lambda r: posegsa.tune(progress=5), "progress: a int; allowed: a function"),
+        (lambda r: posegsa.tune(progress=5), r"progress:.* int.*function"),
         (lambda r: posegsa.tune(seed=-1), "run.seed = -1"),
         (lambda r: posegsa.tune(seed=2**32), "run.seed = 4294967296"),
         (lambda r: posegsa.tune(iterations=-3), "search.iterations = -3"),
@@ -99,8 +99,8 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.tune_batch([tiny(), 5]), "experiment: a int"),
         (lambda r: posegsa.tune_batch(tiny(), seeds=5), "seeds: a int"),
         (lambda r: posegsa.tune_batch([]), "nothing to tune"),
-        (lambda r: posegsa.evaluate(5), "result: a int; allowed: a TuneResult"),
-        (lambda r: posegsa.evaluate(r, scenarios=1), "scenarios = 1; allowed: a whole number from"),
+        (lambda r: posegsa.evaluate(5), r"result:.* int.*TuneResult"),
+        (lambda r: posegsa.evaluate(r, scenarios=1), r"scenarios = 1.*whole number from"),
         (lambda r: posegsa.evaluate(r, scenarios=5, seed=-1), "seed = -1"),
         (lambda r: posegsa.export_c("run"), "result: a str"),
         (lambda r: posegsa.export_csv(r, 1), "resolution = 1"),
@@ -117,7 +117,7 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.begin(r.schedule, None), "initial: a NoneType"),
         (lambda r: posegsa.run_filter(r.schedule, 5, None, None, None), "measurements: a int"),
         (lambda r: posegsa.run_filter(r.schedule, 5), "a Measurements or a Recording"),
-        (lambda r: posegsa.replay(5, []), "result: a int; allowed: a TuneResult, a Rec"),
+        (lambda r: posegsa.replay(5, []), r"result:.* int.*TuneResult, a Rec"),
         (lambda r: posegsa.replay(r, 5), "recordings: a int"),
         (lambda r: posegsa.evaluate(r, recordings=[]), "recordings: none"),
         (lambda r: posegsa.evaluate(r, training=[]), "training, others without recordings"),
@@ -151,7 +151,7 @@ GOOD = {
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"objective": 5}, "objective: a int; allowed: a function"),
+        ({"objective": 5}, r"objective:.* int.*function"),
         ({"objective": lambda x: np.sin(x)[:, 0]}, "objective: .*outside JAX.*jax.numpy"),
         ({"objective": lambda x: 0.0 if x[0, 0] > 0 else 1.0}, "objective: .*outside JAX"),
         ({"objective": lambda x: None}, "objective: costs are a NoneType"),
@@ -160,11 +160,11 @@ GOOD = {
             "objective: costs are complex64",
         ),
         ({"objective": lambda x: x}, r"objective: costs are float32 of shape \(3, 1\)"),
-        ({"box": ([0.0], [1.0])}, "box: a tuple; allowed: a Box"),
+        ({"box": ([0.0], [1.0])}, r"box:.* tuple.*Box"),
         ({"box": posegsa.box([0.0], [1.0])._replace(upper=[np.nan])}, r"box: upper\[0\] = nan"),
         ({"optimiser": posegsa.GSA}, "optimiser: a class"),
         ({"optimiser": "gsa"}, "optimiser: a str"),
-        ({"key": 0}, "key: a int; allowed: jax.random.key"),
+        ({"key": 0}, r"key:.* int.*jax.random.key"),
         (
             {"key": jax.random.split(jax.random.key(0), (2, 2))},
             r"key: a key<fry> \(2, 2\)",
@@ -197,14 +197,14 @@ def test_measurements_made_by_hand_are_checked_too(result):
     start += (posegsa.filter_settings(tiny()),)
     start += (posegsa.signal_settings(tiny().gain, np.float32),)
     for change, said in (
-        ({"velocity": jnp.full((5, 3), jnp.nan)}, "velocity: must be finite, got nan"),
-        ({"velocity": jnp.zeros((4, 3))}, r"velocity: must have the shape \(5, 3\)"),
+        ({"velocity": jnp.full((5, 3), jnp.nan)}, r"velocity:.*finite.* nan"),
+        ({"velocity": jnp.zeros((4, 3))}, r"velocity:.* \(5, 3\)"),
         (
             {"time_step": jnp.asarray([1, 1, -1, 1, 1]) / 100},
-            "time_step: must be positive",
+            r"time_step:.*positive",
         ),
-        ({"time_step": jnp.full(5, jnp.inf)}, "time_step: must be finite"),
-        ({"landmark_weights": -jnp.ones((5, 1))}, "landmark_weights: must be finite and not neg"),
+        ({"time_step": jnp.full(5, jnp.inf)}, r"time_step:.*finite"),
+        ({"landmark_weights": -jnp.ones((5, 1))}, r"landmark_weights:.*not neg"),
     ):
         with pytest.raises(MeasurementError, match=said):
             posegsa.run_filter(posegsa.ConstantGain(jnp.ones(())), good._replace(**change), *start)
@@ -233,8 +233,8 @@ def test_endurance_that_needs_too_much_memory_is_refused_by_its_name():
 
 
 def test_files_that_the_system_can_drop_are_free_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(memory, "_MEMORY", tmp_path / "meminfo")
-    monkeypatch.setattr(memory, "_GROUP", tmp_path)
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "CGROUP", tmp_path)
     assert memory.available() is None
     (tmp_path / "memory.max").write_text("9000\n")
     (tmp_path / "memory.current").write_text("8000\n")

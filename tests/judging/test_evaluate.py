@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.experiments import tiny
+from helpers.messages import assert_told
 from scipy import stats
 
 import posegsa
@@ -204,4 +205,4 @@ def test_the_table_holds_every_contender(evaluated):
     heads = [line[: len(max(CONTENDERS, key=len))].strip() for line in text.splitlines()]
     for name in CONTENDERS:
         assert heads.count(name) == 2
-    assert text.startswith("Cost on 3 scenarios of ")
+    assert_told(text.splitlines()[0], "Cost", "3 scenarios")

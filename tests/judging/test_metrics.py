@@ -9,6 +9,7 @@ from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.model.schedules import ConstantGain
+from posegsa.search import groups
 from posegsa.search.build import cost_weights, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario

@@ -369,5 +369,5 @@ def test_a_schedule_that_begins_below_0_is_refused() -> None:
     below = FuzzyGain(FuzzyController(terms, np.asarray(terms) - 3, ((0, 1), (1, 1)), (-3.0, -1.0)))
     assert below.controller.middle_gain == below.initial_gain() == -1
     for schedule, gain in ((below, "-1.0"), (ConstantGain(jnp.asarray(-2.0)), "-2.0")):
-        with pytest.raises(ArgumentError, match=f"its gain = {gain}; allowed: at least 0"):
+        with pytest.raises(ArgumentError, match=f"gain = {gain}.*0"):
             check_schedule(schedule)

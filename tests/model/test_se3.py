@@ -273,7 +273,7 @@ def test_no_rotation_is_nearer_to_the_papers_matrix_than_its_projection() -> Non
     ids=["zero", "singular", "reflection", "inversion"],
 )
 def test_project_rotation_refuses_what_no_rotation_is_near(matrix) -> None:
-    with pytest.raises(ValueError, match=r"no rotation is near .* its determinant is"):
+    with pytest.raises(ValueError, match=r"no rotation.*determinant"):
         se3.project_rotation(matrix)
 
 

@@ -97,20 +97,6 @@ def test_second_derivatives_of_exp_at_no_angle_are_those_of_the_series() -> None
     np.testing.assert_allclose(got, (A @ B + B @ A) / 2, atol=8 * epsilon(np.float64))
 
 
-@pytest.mark.usefixtures("x64")
-def test_exp_equals_jaxlies() -> None:
-    # From half a radian on to rounding. Below, jaxlie itself is off by up to 2e-8 (at 1e-8 rad,
-    # against expm), because it puts 1e-8 or so in the place of small squares.
-    def translation_first(xi: Array) -> Array:
-        return jaxlie.SE3.exp(jnp.concatenate([xi[3:], xi[:3]])).as_matrix()
-
-    xi = twists(ANGLES, np.float64)
-    angle = np.linalg.norm(xi[:, :3], axis=-1)
-    want = np.asarray(jax.jit(jax.vmap(translation_first))(xi))
-    allowed = np.where(angle < 0.5, 1e-7, tolerance(xi, np.float64))
-    assert_each_close(jitted_exp(xi), want, allowed)
-
-
 def test_exp_without_rotation_is_a_translation_exactly(dtype) -> None:
     got = jitted_exp(jnp.array([0, 0, 0, 1, -2, 3], dtype))
     want = np.eye(4)

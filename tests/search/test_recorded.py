@@ -107,7 +107,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
     # Those of the configuration for landmarks are nobody's own either.
     kept = with_effect_on(config.load("landmarks"), vectors=0, landmarks=3, schedule="constant")
     assert [one.key for one in kept.also] == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
-    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks .* or a fuzzy or smooth gain"):
+    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks.*fuzzy or smooth"):
         with_effect_on(also("gain.smoothing"), vectors=1, landmarks=0, schedule="constant")
     for key, schedule in (
         ("scenario.landmarks.0.weight", "fuzzy"),
@@ -115,7 +115,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         ("gain.smoothing", "constant"),
         ("filter.gamma.1", "fuzzy"),
     ):
-        with pytest.raises(ConfigError, match=f"'{key}' has no effect on these recordings"):
+        with pytest.raises(ConfigError, match=f"'{key}'"):
             with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a text of the parameters above
 
 
@@ -139,14 +139,14 @@ def test_recordings_too_large_for_the_memory_are_refused(
     assert much["recordings"] == 10_000 * own["recordings"]
     monkeypatch.setattr(memory, "COMPILER", 0)
     monkeypatch.setattr(memory, "available", lambda: own["recordings"])
-    with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* filled up to the 400 samples"):
+    with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* 400 samples"):
         recorded_problem(experiment, recordings, "constant", 1.0)
 
 
 @pytest.mark.quick
 def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -> None:
     oracle = config.override(config.Experiment(), ["gain.signal=pose"])
-    with pytest.raises(ConfigError, match="looks at the true pose"):
+    with pytest.raises(ConfigError, match="true pose"):
         recorded_problem(oracle, recordings, "constant", 1.0)
 
 
@@ -228,7 +228,5 @@ def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
             recorded_problem(mixed(), given, "constant", 1.0)
-    with pytest.raises(
-        ConfigError, match=r"simulated_share = 0.25; allowed: 0.0 without recordings"
-    ):
+    with pytest.raises(ConfigError, match=r"simulated_share = 0.25.*0.0 without recordings"):
         tuning_problem(mixed())
