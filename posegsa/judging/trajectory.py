@@ -14,6 +14,7 @@ from posegsa.model.filter import FilterSettings, FilterState
 from posegsa.model.rollout import Estimates, Samples, simulate
 from posegsa.model.se3 import (
     attitude_distance,
+    clip_distance,
     euler_angles,
     quaternion,
     rotation_angle,
@@ -146,7 +147,7 @@ def _values(
         "position_est": estimates.position,
         "bias_est": estimates.bias,
         "attitude_error": jnp.degrees(rotation_angle(distance)),
-        "attitude_distance": distance,
+        "attitude_distance": clip_distance(distance),
         "position_error": jnp.linalg.norm(P_err, axis=-1),
         "distance": jnp.linalg.norm(estimates.position - P, axis=-1),
         "gain": estimates.gain,

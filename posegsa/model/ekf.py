@@ -93,6 +93,7 @@ from posegsa.model.se3 import (
     Quaternion,
     Vec3,
     add,
+    clip_distance,
     compose,
     cross,
     dot,
@@ -377,7 +378,7 @@ def ekf_errors(
     last, _, errors = _simulate(look, samples, initial, noise, together=together)
     attitude, position, place = errors
     return ErrorTrack(
-        attitude=attitude,
+        attitude=clip_distance(attitude),
         position=position,
         gain=jnp.full_like(attitude, jnp.nan),
         distance=distances(place, samples),

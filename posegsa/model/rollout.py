@@ -27,7 +27,17 @@ from posegsa.model.loops import scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs, check_schedule
-from posegsa.model.se3 import Vec3, dot, norm, quaternion, rotate, rows, subtract, unstack
+from posegsa.model.se3 import (
+    Vec3,
+    clip_distance,
+    dot,
+    norm,
+    quaternion,
+    rotate,
+    rows,
+    subtract,
+    unstack,
+)
 from posegsa.model.signal import (
     Measured,
     SignalMemory,
@@ -375,7 +385,7 @@ def _error_track(
 ) -> ErrorTrack:
     attitude, position, gain, place = errors
     return ErrorTrack(
-        attitude=attitude,
+        attitude=clip_distance(attitude),
         position=position,
         gain=gain,
         distance=distances(place, samples),

@@ -188,7 +188,10 @@ def displaced(
 
 
 def attitude_distance(q_est: Quaternion, q: Quaternion) -> Array:
-    """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1].
+    """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1] but for rounding.
+
+    Near half a turn it may be a few units of rounding above 1. It is not clipped here: that would
+    change how XLA rounds the rest of the hot loop. `clip_distance` does it afterwards.
 
     Written as |q_est - q|^2 |q_est + q|^2 / 4, which is the same number for unit quaternions but
     keeps its relative accuracy near 0, where the trace cancels.
@@ -287,6 +290,11 @@ def euler_angles(R: Array) -> Array:
         sine * R[..., 0, 2] - cosine * R[..., 0, 1], cosine * R[..., 1, 1] - sine * R[..., 1, 2]
     )
     return jnp.stack([roll, pitch, yaw], axis=-1)
+
+
+def clip_distance(distance: Array) -> Array:
+    """Distances ||R_err||_I (...), those rounded above 1 as 1; NaN stays."""
+    return jnp.minimum(distance, 1.0)
 
 
 def rotation_angle(distance: Array) -> Array:

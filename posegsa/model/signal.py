@@ -81,7 +81,7 @@ def known_pose(truth: TruePose | None) -> TruePose:
 
 
 def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Array]:
-    """||R_err||_I in [0, 1] and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P.
+    """||R_err||_I and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P.
 
     Raises:
         ArgumentError: The true pose is not known.

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from builders import as_arrays
+from builders import as_arrays, directions
 from filters import state_of
+from jax import Array
+from scipy.spatial.transform import Rotation
 from setups import (
     PAPER,
     cost_of_estimates,
@@ -31,9 +33,10 @@ from setups import (
 from posegsa.config import Experiment
 from posegsa.judging.trajectory import trajectory
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, run_filter, simulate, simulate_cost
+from posegsa.model.rollout import Estimates, run_filter, simulate, simulate_cost, simulate_errors
 from posegsa.model.scenario import Truth
 from posegsa.model.schedules import ConstantGain, FuzzyGain, SwitchGain
+from posegsa.model.se3 import Quaternion
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
 
@@ -424,3 +427,23 @@ def test_derivatives_of_the_cost_by_the_parameters_are_those_of_the_cost() -> No
         assert slopes[-1] == pytest.approx((ahead - behind) / (2 * h), rel=1e-4)
     assert np.isfinite(slopes).all()
     assert np.abs(slopes).min() > 1e-3
+
+
+def test_attitude_errors_of_half_a_turn_are_not_rounded_above_one() -> None:
+    samples = jax.tree.map(lambda a: a[:1], world(paper(dtype="float32")).samples)
+    turns = Rotation.random(1000, rng=np.random.default_rng(0))
+    half_turns = Rotation.from_rotvec(np.pi * directions(1000)) * turns
+    true, estimated = (
+        tuple(jnp.asarray(r.as_quat(scalar_first=True).T, jnp.float32)) for r in (half_turns, turns)
+    )
+
+    @jax.jit
+    @jax.vmap
+    def attitude(true: Quaternion, estimated: Quaternion) -> Array:
+        truth = samples.truth._replace(attitude=tuple(a[None] for a in true))
+        initial = start("float32")._replace(attitude=estimated)
+        chosen = filter_settings(PAPER), SignalSettings()
+        gain = ConstantGain(jnp.float32(5))
+        return simulate_errors(gain, samples._replace(truth=truth), initial, *chosen).attitude[0]
+
+    assert attitude(true, estimated).max() == 1
