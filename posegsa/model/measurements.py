@@ -6,6 +6,7 @@ value may then be anything, NaN included). Vectors are as their sensor has them:
 normalised, and joined by their cross product, is for the filter to say (`vectors`).
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_dtype
-from posegsa.errors import MeasurementError
+from posegsa.errors import MeasurementError, PosegsaWarning
 
 
 class Measurements(NamedTuple):
@@ -121,6 +122,30 @@ class Measurements(NamedTuple):
             return self
         dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
         return Measurements.from_arrays(**self._asdict(), dtype=dtype)
+
+    def at_least(self, dtype: np.dtype) -> "Measurements":
+        """The same with no field of lower precision than the filter's; a warning names these.
+
+        Args:
+            dtype: floating type of the filter that will run on them.
+        """
+        narrow = {
+            name: a
+            for name, a in self._asdict().items()
+            if jnp.issubdtype(kind := getattr(a, "dtype", bool), jnp.floating)
+            and jnp.finfo(kind).bits < jnp.finfo(dtype).bits
+        }
+        if narrow:
+            name, first = next(iter(narrow.items()))
+            others = f" (and {len(narrow) - 1} more fields)" if len(narrow) > 1 else ""
+            warnings.warn(
+                f"measurements.{name}{others}: {first.dtype}, but the filter computes in {dtype}: "
+                f"the sensors' values were rounded; for {dtype} pass dtype=np.{dtype} to "
+                "Measurements.from_arrays, under jax.enable_x64(True)",
+                PosegsaWarning,
+                stacklevel=3,
+            )
+        return self._replace(**{name: a.astype(dtype) for name, a in narrow.items()})
 
 
 def checked_arrays(

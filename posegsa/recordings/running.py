@@ -77,6 +77,8 @@ def run_filter(
     if not isinstance(measurements, Recording):
         if initial is None:
             refuse("initial: None", "a FilterState, or None with a Recording")
+        check_type("initial", initial, FilterState)
+        measurements = measurements.at_least(initial.place[0].dtype)
         return rollout.run_filter(schedule, measurements, initial, settings, signal)
     check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
