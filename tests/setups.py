@@ -20,7 +20,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from posegsa import config
-from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
+from posegsa.model.cost import CostParts, CostWeights, sample_error
 from posegsa.model.filter import FilterSettings, FilterState, initial_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
@@ -279,6 +279,22 @@ def tracked(
 
 
 @jax.jit
+def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> CostParts:
+    """Cost of errors over time, all samples at once; the simulation sums them one by one.
+
+    Args:
+        attitude: (..., N) ||R_err||_I in [0, 1].
+        position: (..., N) ||P_err|| [m].
+        weights: for N samples.
+    """
+    error = sample_error(attitude, position, weights)
+
+    def total(weight: Array) -> Array:
+        return jnp.einsum("...n,n->...", error, weight, precision="highest")
+
+    return CostParts(total(weights.transient), total(weights.steady))
+
+
 def cost_of_estimates(estimates: Estimates, scenario: Samples, weights: CostWeights) -> CostParts:
     """The cost of a trajectory, from its errors."""
     poses = initial_state(estimates.rotation, estimates.position)

@@ -46,22 +46,6 @@ def sample_error(attitude: Array, position: Array, weights: CostWeights) -> Arra
     return attitude + weights.position * position
 
 
-def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> CostParts:
-    """Cost of errors over time.
-
-    Args:
-        attitude: (..., N) ||R_err||_I in [0, 1].
-        position: (..., N) ||P_err|| [m].
-        weights: for N samples.
-    """
-    error = sample_error(attitude, position, weights)
-
-    def total(weight: Array) -> Array:
-        return jnp.einsum("...n,n->...", error, weight, precision="highest")
-
-    return CostParts(total(weights.transient), total(weights.steady))
-
-
 class RecordedCost(NamedTuple):
     """The cost on a recording: root mean squares of attitude and position over what is judged.
 

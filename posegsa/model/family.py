@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, random
 
-from posegsa.model.scenario import Bursts, Scenario, Sensed, Sines, Truth, integrate, measure
+from posegsa.model.scenario import Bursts, Scenario, Sines
 from posegsa.model.se3 import random_rotation
 
 Sensors = Literal["all", "vectors", "landmarks"]
@@ -182,10 +182,3 @@ def draw_with_noise(scenario: Scenario, family: Family, key: Array) -> tuple[Sce
     """One scenario of a family, and the key of its measurements' noise (pure, jittable)."""
     of_family, of_noise = random.split(key)
     return draw_scenario(scenario, family, of_family), of_noise
-
-
-def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
-    """One scenario of a family with its true motion and its measurements (pure, jittable)."""
-    drawn, of_noise = draw_with_noise(scenario, family, key)
-    truth = integrate(drawn)
-    return drawn, truth, measure(drawn, truth, of_noise)

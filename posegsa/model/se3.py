@@ -214,14 +214,6 @@ def stack(components: tuple[Array, ...]) -> Array:
     return jnp.stack(jnp.broadcast_arrays(*components), axis=-1)
 
 
-def hat(xi: Array) -> Array:
-    """[xi]^ (..., 4, 4) of a tangent vector xi = [omega; v] (..., 6)."""
-    wx, wy, wz, vx, vy, vz = unstack(xi)
-    o = jnp.zeros_like(wx)
-    entries = (o, -wz, wy, vx, wz, o, -wx, vy, -wy, wx, o, vz, o, o, o, o)
-    return stack(entries).reshape(*xi.shape[:-1], 4, 4)
-
-
 def rotation_matrix(quaternion: Array) -> Array:
     """R (..., 3, 3) of unit quaternions (..., 4), (w, x, y, z)."""
     w, x, y, z = unstack(quaternion)
@@ -266,14 +258,6 @@ def transform(R: Array, P: Array) -> Array:
     top = jnp.concatenate([R, P[..., None]], axis=-1)
     bottom = jnp.broadcast_to(jnp.eye(4, dtype=top.dtype)[3:], (*top.shape[:-2], 1, 4))
     return jnp.concatenate([top, bottom], axis=-2)
-
-
-def adjoint(T: Array) -> Array:
-    """Ad(T) (..., 6, 6) = [[R, 0], [[P]x R, R]] of homogeneous matrices T (..., 4, 4)."""
-    R, P = T[..., :3, :3], T[..., :3, 3]
-    P_cross = hat(jnp.concatenate([P, jnp.zeros_like(P)], axis=-1))[..., :3, :3]
-    top = jnp.concatenate([R, jnp.zeros_like(R)], axis=-1)
-    return jnp.concatenate([top, jnp.concatenate([P_cross @ R, R], axis=-1)], axis=-2)
 
 
 def euler_angles(R: Array) -> Array:

@@ -15,10 +15,11 @@ from setups import (
     space,
     start,
     tracked,
+    trajectory_cost,
 )
 
 from posegsa.config import CostConfig, ObjectiveConfig
-from posegsa.model.cost import SquaredErrors, sample_error, trajectory_cost
+from posegsa.model.cost import SquaredErrors, sample_error
 from posegsa.model.rollout import simulate, simulate_cost
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import cost_weights, filter_settings, signal_settings

@@ -14,9 +14,10 @@ from builders import reference_sample as sample_of
 from filters import state_of
 from jax import Array
 from reference import se3_exp
+from setups import trajectory_cost
 
 from posegsa.errors import ArgumentError
-from posegsa.model.cost import CostWeights, trajectory_cost
+from posegsa.model.cost import CostWeights
 from posegsa.model.ekf import (
     EkfNoise,
     EkfState,
