@@ -1,9 +1,9 @@
-"""The closed loop compiled for one sample after another, on a few flat arrays.
+"""The closed loop compiled for streams: one sample per call, on a few flat arrays.
 
-`rollout.scheduled_step` takes some fifty small arrays, and passing them costs more than the step.
-Here the loop and a sample travel as one array, all numbers of filter, signal and schedule as a
-second, and the result as a third. The program is compiled once for all filters of one structure:
-their numbers are its arguments.
+`rollout.scheduled_step` takes some fifty small arrays, and passing them takes longer than the step.
+Here loop and sample are packed into one array, all numbers of filter, signal and schedule into a
+second, and the result into a third. The numbers are arguments, so the program is compiled once for
+all filters with the same structure.
 """
 
 import pickle
@@ -25,7 +25,7 @@ from posegsa.model.signal import SignalSettings
 
 
 class OnlineParameters(NamedTuple):
-    """All that stays the same from sample to sample."""
+    """Everything that is constant from sample to sample."""
 
     schedule: GainSchedule
     settings: FilterSettings
@@ -37,7 +37,7 @@ class OnlineParameters(NamedTuple):
 
 
 class OnlineSample(NamedTuple):
-    """One sample, as `Measurements` has it, and its time."""
+    """One sample, as in `Measurements`, and its time."""
 
     time: np.ndarray
     """Since the first sample [s]."""
@@ -48,31 +48,31 @@ class OnlineSample(NamedTuple):
     velocity: np.ndarray
     """(3,) [m/s], body frame."""
     vectors: np.ndarray
-    """(n, 3), body frame; anything but NaN where the weight is 0."""
+    """(n, 3), body frame; any number except NaN where the weight is 0."""
     vector_weights: np.ndarray
     """(n,)"""
     landmarks: np.ndarray
-    """(m, 3) [m], body frame; likewise."""
+    """(m, 3) [m], body frame; any number except NaN where the weight is 0."""
     landmark_weights: np.ndarray
     """(m,)"""
 
 
 class OnlineRecord(NamedTuple):
-    """The closed loop after a sample, and what happened there."""
+    """The closed loop after a sample, with results of the step."""
 
     loop: ClosedLoop
     """With the estimate at the next sample."""
     rotation: Any
-    """(3, 3) the same R_est, as a matrix."""
+    """(3, 3) R_est of that estimate."""
     gain_used: Any
-    """K after the gain limit [1/s]; what was asked for is `loop.memory.gain`."""
+    """K after the gain limit [1/s]; before it, it is `loop.memory.gain`."""
 
 
 class Layout:
-    """Where the arrays of a record stand in one flat array.
+    """The positions of a record's arrays in one flat array.
 
     Args:
-        record: Anything made of arrays of one dtype, as an example.
+        record: An example: any pytree of arrays of one dtype.
     """
 
     def __init__(self, record: Any) -> None:
@@ -97,7 +97,7 @@ class Layout:
         return np.concatenate([np.zeros(0), *flat]).astype(dtype)
 
     def unpack(self, flat: Any) -> Any:
-        """The record of a flat array, NumPy's or JAX's; its arrays are views of NumPy's."""
+        """The record from a flat array of NumPy or JAX; of a NumPy array it holds views."""
         leaves, start = [], 0
         for shape, size in zip(self._shapes, self._sizes, strict=True):
             leaves.append(flat[start : start + size].reshape(shape))
@@ -109,9 +109,9 @@ class OnlineLoop:
     """The closed loop of one filter, compiled (which takes a second or two).
 
     Args:
-        parameters: All numbers at the filter's dtype.
-        example: Any state of the filter, with biases of as many vectors as there are if it learns
-            them; its dtype is the filter's.
+        parameters: All numbers in the dtype of the filter.
+        example: Any state of the filter, in its dtype, with biases of all vectors if the filter
+            estimates them.
     """
 
     def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
@@ -127,7 +127,7 @@ class OnlineLoop:
         self.parameters = layout.pack(parameters, self.dtype)
         """All numbers of the parameters, packed."""
         self.structure = zlib.crc32(str(jax.tree.structure(parameters)).encode())
-        """A number of what is no number in them: laws, switches, rules, sub-steps."""
+        """Checksum of their structure: laws, switches, rules, sub-steps."""
         self._on_device = jnp.asarray(self.parameters)
         self._before = before.size
         self.sample_size = sample.size
@@ -135,8 +135,8 @@ class OnlineLoop:
         self._program = _compiled(layout, before, sample, self.dtype.name)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as what it was made of: a compiled program stays in its process."""
-        # As bytes of their own: NumPy's and JAX's float64 is kept only where JAX has it.
+        """Pickle the arguments, because a compiled program cannot be pickled."""
+        # As bytes pickled here: outside of enable_x64 JAX would make float32 of float64.
         with jax.enable_x64(self.dtype == np.float64):
             return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
 
@@ -153,13 +153,13 @@ class OnlineLoop:
 
 
 def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
-    """The loop of what was pickled."""
+    """The loop from its pickled arguments."""
     with jax.enable_x64(dtype == "float64"):
         return OnlineLoop(*pickle.loads(made_of))
 
 
 def _first_record(loop: ClosedLoop) -> OnlineRecord:
-    """Before the first sample: no gain has been used, and it is the one that is begun with."""
+    """The record before the first sample; as gain it has the initial one."""
     rotation, gain = np.asarray(loop.state.rotation), np.asarray(loop.memory.gain)
     return OnlineRecord(loop, rotation, gain)
 
@@ -182,7 +182,7 @@ def _sample_layout(vectors: int, landmarks: int) -> Layout:
 
 @lru_cache(maxsize=32)
 def _compiled(parameters: Layout, loop: Layout, sample: Layout, dtype: str) -> jax.stages.Compiled:
-    """The program of all filters whose arrays have these layouts."""
+    """The program for all filters whose arrays have these layouts."""
 
     def program(given: Array, numbers: Array) -> Array:
         p = parameters.unpack(numbers)

@@ -1,7 +1,7 @@
-"""A whole simulation: lax.scan of gain and filter step over the samples.
+"""A whole simulation: `lax.scan` of gain and filter step over the samples.
 
-One loop serves all that is asked of a simulation: its estimates, its true errors, or its cost
-alone, which is summed up on the way, so that its memory does not grow with time.
+One loop computes estimates, true errors, or the cost alone. The cost is accumulated, so its memory
+does not grow with time.
 """
 
 from collections.abc import Callable
@@ -54,32 +54,32 @@ from posegsa.stored_programs import stored
 
 
 class Samples(NamedTuple):
-    """All that a simulation reads, time-major and by components, for one scenario."""
+    """The inputs of one simulation, time-major and by components."""
 
     time: Array
     """(N,) [s]."""
     sample: Sample
     """Components (N,)."""
     truth: TruePose | None
-    """Components (N,); None where only the measurements are known."""
+    """Components (N,); None if only the measurements are known."""
 
 
 class ClosedLoop(NamedTuple):
-    """What is carried from sample to sample."""
+    """The state that is carried from sample to sample."""
 
     state: FilterState
     memory: SignalMemory
 
 
 class StepRecord(NamedTuple):
-    """What happened at a sample, beside the change of state."""
+    """What happened at a sample, besides the change of state."""
 
     inputs: ScheduleInputs
-    """What the schedule saw."""
+    """The inputs of the schedule."""
     gain: Array
-    """The gain K that it asked for [1/s]."""
+    """The gain K that the schedule asked for [1/s]."""
     gain_used: Array
-    """The same after the gain limit, mean over the sub-steps [1/s]."""
+    """K after the gain limit, mean over the sub-steps [1/s]."""
 
 
 class Estimates(NamedTuple):
@@ -94,19 +94,19 @@ class Estimates(NamedTuple):
     bias: Array
     """(N, 6) b_est [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
-    """(N, n, 3) c_i of each vector, body frame, in its unit; n is 0 where they are not learnt."""
+    """(N, n, 3) c_i of each vector, body frame, in its unit; n is 0 if they are not estimated."""
     gain: Array
     """(N,) the gain K that the schedule asked for [1/s]."""
     gain_used: Array
-    """(N,) the same after the gain limit, mean over the sub-steps [1/s]."""
+    """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
     error: Array
-    """(N,) the scaled error that the schedule saw, in [0, 1]."""
+    """(N,) the scaled error, input of the schedule, in [0, 1]."""
     rate: Array
-    """(N,) the scaled rate that it saw, in [0, 1]."""
+    """(N,) the scaled rate, input of the schedule, in [0, 1]."""
 
 
 class ErrorTrack(NamedTuple):
-    """True errors of simulations over N samples, for judging them; the shapes are of one."""
+    """True errors of a simulation over N samples; S simulations have a leading axis S."""
 
     attitude: Array
     """(N,) ||R_err||_I in [0, 1]."""
@@ -115,15 +115,15 @@ class ErrorTrack(NamedTuple):
     gain: Array
     """(N,) the gain K that was used, after the limit [1/s]."""
     distance: Array
-    """(N,) |P_est - P| [m]: how far the estimate is from the body. The two differ by what the
-    attitude's error makes of the body's distance from the origin."""
+    """(N,) |P_est - P| [m], the distance of the estimate from the body. It differs from `position`
+    by the attitude error times the body's distance from the origin."""
     bias: Array
     """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
-    """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 where none is learnt."""
+    """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 if none is estimated."""
 
     def select(self, scenarios: slice) -> "ErrorTrack":
-        """Some of the scenarios, of leaves (S, ...)."""
+        """Some of S simulations."""
         return ErrorTrack(*(leaf[scenarios] for leaf in self))
 
 
@@ -138,10 +138,10 @@ def samples_of(
 
     Args:
         measurements: N samples.
-        vectors: what the filter makes of vectors.
+        vectors: how the filter uses vectors.
         rotation: (N, 3, 3) true R.
         position: (N, 3) true P [m].
-        time: (N,) [s]; by default the time steps' sum, from 0.
+        time: (N,) [s]; by default the sum of the time steps, from 0.
     """
     if time is None:
         step = measurements.time_step
@@ -175,8 +175,8 @@ def closed_loop_step(
 
 
 Look = Callable[[Any, FilterState, StepRecord, Samples, Any], tuple[Any, Any]]
-"""Maps what has been summed up, the estimate before a sample, the step, the sample and its entry of
-`extra` to the new sum and to what is stored of the sample."""
+"""Maps the sum so far, the estimate before a sample, the step, the sample and its entry of `extra`
+to the new sum and to what is stored for the sample."""
 
 
 def _simulate(
@@ -192,14 +192,14 @@ def _simulate(
     extra: Any = (),
     total: Any = (),
 ) -> tuple[ClosedLoop, Any, Any]:
-    """Run the closed loop on over the samples; `look` says what is summed up and stored of each.
+    """Run the closed loop over the samples; `look` defines what is summed and stored.
 
-    Samples from `count` on change nothing, if it is given. Of S simulations `together`, all leaves
-    have one more axis (S, ...) in front.
+    Samples from `count` on, if given, change nothing. With `together`, S simulations run at once
+    and all leaves have a leading axis S.
 
     Returns:
-        The loop after them, the sum that began as `total`, and what `look` stored, stacked over
-        time.
+        The loop after the samples, the sum, which starts as `total`, and what `look` stored,
+        stacked over time.
     """
     prepared, gammas = schedule.prepare(), _gammas_by_sample(settings, samples)
 
@@ -215,7 +215,7 @@ def _simulate(
 
 
 def _gammas_by_sample(settings: FilterSettings, samples: Samples) -> dict[str, Array]:
-    """The gammas that are given for each of the N samples, (N,) each, by name."""
+    """Those gammas that are given per sample, (N,) each, by name."""
     time = samples.time
     given = {name: getattr(settings, name) for name in ("gamma_angular", "gamma_linear")}
     return {name: jnp.asarray(g, time.dtype) for name, g in given.items() if np.ndim(g)}
@@ -229,7 +229,7 @@ def simulate_cost(
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> CostParts:
-    """Cost of one simulation, run up sample by sample; nothing else is stored (pure, jittable)."""
+    """Cost of one simulation, accumulated over samples; nothing else is stored (pure, jittable)."""
 
     def look(
         total: CostParts, state: FilterState, record: StepRecord, now: Samples, weight: Any
@@ -255,7 +255,7 @@ def simulate_cost(
 def squared_errors(
     total: SquaredErrors, state: FilterState, now: Samples, weight: Array, place: Vec3
 ) -> SquaredErrors:
-    """What has been summed up with one more sample, of this weight and true position [m]."""
+    """The sums after one more sample with this weight and true position [m]."""
     attitude, _ = pose_errors(state, now.truth)
     off = subtract(state.place, place)
     return SquaredErrors(
@@ -271,7 +271,7 @@ def simulate_recorded_cost(
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> Array:
-    """Cost on a recording, run up sample by sample; nothing else is stored (pure, jittable)."""
+    """Cost on a recording, accumulated over samples; nothing else is stored (pure, jittable)."""
 
     def look(
         total: SquaredErrors, state: FilterState, record: StepRecord, now: Samples, entry: Any
@@ -314,7 +314,7 @@ def simulate_part(
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> tuple[ClosedLoop, Estimates]:
-    """The estimates over a part of a sequence, and the closed loop before the next part."""
+    """The closed loop after a part of a sequence, and the estimates over that part."""
     last, _, stored = _simulate(_everything, schedule, samples, loop, settings, signal)
     return last, _estimates(samples, *stored)
 
@@ -322,7 +322,7 @@ def simulate_part(
 def _everything(
     total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
 ) -> tuple[tuple[()], tuple[FilterState, StepRecord]]:
-    """Stores all that `Estimates` are made of."""
+    """A `Look` that stores what `Estimates` needs."""
     return total, (state, record)
 
 
@@ -361,11 +361,10 @@ def errors_onward(
     signal: SignalSettings,
     count: Array,
 ) -> tuple[ClosedLoop, ErrorTrack]:
-    """The true errors over more samples of S simulations, and their loops after them.
+    """Continue S simulations: their loops after more samples, and their true errors there.
 
-    All leaves of samples, loop and what is returned have an axis (S, ...) in front. Samples from
-    `count` on change nothing, and what is stored of them means nothing: so pieces of any length run
-    as one program (pure, jittable).
+    All leaves have a leading axis S. Samples from `count` on change nothing, and the errors there
+    are meaningless: so pieces of any length run as one program (pure, jittable).
     """
     last, _, errors = _simulate(
         _true_errors, schedule, samples, loop, settings, signal, count=count, together=True
@@ -376,7 +375,7 @@ def errors_onward(
 def _true_errors(
     total: tuple[()], state: FilterState, record: StepRecord, now: Samples, entry: tuple[()]
 ) -> tuple[tuple[()], tuple[Array, Array, Array, Vec3]]:
-    """Stores what an `ErrorTrack` is made of."""
+    """A `Look` that stores what `ErrorTrack` needs."""
     return total, (*pose_errors(state, now.truth), record.gain_used, state.place)
 
 
@@ -397,10 +396,10 @@ def _error_track(
 def distances(place: Vec3, samples: Samples) -> Array:
     """|P_est - P| (N,) [m] of estimated positions by components (N,) (pure, jittable).
 
-    Made after the loop, whose arithmetic stays what it is without it.
+    Computed after the loop, so that the loop's rounding stays the same.
 
     Raises:
-        ArgumentError: The samples do not hold the true pose.
+        ArgumentError: The samples do not include the true pose.
     """
     truth = known_pose(samples.truth)
     return norm(subtract(place, rotate(rows(truth.attitude), truth.origin)))
@@ -430,16 +429,17 @@ def scheduled_step(
     Args:
         loop: from `begin`, or from the last step; `loop.state` is the estimate.
         measurement: one sample, without a time axis (`measurements.at(k)`).
-        schedule: e.g. a tuned result's.
-        settings: the filter's.
-        signal: the error signal's; "measured", since the truth is not known.
-        time: since the first sample [s]; only schedules over time look at it.
+        schedule: e.g. that of a tuned result.
+        settings: of the filter.
+        signal: of the error signal; "measured", since the truth is not known.
+        time: since the first sample [s]; only schedules over time use it.
 
     Returns:
-        The loop with the estimate at the next sample, and the gain K [1/s] that was asked for.
+        The loop with the estimate at the next sample, and the gain K [1/s] that the schedule asked
+        for.
 
     Raises:
-        ArgumentError: an argument is of another type, or they do not fit together.
+        ArgumentError: an argument has the wrong type, or they do not fit together.
     """
     check_type("loop", loop, ClosedLoop)
     check_type("measurement", measurement, Measurements)
@@ -473,19 +473,19 @@ def run_filter(
     settings: FilterSettings,
     signal: SignalSettings,
 ) -> Estimates:
-    """Runs a gain schedule over a whole measurement sequence of a user's own.
+    """Run a gain schedule over a sequence of measurements.
 
     Args:
         schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
         measurements: N samples (`posegsa.model.measurements`).
-        initial: the estimate at the first sample (`posegsa.initial_state`); the vectors' biases, if
-            they are learnt, begin at 0.
-        settings: the filter's; of a tuned result `filter_settings(result.tuned)`.
-        signal: the error signal's; "measured", since the truth is not known.
+        initial: the estimate at the first sample (`posegsa.initial_state`); estimates of the
+            vectors' biases, if the filter has them, start at 0.
+        settings: of the filter; for a tuned result `filter_settings(result.tuned)`.
+        signal: of the error signal; "measured", since the truth is not known.
 
     Raises:
-        ArgumentError: an argument is of another type, or the signal is "pose".
-        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
+        ArgumentError: an argument has the wrong type, or the signal is "pose".
+        MeasurementError: the measurements contain what `Measurements.from_arrays` refuses.
     """
     check_schedule(schedule)
     check_type("measurements", measurements, Measurements)
