@@ -140,7 +140,7 @@ def plot_output_terms(controller: FuzzyController) -> Figure:
 
 def _plot_terms(triangles: Array, universe: tuple[float, float], label: str) -> tuple[Figure, Axes]:
     """Triangles (n, 3) over their universe, each named above its peak."""
-    figure, (ax,) = style.panels(1, 3.2, above=0.3)  # for the names
+    figure, (ax,) = style.panels(1, 3.2)
     terms, (low, high) = np.asarray(triangles), universe
     names = _term_names(len(terms))
     order = np.argsort(terms[:, 1], kind="stable")

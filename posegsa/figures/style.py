@@ -82,18 +82,11 @@ styled = _look()
 """Decorator: matplotlib's own defaults and the style above, while a figure is built."""
 
 
-def grid(
-    rows: int, columns: int, height: float, *, above: float = 0.0, **keywords: Any
-) -> tuple[Figure, np.ndarray]:
-    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`.
-
-    `above` is the height of what stands above the first row beside titles and legend [in].
-    """
+def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
     from matplotlib.figure import Figure
 
-    from posegsa.figures.room import Room
-
-    figure = Figure(figsize=(WIDTH, height), layout=Room(above))
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **keywords)
     for ax in axes.flat:
         style_ticks(ax)
@@ -126,7 +119,7 @@ def legend_above(figure: Figure, ax: Axes) -> None:
     entries = dict(zip(labels, handles, strict=True))
     widths = [len(label) + _HANDLE for label in entries]
     columns = len(widths) if sum(widths) <= _LEGEND else max(1, _LEGEND // max(widths))
-    figure.legend(entries.values(), entries.keys(), loc="upper center", ncols=columns)
+    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
@@ -208,18 +201,8 @@ def finite(values: ArrayLike) -> np.ndarray:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a PNG file at the resolution for print.
-
-    The layout is made here, and put aside meanwhile: `savefig` draws a figure that has one twice.
-    """
-    file, layout = io.BytesIO(), figure.get_layout_engine()
-    figure.set_dpi(DPI)
-    if layout is not None:
-        layout.execute(figure)
-    with _look():  # in which no layout is the default
-        figure.set_layout_engine(None)
-    try:
+    """A figure as a PNG file at the resolution for print."""
+    file = io.BytesIO()
+    with _look():  # `savefig` reads the settings too
         figure.savefig(file, format="png", dpi=DPI)
-    finally:
-        figure.set_layout_engine(layout)
     return file.getvalue()

@@ -1,4 +1,4 @@
-"""A left-invariant extended Kalman filter on SE(3): the strongest filter a user could take instead.
+"""A left-invariant extended Kalman filter on SE(3), the observer's strongest competitor.
 
 symbol | meaning                                     | here                    | unit, frame
 ------ | ------------------------------------------- | ------------------------ | ------------------
@@ -11,49 +11,49 @@ Sigma  | covariance of all of them                   | `KalmanState.covariance` 
 y, z   | predicted and measured                      | `update`              | as measured, B
 u      | displacement (Y_m - b_est) dt               | `propagate`           | rad, m, B
 
-The sensors' model is the paper's (Eqs. 2, 4 and 6) with white noise and biases that walk at random.
-A sample k is used in two halves; the estimate before both is what is recorded of it, as with the
-observer:
+The sensor model is the paper's (Eqs. 2, 4 and 6) with white noise and biases that follow random
+walks. Each sample is used in two steps; the record of a sample is the estimate before both, as with
+the observer:
 
 1. Update. y = R_est^T v^I + c_i for a vector and y = R_est^T (p - P_est) for a landmark, with
        z - y = [R_est^T v^I]x theta + error of c_i + noise,    z - y = [y]x theta - rho + noise.
-   All components of all sensors are linearised at the estimate before the sample. Then they are
-   taken one after the other: a scalar at a time needs no matrix inverse, and as the correction is
-   put into the pose only after the last one, T_est <- T_est exp(xi^), the result is that of one
-   update with all of them in any order.
+   All components of all sensors are linearised at the estimate before the sample and processed one
+   scalar at a time, which needs no matrix inverse. The correction is applied to the pose only after
+   the last one, T_est <- T_est exp(xi^), so the result is that of one joint update, in any order.
 2. Propagation. T_est <- T_est exp(u^), and with A = Ad(exp(-u^))
        xi <- A xi - J dt (error of b + noise),   J = 1/2 (I + A).
-   A is exact for the group, whatever the error: the left-invariant form's point. J is the right
-   Jacobian of SE(3) but for |u|^2 / 12 of it.
+   A is exact for errors of any size: that is the advantage of the left-invariant form. J equals
+   the right Jacobian of SE(3) to within |u|^2 / 12, relative.
 
 After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
 J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
 most filters have it); the change of coordinates is of first order in a correction.
 
-Vectors enter as measured, neither normalised nor with their cross product, which would tell nothing
-new: weights, normalisation and cross product of `VectorSettings` do not matter here. A weight in
-the measurements divides the variance of that measurement.
+Vectors are used as measured, neither normalised nor with their cross product, which holds no
+further information: the filter ignores the weights, normalisation and cross product of
+`VectorSettings`. A weight in the measurements divides the variance of that measurement.
 
-What is proven: without velocity biases and vector biases, and for the deterministic system, the
-left-invariant error's propagation is free of the trajectory, and an invariant filter converges from
-errors that are small enough, on any trajectory that keeps the pose observable (A. Barrau, S.
+What is proven: without noise, velocity biases and vector biases, the left-invariant error
+propagates independently of the trajectory, and an invariant filter converges from
+sufficiently small errors on any trajectory that keeps the pose observable (A. Barrau, S.
 Bonnabel, "The invariant extended Kalman filter as a stable observer", IEEE Transactions on
-Automatic Control 62(4), 2017). With biases as states (an "imperfect" invariant filter) nothing of
-that is proven. Vectors and landmarks are seen in the body frame, for which the theory would rather
-take the right-invariant error; with velocity biases in the body frame each form gives up something.
+Automatic Control 62(4), 2017). With biases as states (an "imperfect" invariant filter) none of
+this is proven. Vectors and landmarks are measured in the body frame, for which the theory favours
+the right-invariant error; with velocity biases in the body frame each form has its drawback.
 
-What is measured: from small errors and with the sensors' own noise it is consistent
-(`tests/model/test_ekf.py`). From large ones no promise holds: the covariance does not know how
-wrong the linearisation is. It shrinks with the first samples, whether or not they have brought the
-estimate nearer, and what is still wrong then is corrected only as fast as the process noise allows;
-at 180 deg from the truth the vectors pull in no direction at all, and vector-bias states explain a
-wrong attitude by biases. Noise levels that were tuned for such starts recover from them all the
-same; those found for 18 states let the vectors' biases walk (0.005 / sqrt(s)), constant though they
-are, and doubt them little at first (0.008). Starts up to 180 deg and 10 m off, the paper's sensors,
-random phases, 60 s, 200 scenarios that were not tuned on, one search of 1536 evaluations on 25
-others; mean cost (0.3 x first second + 4 to 59 s) and worst: 18 states tuned 55 and 134, with the
-sensors' own noise 291 and 3686; 12 states tuned 167 and 634, with the sensors' own noise 188 and
-629.
+What is measured: for small initial errors and the sensors' true noise it is consistent
+(`tests/model/test_ekf.py`). For large ones it is not: the covariance does not include the error of
+the linearisation. It shrinks with the first samples, whether or not they have improved the
+estimate, and the remaining error is corrected only as fast as the process noise allows. At 180 deg
+from the truth the vectors give no correction at all, and vector-bias states explain a wrong
+attitude by biases. Noise levels tuned for such starts recover nevertheless. Those found for 18
+states assume that the vectors' biases walk (0.005 / sqrt(s)), although they are constant, and are
+known well at the start (0.008).
+
+Mean and worst cost (0.3 x first second + 4 to 59 s) for starts up to 180 deg and 10 m off, the
+paper's sensors, random phases, 60 s, 200 held-out scenarios, one search of 1536 evaluations on 25
+others: 18 states tuned 55 and 134, with the sensors' true noise 291 and 3686; 12 states tuned 167
+and 634, with the sensors' true noise 188 and 629.
 """
 
 import operator
@@ -95,26 +95,26 @@ from posegsa.model.vectors import VectorSample, VectorSettings, Wahba
 Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
 """Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
 array of the batch shape. Like all of the hot loop it is written by components (`se3`), which XLA
-makes one vectorised kernel of: 0.1 us a filter and sample with 12 states, 0.2 with 18, on one core.
-Every vector and landmark adds to that, and to the compilation: 10 s and 30 s for the paper's three.
+fuses into one vectorised kernel: 0.1 us per filter and sample with 12 states, 0.2 us with 18, on
+one core. Every vector and landmark adds to this and to the compile time, which for the paper's
+three sensors is 10 s with 12 states and 30 s with 18.
 """
 
 Row: TypeAlias = dict[int, Array | float]
-"""A row of a sparse matrix: the entries that are not 0, by column."""
+"""A row of a sparse matrix: its nonzero entries by column."""
 
 SMALLEST_CUT = 128
-"""Units of rounding: no scalar measurement cuts a variance to less than this share of itself. A cut
-to less than one unit, 1e-7 in float32, would leave nothing but rounding, of either sign."""
+"""One scalar measurement reduces a variance at most to this many units of rounding times itself. A
+reduction below one unit, 1e-7 in float32, would leave only rounding errors, of either sign."""
 
 POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
-"""Where the errors of the pose, the velocities' biases and the vectors' biases begin."""
+"""Index of the first state of the pose, of the velocities' biases and of the vectors' biases."""
 
 
 class KalmanNoise(NamedTuple):
     """What the filter believes of its sensors and of its start, all standard deviations, traced.
 
-    Of a sensor with white noise of standard deviation s in every sample of dt, the density is
-    s sqrt(dt).
+    White noise of standard deviation s in every sample of length dt has the density s sqrt(dt).
     """
 
     angular_velocity: Array
@@ -126,22 +126,21 @@ class KalmanNoise(NamedTuple):
     linear_walk: Array
     """Random walk of the velocity's bias [m/s/sqrt(s)]."""
     vector_walk: Array
-    """Random walk of the vectors' biases, in the vectors' unit [1/sqrt(s)]; only with such states.
-    """
+    """Random walk of the vectors' biases, in their unit [1/sqrt(s)]; used if they are states."""
     vector: Array
     """Noise of each component of a vector, in its unit."""
     landmark: Array
     """Noise of each coordinate of a landmark [m]."""
     initial_attitude: Array
-    """Of the attitude at the start, about each axis [rad]."""
+    """Initial attitude error about each axis [rad]."""
     initial_position: Array
-    """Of the position at the start, along each axis [m]."""
+    """Initial position error along each axis [m]."""
     initial_angular_bias: Array
-    """Of the angular velocity's bias at the start, each component [rad/s]."""
+    """Initial error of each component of the angular velocity's bias [rad/s]."""
     initial_linear_bias: Array
-    """Of the velocity's bias at the start, each component [m/s]."""
+    """Initial error of each component of the velocity's bias [m/s]."""
     initial_vector_bias: Array
-    """Of the vectors' biases at the start, each component, in the vectors' unit; only with such
+    """Initial error of each component of the vectors' biases, in their unit; used if they are
     states."""
 
 
@@ -151,7 +150,7 @@ class KalmanState(NamedTuple):
     estimate: FilterState
     """As the observer's; `turning` is ()."""
     covariance: Covariance
-    """Sigma, 12 + 3 n states with the biases of n vectors."""
+    """Sigma of 12 states, or 12 + 3 n with the biases of n vectors."""
 
     @property
     def covariance_matrix(self) -> Array:
@@ -293,8 +292,8 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
 
     Args:
         state: at this sample, of the batch shape.
-        sample: with the velocities, and the time step to the next one.
-        noise: of the velocities, and the biases' random walks.
+        sample: its velocities and its time step are used.
+        noise: of the velocities, and of the biases' random walks.
     """
     estimate, dt = state.estimate, sample.time_step
     omega = scale(dt, subtract(sample.angular_velocity, estimate.bias_angular))
@@ -318,9 +317,9 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
 def nees(state: KalmanState, truth: TruePose) -> Array:
     """Normalised estimation error squared of the pose, xi^T Sigma^-1 xi, of the batch shape.
 
-    Chi-squared with 6 degrees of freedom for a consistent filter: 6 on average. (Y. Bar-Shalom,
-    X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
-    section 5.4.) The initial deviations of the pose must not be 0.
+    For a consistent filter it is chi-squared with 6 degrees of freedom, 6 on average. (Y.
+    Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    2001, section 5.4.) The initial deviations of the pose must not be 0.
     """
     estimate = state.estimate
     w, x, y, z = estimate.attitude
@@ -328,7 +327,7 @@ def nees(state: KalmanState, truth: TruePose) -> Array:
     between = subtract(rotate(R_true, truth.origin), estimate.place)
     theta, rho = _log(compose((w, -x, -y, -z), truth.attitude), unrotate(R, between))
     error = stack(theta + rho)
-    # States of unlike units: solved as a correlation matrix, which float32 can hold.
+    # The states have different units. Their correlation matrix is solved: float32 suffices for it.
     sigma = _matrix(state.covariance, 6)
     deviation = jnp.sqrt(jnp.diagonal(sigma, axis1=-2, axis2=-1))
     correlation = sigma / (deviation[..., :, None] * deviation[..., None, :])
@@ -350,7 +349,7 @@ def _matrix(covariance: Covariance, count: int) -> Array:
 
 
 def _product(row: Row, column: Callable[[int], Array]) -> Array:
-    """A sparse row times a column, which is given by its entries."""
+    """A sparse row times a column, which is a function from index to entry."""
     return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
 
 
@@ -365,18 +364,19 @@ class Found(NamedTuple):
 def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: Array) -> Found:
     """Covariance and correction x of the states after a measurement h x = residual + noise.
 
-    The covariance loses an outer product of one vector with itself, so that it stays symmetric.
+    The outer product of one vector with itself is subtracted, so the covariance stays symmetric.
 
     Args:
         found: before it.
         h: the measurement's derivatives.
         residual: measured minus predicted with x = 0.
-        variance: of its noise.
-        factor: 0 where it is missing.
+        variance: of the noise.
+        factor: 0 where the measurement is missing.
     """
     covariance, correction = found
     every = range(len(covariance))
-    gain = [_product(h, lambda j, i=i: _entry(covariance, i, j)) for i in every]  # not yet / total
+    # Sigma h^T: the Kalman gain times `total`.
+    gain = [_product(h, lambda j, i=i: _entry(covariance, i, j)) for i in every]
     own = _product(h, gain.__getitem__)
     smallest = SMALLEST_CUT * float(jnp.finfo(own.dtype).eps)
     total = own + maximum(variance, smallest * own)
@@ -408,7 +408,7 @@ def _next_vector_first(found: Found) -> Found:
 
 
 def _congruent(covariance: Covariance, F: dict[int, Row]) -> Covariance:
-    """F Sigma F^T of a matrix that is the identity but for the rows given."""
+    """F Sigma F^T, where F is the identity except for the given rows."""
     every = range(len(covariance))
 
     def of_left(i: int, j: int) -> Array:
@@ -426,7 +426,7 @@ def _congruent(covariance: Covariance, F: dict[int, Row]) -> Covariance:
 
 
 def _transition(omega: Vec3, v: Vec3, dt: Array) -> dict[int, Row]:
-    """Rows of xi in [A, -1/2 (I + A) dt], A = Ad(exp(-[omega; v]^)) (rad, m)."""
+    """The rows of xi, [A, -1/2 (I + A) dt] with A = Ad(exp(-[omega; v]^)) (rad, m)."""
     zero, one = jnp.zeros_like(dt), jnp.ones_like(dt)
     q, P = move((one, zero, zero, zero), (zero, zero, zero), omega, v)
     columns = tuple(zip(*rows(q), strict=True))  # rows of R^T
@@ -448,7 +448,7 @@ def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:
 
 
 def _variance(deviation: Array, factor: Array) -> Array:
-    """Of a measurement of this weight; anything where it is missing."""
+    """Variance of a measurement with this weight; arbitrary where it is missing."""
     return deviation * deviation / choose(factor > 0, factor, 1.0)
 
 

@@ -8,7 +8,7 @@ b_est   | estimate of the velocity's bias      | `FilterState`           | 3, 3 
 c_i     | estimate of a vector's bias          | `FilterState`           | 3      | as the vector; B
 Y_m     | measured [Omega_m; V_m]              | `Sample`                | 3, 3   | rad/s, m/s, B
 v_i     | a vector, measured in B, known in I  | `vectors`               | 3      | B and I
-u_i     | what is made of it, and of its bias  | `vectors.Wahba`         | 3      | B
+u_i     | v_i^B less its bias, normalised      | `vectors.Wahba`         | 3      | B
 y_i     | a landmark as seen from the body     | `landmarks[i].body`     | 3      | m, B
 p_i     | its known position                   | `landmarks[i].inertial` | 3      | m, I
 s_i     | weight of a vector (R), landmark (L) | `FilterSettings`        | -      | 1 (R), 1/m^2 (L)
@@ -16,7 +16,7 @@ x_i     | T_est y_i                            | `seen_from_estimate`    | 3    
 U       | innovation [u_1; u_2]                | `Innovation`            | 3, 3   | 1, 1/m; I
 W       | correction of the body velocity      | `Correction`            | 3, 3   | as U; B
 K       | gain                                 | `gain`                  | -      | 1/s
-gamma   | gains of the bias law, for both      | `FilterSettings`        | 2      | 1/s^2
+gamma   | gains of the law of b_est            | `FilterSettings`        | 2      | 1/s^2
 gamma_c | gain of the vectors' bias law        | `VectorBias.gain`       | -      | 1/s
 L       | curvature: K dt L < 2 is stable      | `Innovation.curvature`  | -      | 1
 c       | gain limit, K <= c / (dt L)          | `gain_limit`            | -      | 1
@@ -28,47 +28,50 @@ group SE(3)", IEEE Conference on Decision and Control):
     dT_est/dt = T_est [Y_m - b_est + K W]^
     law "gradient":  W = Ad(T_est^-1) U,  db_est/dt = -gamma Ad(T_est)^T U
     law "printed":   W = Ad(T_est)^T U,   db_est/dt = -gamma Ad(T_est^-1) U
-The paper prints the second. With the first, the spatial velocity error is K U - Ad(T_est) b_err and
-the cost's derivative -K |U|^2: it is the law for which the observer's Lyapunov argument holds.
+The paper prints the second. The observer's Lyapunov argument holds for the first: with it the
+spatial velocity error is K U - Ad(T_est) b_err, and the cost's derivative is -K |U|^2.
 
-Gains that go together. A constant gamma is too little for a high K and rings with a low one: the
-pair behaves like an oscillator of frequency sqrt(gamma L) damped by K L. So gamma can follow the
-gain that is used, after its limit:
+Coupled gains. A constant gamma is too small for a high K and rings with a low one: the pair behaves
+like an oscillator of frequency sqrt(gamma L) damped by K L. So gamma can follow the gain after its
+limit:
     "fixed":      gamma = g
     "linear":     gamma = g (K / 10)
     "quadratic":  gamma = g (K / 10)^2, a constant damping
 with K in 1/s, so that g [1/s^2] is always gamma at K = 10/s. A bias of the angular velocity moves a
-landmark by its distance |y_i| times as much, and its residual comes back with the same lever: that
-oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit step is
-unstable; so both laws keep, with y the farthest landmark,
+landmark in proportion to its distance |y_i|, and the residual acts on the bias with the same lever:
+that oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit
+step is unstable. So both laws limit gamma, with y the farthest landmark, to
     gamma dt (1 + |y|^2) <= K / 2  for the angular velocity,   gamma dt <= K / 2  for the linear.
-The unit of length. The gain K turns and moves the estimate, and their shares depend on the unit of
-length: where landmarks are d metres from the origin, the cost's curvature is d^2 times as high in
-attitude as in position, and the K that the attitude allows leaves the position d^2 times as slow.
-In a unit of l metres (`length`) u_2 counts l^2 times,
+
+The unit of length. The gain K corrects attitude and position, in proportions that depend on the
+unit of length. For landmarks d metres from the origin the cost's curvature is d^2 times as high in
+attitude as in position; with the largest K that the attitude allows, the position then converges
+d^2 times as slowly. In a unit of l metres (`length`) u_2 is multiplied by l^2,
     W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
-for the law "gradient", in L every 1 beside a squared length is l^2, and the limit of gamma above is
-gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d both converge alike. It is the same observer,
-run in that unit.
-What holds in theory: with f the cost whose gradient U is and constant gamma, f + |b_err|^2 / (2
-gamma) never rises (without noise). With a changing gamma that function serves while gamma rises and
-gamma f + |b_err|^2 / 2 while it falls; over both it is enough that log gamma has bounded variation,
-which a gain that settles has.
+for the law "gradient"; in L, every 1 that is added to a squared length becomes l^2; and the limit
+of gamma becomes gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d, attitude and position converge
+equally fast. It is the same observer in another unit.
 
-The biases' bounds. While an estimate is far off, the bias laws learn what is not there: with the
-high gain that a start of 100 degrees asks for, b_est comes to many times any real bias, and is
-right again when the pose is. Measurements that stop in between leave it at that, and the estimate
-runs away. Where bounds are given, |b_est| is kept within them, as |c_i| below.
+Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma,
+f + |b_err|^2 / (2 gamma) never increases. With a varying gamma that function serves while gamma
+increases, and gamma f + |b_err|^2 / 2 while it decreases. Together they suffice if log gamma has
+bounded variation, as it has for a gain that settles.
 
-The vectors' biases. The sensor model has them (Eq. 2); while they are ignored they make nearly all
-of the steady error. With c_i the estimated bias, d_i = v_i^B - c_i,
+Bounds of the biases. While the pose is far off, the bias laws learn biases that do not exist: with
+the high gain of a start at 100 degrees, b_est grows to many times any real bias, and recovers only
+when the pose does. If the measurements stop before that, b_est stays wrong and the estimate runs
+away. Optional bounds limit |b_est|, and |c_i| below.
+
+Biases of the vectors. They are part of the sensor model (Eq. 2); ignoring them causes nearly all of
+the steady error. With c_i the estimated bias and d_i = v_i^B - c_i,
     dc_i/dt = gamma_c (d_i - R_est^T v_i^I) - leak c_i,   |c_i| <= bound,
-descends 1/2 |R_est d_i - v_i^I|^2, and U is made of the u_i, that is of d_i normalised (`vectors`).
-Rotation tells c_i from an error of R_est; without it the two can't be told apart along three
-directions. So gamma_c is multiplied by min(1, (w / w_0)^4), w the length of the low-passed
-angular velocity: at rest the c_i stay as they are. There is no Lyapunov proof for a
-rotating body: df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i) of either sign. That pose
-and all biases converge without noise is measured (`tests/model/test_filter_convergence.py`).
+is gradient descent on 1/2 |R_est d_i - v_i^I|^2. U uses the u_i, which are the normalised d_i
+(`vectors`). Only while the body turns can c_i be distinguished from an error of R_est; at rest they
+are indistinguishable along three directions. So gamma_c is multiplied by min(1, (w / w_0)^4), where
+w is the length of the low-passed angular velocity: at rest the c_i stay as they are. For a rotating
+body there is no Lyapunov proof, because df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i)
+of either sign. That the pose and all biases converge without noise is shown by test
+(`tests/model/test_filter_convergence.py`).
 """
 
 from collections.abc import Callable, Mapping
@@ -113,65 +116,65 @@ from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
 Law = Literal["gradient", "printed"]
 GainLaw = Literal["fixed", "linear", "quadratic"]
-"""How a gain of a bias law follows K: not at all, or with K or its square."""
+"""How the gain of a bias law depends on K: constant, or in proportion to K or K^2."""
 
 REFERENCE_GAIN = 10.0
-"""The gain K [1/s] at which gamma and gamma_c are what they are said to be, whatever follows it."""
+"""The gain K [1/s] at which gamma and gamma_c have their configured values."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class VectorBias:
-    """How the vectors' biases are learnt; the numbers are traced."""
+    """How the vectors' biases are estimated; the numbers are traced."""
 
     gain: Array
     """gamma_c at K = 10/s [1/s]."""
     leak: Array
-    """Rate at which an estimate is forgotten [1/s]."""
+    """Rate at which an estimate decays [1/s]."""
     per_bound: Array
-    """1 / bound^2, bound the largest length of an estimate, in the vector's unit: a wrong c_i can
-    make up for a wrong attitude."""
+    """1 / bound^2, where bound is the maximum length of an estimate, in the vector's unit. Without
+    it a wrong c_i can compensate a wrong attitude."""
     per_turning: Array
-    """1 / w_0^4, w_0 the angular velocity [rad/s] from which on all of the gain is used."""
+    """1 / w_0^4, where w_0 is the angular velocity [rad/s] above which the full gain is used."""
     excitation_time: Array
     """Time constant of the low-pass filter of the angular velocity [s]."""
     law: GainLaw = field(metadata={"static": True})
-    """How gamma_c follows the gain."""
+    """How gamma_c depends on K."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FilterSettings:
-    """How a step is made. Laws, sub-steps and what is learnt are structure; numbers are traced.
+    """Settings of a filter step. Numbers are traced, everything else is static.
 
-    The defaults suit vectors and landmarks of any motion; only vectors' biases are not learnt.
+    The defaults suit vectors and landmarks on any motion; they do not estimate vectors' biases.
     """
 
     law: Law = field(default="gradient", metadata={"static": True})
     gamma_law: GainLaw = field(default="quadratic", metadata={"static": True})
-    """How gamma follows the gain."""
+    """How gamma depends on K."""
     substeps: int = field(default=2, metadata={"static": True})
-    """n, inner steps per sample."""
+    """n, number of inner steps per sample."""
     gamma_angular: Array | float = 2.5
     """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
     gamma_linear: Array | float = 2.5
     """gamma of the linear velocity's bias at K = 10/s [1/s^2]."""
     gain_limit: Array | float = 1.5
-    """c; infinite for no limit."""
+    """c; infinite means no limit."""
     vectors: VectorSettings = field(default_factory=VectorSettings)
-    """What is made of the vectors before they are used."""
+    """Weights, normalisation and cross product of the vectors."""
     landmark_weights: tuple[Array, ...] | None = None
-    """s_i^L of each landmark [1/m^2]; None is 1 for all."""
+    """s_i^L of each landmark [1/m^2]; None means 1 for all."""
     vector_bias: VectorBias | None = None
-    """How the vectors' biases are learnt; None where they are not."""
+    """How the vectors' biases are estimated; None if they are not."""
     per_angular_bias_bound: Array | None = None
-    """1 / bound^2 [s^2/rad^2], bound the largest length of the estimated bias of the angular
-    velocity; None for no bound."""
+    """1 / bound^2 [s^2/rad^2], where bound is the maximum length of the estimated bias of the
+    angular velocity; None means no bound."""
     per_linear_bias_bound: Array | None = None
-    """The same of the linear velocity's [s^2/m^2]."""
+    """The same for the linear velocity [s^2/m^2]."""
     length: Array | None = None
-    """l, the unit of length [m] in which the observer's equations are those of the module's head;
-    None is 1 m, with law "printed" always."""
+    """l, the unit of length [m] (see the top of this module); None means 1 m, as the law "printed"
+    requires."""
 
     @property
     def unit(self) -> Array | int:
@@ -188,7 +191,7 @@ class Innovation(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """W, and what -gamma is multiplied with in the bias law, both in the body frame."""
+    """W, and db_est/dt divided by -gamma, both in the body frame."""
 
     angular: Vec3
     linear: Vec3
@@ -197,7 +200,7 @@ class Correction(NamedTuple):
 
 
 def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
-    """What the filter makes of a sample: vectors freed of their biases, and weights."""
+    """The sample with the estimated biases removed from its vectors, and with its weights."""
     if isinstance(sample.vectors, Wahba):
         wahba, freed = sample.vectors, ()
     else:
@@ -210,8 +213,8 @@ def see(state: FilterState, sample: Sample, settings: FilterSettings) -> Seen:
 def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int = 1) -> Innovation:
     """U (Eq. 9) and L, with l^2 = `unit` [m^2].
 
-    The vectors' part of u_1 is the antisymmetric part of R_est B, since (R u) x v is that of
-    (R u) v^T. U is minus the gradient of
+    The vectors' part of u_1 is the antisymmetric part of R_est B, because (R u) x v belongs to the
+    antisymmetric part of (R u) v^T. U is the negative gradient of
         f = 1/4 sum s_i^L |x_i - p_i|^2 + 1/4 sum s_i^R |R_est u_i - v_i^I|^2,
     and L bounds its Hessian:
         L = 1/2 sum s_i^R |u_i||v_i^I|
@@ -219,7 +222,7 @@ def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int
     """
     R = rows(state.attitude)
     columns = tuple(zip(*seen.wahba.profile, strict=True))
-    # (R B)_ij is row i of R times column j of B; only the six off the diagonal are needed.
+    # (R B)_ij is row i of R times column j of B; only the six off-diagonal entries are needed.
     u1: Vec3 = (
         dot(R[1], columns[2]) - dot(R[2], columns[1]),
         dot(R[2], columns[0]) - dot(R[0], columns[2]),
@@ -240,10 +243,10 @@ def innovation(state: FilterState, sample: Sample, seen: Seen, unit: Array | int
 
 
 def correction(state: FilterState, U: Innovation, law: Law, unit: Array | int = 1) -> Correction:
-    """W, and the bias law without its gains (Eq. 9, and the module's head); l^2 = `unit` [m^2]."""
+    """W, and the bias law without its gains (Eq. 9, top of this module); l^2 = `unit` [m^2]."""
     R = rows(state.attitude)
     # Ad(T^-1) U = [R^T u_1; R^T (u_2 - P x u_1)],  Ad(T)^T U = [R^T (u_1 - P x u_2); R^T u_2], and
-    # R^T (a x b) = (R^T a) x (R^T b): what is in the inertial frame is turned once.
+    # R^T (a x b) = (R^T a) x (R^T b), so each inertial vector is rotated only once.
     P, angular, linear = (unrotate(R, a) for a in (state.place, U.angular, U.linear))
     pull = linear if isinstance(unit, int) else scale(unit, linear)
     inverse = angular, subtract(pull, cross(P, angular))
@@ -255,7 +258,7 @@ def correction(state: FilterState, U: Innovation, law: Law, unit: Array | int = 
 def bias_gains(
     used: Array, sample: Sample, settings: FilterSettings
 ) -> tuple[Array | float, Array | float]:
-    """Gamma of both biases [1/s^2] with the gain K that is used in a sub-step."""
+    """Both gammas [1/s^2] for the gain K of a sub-step."""
     gammas = settings.gamma_angular, settings.gamma_linear
     if settings.gamma_law == "fixed":
         return gammas
@@ -269,7 +272,7 @@ def bias_gains(
 
 
 def _following(law: GainLaw, used: Array) -> Array | float:
-    """What a gain of a bias law is multiplied with while the gain K is used."""
+    """The factor on the gain of a bias law at the gain K = `used` [1/s]."""
     relative = used * (1 / REFERENCE_GAIN)
     return {"fixed": 1.0, "linear": relative, "quadratic": relative * relative}[law]
 
@@ -282,11 +285,11 @@ def limited_correction(
     h: Array,
     settings: FilterSettings,
 ) -> tuple[Correction, Array]:
-    """W at an estimate, and the gain K [1/s] that is used with it over a sub-step of h [s]."""
+    """W at an estimate, and the limited gain K [1/s] for a sub-step of h [s]."""
     U = innovation(state, sample, seen, settings.unit)
     W = correction(state, U, settings.law, settings.unit)
-    # K h L <= c < 2: a gradient step that does not overshoot. Without measurements L is 0,
-    # without a limit that is infinite: then neither a value nor a derivative comes from them.
+    # K h L <= c < 2: a gradient step that does not overshoot. If L is 0 (no measurements) or c is
+    # infinite (no limit), neither value nor derivative may depend on them.
     length = h * U.curvature
     limited = (length > 0) & jnp.isfinite(settings.gain_limit)
     limit = choose(limited, settings.gain_limit, 1.0) / choose(limited, length, 1.0)
@@ -300,11 +303,11 @@ def displacement(
 
     Args:
         state: estimate.
-        sample: what was measured.
-        W: its correction.
-        used: gain K [1/s] that it is used with, over h.
+        sample: measurements.
+        W: correction.
+        used: gain K [1/s] after the limit.
         h: length of the sub-step [s].
-        moving: time [s] over which the measured velocity moves the estimate; None for none.
+        moving: time [s] for which the measured velocity acts; None for not at all.
     """
     omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
     if moving is not None:
@@ -324,7 +327,7 @@ def learnt_biases(
 ) -> tuple[Vec3, Vec3]:
     """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s].
 
-    `share` is a factor on gamma, if there is one.
+    `share` is an optional factor on gamma.
     """
     gamma_angular, gamma_linear = bias_gains(used, sample, settings)
     if share is not None:
@@ -338,10 +341,10 @@ def learnt_biases(
 
 
 def bounded(c: Vec3, per_bound: Array | None) -> Vec3:
-    """A vector brought back to its bound where it is longer, with `per_bound` = 1 / bound^2.
+    """A vector, shortened to its bound if it is longer; `per_bound` is 1 / bound^2.
 
-    With x = |c| / bound, x (3 - x^2) / 2 <= 1: a Newton step back to the bound, with neither a
-    square root nor a division.
+    One Newton step, without square root or division: with x = |c| / bound, the new length is
+    x (3 - x^2) / 2 <= 1 times the bound.
     """
     if per_bound is None:
         return c
@@ -352,18 +355,18 @@ def bounded(c: Vec3, per_bound: Array | None) -> Vec3:
 def observe(
     state: FilterState, sample: Sample, seen: Seen, gains: Gains, settings: FilterSettings
 ) -> tuple[FilterState, Array]:
-    """One sample, by components: n sub-steps with the measurement held (pure, no arrays packed).
+    """One sample, by components: n sub-steps with the measurement held (pure).
 
-    Each sub-step makes the correction and the bias law last dt/n; the measured velocity moves the
-    estimate over the whole dt in the last one only, because an estimate moved against a held
-    measurement is biased (1.1 cm with n = 2 on the paper's scenario). The vectors' biases make one
+    Correction and bias law act for dt/n in each sub-step. The measured velocity acts for the whole
+    dt in the last one: moved earlier, the estimate would be compared with a measurement of another
+    time, which biases it (1.1 cm with n = 2 on the paper's scenario). The vectors' biases take one
     step of dt.
 
     Args:
         state: estimate at the sample.
-        sample: what was measured there.
-        seen: what the filter makes of it (`see`).
-        gains: K [1/s], of the batch shape, and how much of the vectors' biases is learnt.
+        sample: measurements at the sample.
+        seen: from `see`.
+        gains: K [1/s], of the batch shape, and the factors on the gains of the bias laws.
         settings: laws, sub-steps, gains, gain limit.
 
     Returns:
@@ -371,7 +374,7 @@ def observe(
     """
     n, dt = settings.substeps, sample.time_step
     h = dt / n
-    # A gain below 0 or NaN is none: it makes the estimate NaN, which everyone sees.
+    # An invalid gain, negative or NaN, makes the estimate NaN, so that it cannot go unnoticed.
     gain = choose(gains.gain >= 0, gains.gain, jnp.nan)
     used_total = jnp.zeros_like(gain)
     before = state
@@ -414,7 +417,7 @@ def learnt_vector_biases(
     biases = []
     for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):
         residual = subtract(d, unrotate(R, vector.known))
-        # A vector that is missing teaches nothing, and nothing of what it taught is forgotten.
+        # While a vector is missing its bias estimate neither changes nor decays.
         measured = vector.factor > 0
         now = choose(measured, share, jnp.zeros_like(share))
         c = add(scale(choose(measured, kept, 1.0), c), scale(now, residual))

@@ -22,7 +22,7 @@ from posegsa.model.measurements import Measurements
 
 
 class OnlineParameters(NamedTuple):
-    """All that stays the same from sample to sample."""
+    """Everything that is constant from sample to sample."""
 
     filter: Filter
     vector_references: np.ndarray
@@ -32,7 +32,7 @@ class OnlineParameters(NamedTuple):
 
 
 class OnlineSample(NamedTuple):
-    """One sample, as `Measurements` has it, and its time."""
+    """One sample, as in `Measurements`, and its time."""
 
     time: np.ndarray
     """Since the first sample [s]."""
@@ -43,11 +43,11 @@ class OnlineSample(NamedTuple):
     velocity: np.ndarray
     """(3,) [m/s], body frame."""
     vectors: np.ndarray
-    """(n, 3), body frame; anything but NaN where the weight is 0."""
+    """(n, 3), body frame; any number except NaN where the weight is 0."""
     vector_weights: np.ndarray
     """(n,)"""
     landmarks: np.ndarray
-    """(m, 3) [m], body frame; likewise."""
+    """(m, 3) [m], body frame; any number except NaN where the weight is 0."""
     landmark_weights: np.ndarray
     """(m,)"""
 
@@ -68,10 +68,10 @@ class OnlineRecord(NamedTuple):
 
 
 class Layout:
-    """Where the arrays of a record stand in one flat array.
+    """The positions of a record's arrays in one flat array.
 
     Args:
-        record: Anything made of arrays of one dtype, as an example.
+        record: An example: any pytree of arrays of one dtype.
     """
 
     def __init__(self, record: Any) -> None:
@@ -96,7 +96,7 @@ class Layout:
         return np.concatenate([np.zeros(0), *flat]).astype(dtype)
 
     def unpack(self, flat: Any) -> Any:
-        """The record of a flat array, NumPy's or JAX's; its arrays are views of NumPy's."""
+        """The record from a flat array of NumPy or JAX; of a NumPy array it holds views."""
         leaves, start = [], 0
         for shape, size in zip(self._shapes, self._sizes, strict=True):
             leaves.append(flat[start : start + size].reshape(shape))
@@ -125,15 +125,15 @@ class OnlineLoop:
         self.parameters = layout.pack(parameters, self.dtype)
         """All numbers of the parameters, packed."""
         self.structure = zlib.crc32(str(jax.tree.structure(parameters)).encode())
-        """A number of what is no number in them: laws, switches, rules, sub-steps."""
+        """Checksum of their structure: laws, switches, rules, sub-steps."""
         self._on_device = jnp.asarray(self.parameters)
         self._before = state.size
         self.sample_size = sample.size
         """Numbers in a packed sample."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as what it was made of: a compiled program stays in its process."""
-        # As bytes of their own: NumPy's and JAX's float64 is kept only where JAX has it.
+        """Pickle the arguments, because a compiled program cannot be pickled."""
+        # As bytes pickled here: outside of enable_x64 JAX would make float32 of float64.
         with jax.enable_x64(self.dtype == np.float64):
             return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
 
@@ -154,7 +154,7 @@ class OnlineLoop:
 
 
 def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
-    """The loop of what was pickled."""
+    """The loop from its pickled arguments."""
     with jax.enable_x64(dtype == "float64"):
         return OnlineLoop(*pickle.loads(made_of))
 

@@ -32,7 +32,7 @@ from posegsa.model.cost import (
 from posegsa.model.estimate import FilterState
 from posegsa.model.loops import scan_rows, scan_together
 from posegsa.model.measurements import Measurements
-from posegsa.model.se3 import Vec3, dot, norm, rotate, rows, subtract
+from posegsa.model.se3 import Vec3, clip_distance, dot, norm, rotate, rows, subtract
 from posegsa.model.signal import known_pose, pose_errors
 
 
@@ -263,7 +263,7 @@ def _error_track(
     attitude, position, gain, place = errors
     estimate = filter.ready().estimate(last)
     return ErrorTrack(
-        attitude=attitude,
+        attitude=clip_distance(attitude),
         position=position,
         gain=jnp.full_like(attitude, jnp.nan) if gain is None else gain,
         distance=distances(place, samples),

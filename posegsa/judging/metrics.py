@@ -106,7 +106,7 @@ def metrics_of(
     """
     time = np.asarray(batch.samples.time[0], np.float64)
     attitude, position, gain, distance, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
-    angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(attitude, 0, 1))))  # NaN stays
+    angle = np.degrees(2 * np.arcsin(np.sqrt(attitude)))
     error = attitude + float(batch.weights.position) * position
     end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
     counts = np.broadcast_to(time < end, error.shape)

@@ -127,9 +127,9 @@ class TuneResult:
         """
         check_type("measurements", measurements, Measurements, Recording)
         recorded = isinstance(measurements, Recording)
-        sensed = measurements.measurements if recorded else measurements
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
+            sensed = measurements.measurements if recorded else measurements.at_least(dtype)
             vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
             if recorded and rotation is None and position is None and bias is None:
                 start = state_of(measurements.initial())

@@ -15,6 +15,7 @@ from posegsa.filters.rollout import Estimates, simulate
 from posegsa.model.estimate import FilterState
 from posegsa.model.se3 import (
     attitude_distance,
+    clip_distance,
     euler_angles,
     quaternion,
     rotation_angle,
@@ -144,7 +145,7 @@ def _values(
         "position_est": estimates.position,
         "bias_est": estimates.bias,
         "attitude_error": jnp.degrees(rotation_angle(distance)),
-        "attitude_distance": distance,
+        "attitude_distance": clip_distance(distance),
         "position_error": jnp.linalg.norm(P_err, axis=-1),
         "distance": jnp.linalg.norm(estimates.position - P, axis=-1),
         "gain": estimates.gain,

@@ -32,10 +32,10 @@ class Sample(NamedTuple):
     velocity: Vec3
     """[m/s], body frame."""
     vectors: Wahba | VectorSamples
-    """Wahba's sums, or each vector where they are made in the loop."""
+    """Wahba's sums, or the single vectors where the loop itself computes the sums."""
     landmarks: tuple[LandmarkSample, ...]
     reach: Array
-    """Largest |y_i|^2 [m^2] of the landmarks that are there; 0 without any."""
+    """Largest |y_i|^2 [m^2] of the measured landmarks; 0 if there are none."""
 
 
 class Seen(NamedTuple):
@@ -49,9 +49,9 @@ class Seen(NamedTuple):
 
 
 def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
-    """Everything that the filter needs of the measurements, by components (pure, jittable).
+    """What the filter needs from the measurements, by components (pure, jittable).
 
-    Works with and without the time axis; components have the shape of `time_step`.
+    Works with and without a time axis; components have the shape of `time_step`.
     """
     factors = measurements.landmark_weights
     seen = jnp.where(factors[..., None] > 0, measurements.landmarks, 0.0)

@@ -60,6 +60,8 @@ def run_filter(
     if not isinstance(measurements, Recording):
         if initial is None:
             refuse("initial: None", "a FilterState, or None with a Recording")
+        check_type("initial", initial, FilterState)
+        measurements = measurements.at_least(initial.place[0].dtype)
         return rollout.run_filter(filter, measurements, initial)
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":

@@ -12,7 +12,7 @@ from helpers import reference_ekf
 from helpers.arrays import as_arrays
 from helpers.experiments import experiment, quietly
 from helpers.filters import state_of
-from helpers.measurements import random_measurements, random_poses
+from helpers.measurements import random_measurements, random_poses, trajectory_cost
 from helpers.measurements import reference_sample as sample_of
 from helpers.reference import se3_exp
 from jax import Array
@@ -28,7 +28,7 @@ from posegsa.filters.kalman import (
     update,
 )
 from posegsa.filters.rollout import simulate, simulate_cost, simulate_errors
-from posegsa.model.cost import CostWeights, trajectory_cost
+from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare

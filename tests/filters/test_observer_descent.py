@@ -42,6 +42,10 @@ def cost(T: Array, m: Measurements) -> Array:
     return 0.25 * (landmarks + vectors)
 
 
+GENERATORS = np.stack([reference.wedge(e) for e in np.eye(6)])
+"""(6, 4, 4): [xi]^ is their sum weighted by xi."""
+
+
 @jax.jit
 @jax.vmap
 def derivatives(T: Array, m: Measurements) -> tuple[Array, Array]:
@@ -51,7 +55,7 @@ def derivatives(T: Array, m: Measurements) -> tuple[Array, Array]:
     """
 
     def around(xi: Array) -> Array:
-        A = se3.hat(xi)
+        A = jnp.tensordot(xi, jnp.asarray(GENERATORS), 1)
         return cost((jnp.eye(4) + A + A @ A / 2) @ T, m)
 
     return jax.grad(around)(jnp.zeros(6)), jax.hessian(around)(jnp.zeros(6))

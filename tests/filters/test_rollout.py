@@ -16,6 +16,7 @@ from helpers.experiments import PAPER, lasting, paper, space
 from helpers.filters import start, state_of
 from helpers.measurements import (
     cost_of_estimates,
+    directions,
     reference_samples,
     reference_start,
     reference_truth,
@@ -23,14 +24,23 @@ from helpers.measurements import (
     tracked,
     world,
 )
+from jax import Array
+from scipy.spatial.transform import Rotation
 
 from posegsa.config import Experiment
 from posegsa.filters.observer import Observer
-from posegsa.filters.rollout import Estimates, run_filter, simulate, simulate_cost
+from posegsa.filters.rollout import (
+    Estimates,
+    run_filter,
+    simulate,
+    simulate_cost,
+    simulate_errors,
+)
 from posegsa.judging.trajectory import trajectory
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Truth
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, SwitchGain
+from posegsa.model.se3 import Quaternion
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
 from posegsa.search.build import observer as observer_of
@@ -426,3 +436,22 @@ def test_derivatives_of_the_cost_by_the_parameters_are_those_of_the_cost() -> No
         assert slopes[-1] == pytest.approx((ahead - behind) / (2 * h), rel=1e-4)
     assert np.isfinite(slopes).all()
     assert np.abs(slopes).min() > 1e-3
+
+
+def test_attitude_errors_of_half_a_turn_are_not_rounded_above_one() -> None:
+    samples = jax.tree.map(lambda a: a[:1], world(paper(dtype="float32")).samples)
+    turns = Rotation.random(1000, rng=np.random.default_rng(0))
+    half_turns = Rotation.from_rotvec(np.pi * directions(1000)) * turns
+    true, estimated = (
+        tuple(jnp.asarray(r.as_quat(scalar_first=True).T, jnp.float32)) for r in (half_turns, turns)
+    )
+
+    @jax.jit
+    @jax.vmap
+    def attitude(true: Quaternion, estimated: Quaternion) -> Array:
+        truth = samples.truth._replace(attitude=tuple(a[None] for a in true))
+        initial = start("float32")._replace(attitude=estimated)
+        filter = Observer(ConstantGain(jnp.float32(5)), filter_settings(PAPER))
+        return simulate_errors(filter, samples._replace(truth=truth), initial).attitude[0]
+
+    assert attitude(true, estimated).max() == 1

@@ -20,7 +20,7 @@ from posegsa import config
 from posegsa.filters.base import Filter, Samples, samples_of
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates
-from posegsa.model.cost import CostParts, CostWeights, trajectory_cost
+from posegsa.model.cost import CostParts, CostWeights, sample_error
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
@@ -193,6 +193,23 @@ def tracked(measurements: Measurements, truth: np.ndarray, filter: Filter, dtype
     """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
     return jax.jit(samples_of)(filter, as_arrays(measurements, dtype), rotation, position)
+
+
+@jax.jit
+def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> CostParts:
+    """Cost of errors over time, all samples at once; the simulation sums them one by one.
+
+    Args:
+        attitude: (..., N) ||R_err||_I in [0, 1].
+        position: (..., N) ||P_err|| [m].
+        weights: for N samples.
+    """
+    error = sample_error(attitude, position, weights)
+
+    def total(weight: Array) -> Array:
+        return jnp.einsum("...n,n->...", error, weight, precision="highest")
+
+    return CostParts(total(weights.transient), total(weights.steady))
 
 
 @jax.jit

@@ -10,11 +10,11 @@ from helpers import reference
 from helpers.controllers import search_vectors
 from helpers.experiments import PAPER, lasting, paper, space
 from helpers.filters import start
-from helpers.measurements import cost_of_estimates, sensed, tracked
+from helpers.measurements import cost_of_estimates, sensed, tracked, trajectory_cost
 
 from posegsa.config import CostConfig, ObjectiveConfig
 from posegsa.filters.rollout import simulate, simulate_cost
-from posegsa.model.cost import SquaredErrors, sample_error, trajectory_cost
+from posegsa.model.cost import SquaredErrors, sample_error
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import cost_weights, observer
 from posegsa.search.population import over_scenarios

@@ -10,7 +10,7 @@ from helpers.arrays import as_arrays
 from helpers.filters import jitted_prepare, prepared
 from helpers.measurements import random_measurements
 
-from posegsa.errors import MeasurementError
+from posegsa.errors import MeasurementError, PosegsaWarning
 from posegsa.model.measurements import Measurements
 
 pytestmark = pytest.mark.quick
@@ -384,3 +384,23 @@ def test_prepare_in_float32_with_64_bits_allowed_stays_in_float32() -> None:
         assert {a.dtype for a in jax.tree.leaves(jax.eval_shape(prepared, m))} == {
             np.dtype(np.float32)
         }
+
+
+# Precision ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_measurements_below_the_filters_precision_are_told_by_field_and_dtypes() -> None:
+    m = Measurements.from_arrays(**arrays(), dtype=np.float64)
+    assert all(a is b for a, b in zip(m.at_least(np.dtype("float64")), m, strict=True))
+    mixed = m._replace(velocity=m.velocity.astype(np.float32))
+    with pytest.warns(PosegsaWarning, match=r"measurements\.velocity: float32.* float64"):
+        raised = mixed.at_least(np.dtype("float64"))
+    assert raised.velocity.dtype == np.float64
+    np.testing.assert_array_equal(raised.velocity, mixed.velocity)
+
+
+@pytest.mark.usefixtures("x64")
+def test_measurements_above_the_filters_precision_are_left_as_they_are() -> None:
+    m = Measurements.from_arrays(**arrays(), dtype=np.float64)
+    assert all(a is b for a, b in zip(m.at_least(np.dtype("float32")), m, strict=True))

@@ -178,6 +178,16 @@ def test_attitude_distance_is_one_at_half_a_turn_and_zero_at_none(dtype) -> None
         assert (np.asarray(distance(half_turns, sign * half_turns)) == 0).all()
 
 
+def test_clipped_distances_are_at_most_one_and_otherwise_the_same(dtype) -> None:
+    # q and q half a turn further: here the formula gives more than 1 for many pairs.
+    q = Rotation.random(1000, rng=np.random.default_rng(0))
+    p = Rotation.from_rotvec(math.pi * directions(1000)) * q
+    found = distance(*(a.as_quat(scalar_first=True).astype(dtype) for a in (p, q)))
+    assert found.max() > 1, "nothing to clip"
+    np.testing.assert_array_equal(se3.clip_distance(found), np.minimum(found, 1))
+    assert np.isnan(se3.clip_distance(dtype(np.nan))), "a filter that diverged"
+
+
 @pytest.mark.parametrize("angle", [1e-1, 1e-3, 1e-5])
 def test_attitude_distance_keeps_its_relative_accuracy_near_zero_in_float32(angle) -> None:
     # sin^2(angle/2). Both quaternions are rounded, which moves their difference, angle/2 long, by

@@ -1,4 +1,4 @@
-"""The exponential, the adjoint and rigid motions, against SciPy, jaxlie and exact series."""
+"""The exponential and rigid motions, against SciPy, jaxlie and exact series."""
 
 import math
 from fractions import Fraction
@@ -6,7 +6,6 @@ from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 import pytest
 import scipy.linalg
@@ -183,34 +182,6 @@ def test_coefficients_at_many_turns_are_as_good_as_their_angle(dtype) -> None:
     got = np.stack(jax.jit(se3.exp_coefficients)(t2), axis=-1).astype(np.float64)
     allowed = 2 * epsilon(dtype) * t[:, None] * np.stack([t**0, 1 / t, 2 / t**2, 1 / t**2], axis=-1)
     assert (np.abs(got - want) <= allowed).all()
-
-
-# The adjoint --------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("x64")
-def test_adjoint_equals_jaxlies_and_the_references() -> None:
-    T = np.asarray(jitted_exp(twists(np.array([0.0, 0.5, 2.0, 3.0]), np.float64)))
-    swap = np.r_[3:6, 0:3]  # jaxlie's tangent vectors are translation first
-    theirs = np.asarray(jax.jit(lambda t: jaxlie.SE3.from_matrix(t).adjoint())(T))
-    theirs = theirs[:, swap][:, :, swap]
-    got = jax.jit(se3.adjoint)(T)
-    np.testing.assert_allclose(got, theirs, atol=1e-14)
-    np.testing.assert_allclose(got, [reference.adjoint(t) for t in T], atol=1e-15)
-
-
-@pytest.mark.usefixtures("x64")
-def test_adjoint_takes_body_motions_to_spatial_ones() -> None:
-    # T exp(xi) = exp(Ad(T) xi) T: the property that it is for.
-    T = jitted_exp(twists(np.array([0.0, 0.3, 2.0, 3.0]), np.float64))
-    xi = twists(np.array([1.0, 0.2, 2.0, 0.0]), np.float64)
-    spatial = np.einsum("nij,nj->ni", jax.jit(se3.adjoint)(T), xi)
-    np.testing.assert_allclose(T @ jitted_exp(xi), jitted_exp(spatial) @ T, atol=1e-12)
-
-
-def test_hat_equals_the_references() -> None:
-    xi = twists(np.array([1.0]), np.float32)
-    assert (np.asarray(se3.hat(xi)) == [reference.wedge(x) for x in xi]).all()
 
 
 # Group axioms -------------------------------------------------------------------------------------

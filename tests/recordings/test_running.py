@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from helpers.recordings import motion
 from helpers.recordings import short_parts as short_parts
+from helpers.schedules import K, tuned
 
 import posegsa
-from posegsa.errors import ArgumentError
+from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.filters import rollout
 from posegsa.filters.observer import Observer
 from posegsa.model.measurements import Measurements
@@ -58,6 +59,30 @@ def test_attitude_only_has_no_position() -> None:
     estimates = posegsa.run_filter(GAIN, recording)
     assert np.isnan(estimates.position).all()
     assert posegsa.recording_errors(estimates, recording).rmse()["judged"].total < 2
+
+
+@pytest.mark.usefixtures("x64")
+def test_float32_measurements_for_a_float64_filter_are_told(recording: Recording) -> None:
+    fields = recording.measurements._asdict()
+    rounded = Measurements.from_arrays(**fields, dtype=np.float32)
+    exact = Measurements.from_arrays(**fields, dtype=np.float64)
+    gain = Observer(ConstantGain(jnp.float64(8.0)))
+    initial = running.state_of(recording.initial())
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+        estimates = posegsa.run_filter(gain, rounded, initial)
+    assert told[0].filename == __file__
+    assert estimates.position.dtype == np.float64
+    error = np.abs(estimates.position - posegsa.run_filter(gain, exact, initial).position).max()
+    assert 0 < error < 1e-4
+
+
+def test_float32_measurements_for_a_float64_result_are_told(recording: Recording) -> None:
+    result = tuned(K, dtype="float64")
+    with jax.enable_x64(True):
+        measurements = Measurements.from_arrays(**recording.measurements._asdict())
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+        result.estimate(measurements, rotation=np.eye(3), position=np.zeros(3))
+    assert told[0].filename == __file__
 
 
 def test_what_does_not_fit_is_refused(recording: Recording) -> None:
