@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, random
 
-from posegsa.model.scenario import Bursts, Scenario, Sines
+from posegsa.model.scenario import Bursts, Scenario, Sensed, Sines, Truth, integrate, measure
 from posegsa.model.se3 import random_rotation
 
 Sensors = Literal["all", "vectors", "landmarks"]
@@ -178,7 +178,9 @@ def _windows(occasions: Occasions, count: int, key: Array) -> Array:
     return jnp.stack([ends - lengths, ends], axis=-1)
 
 
-def draw_with_noise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Array]:
-    """One scenario of a family, and the key of its measurements' noise (pure, jittable)."""
+def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
+    """One scenario of a family with its true motion and its measurements (pure, jittable)."""
     of_family, of_noise = random.split(key)
-    return draw_scenario(scenario, family, of_family), of_noise
+    drawn = draw_scenario(scenario, family, of_family)
+    truth = integrate(drawn)
+    return drawn, truth, measure(drawn, truth, of_noise)

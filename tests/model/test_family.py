@@ -15,8 +15,8 @@ from posegsa.config import Experiment, FamilyConfig
 from posegsa.config.family import BurstsConfig, Outages
 from posegsa.errors import ConfigError
 from posegsa.judging.metrics import error_tracks, metrics_of
-from posegsa.model.family import Family, draw_scenario, draw_with_noise
-from posegsa.model.scenario import Scenario, Sensed, Truth, integrate, measure
+from posegsa.model.family import Family, draw_scenario, realise
+from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.report import NO_FAMILY
@@ -57,14 +57,7 @@ one_drawn, draw_many = (
     jax.jit(draw_scenario),
     jax.jit(jax.vmap(draw_scenario, in_axes=(None, None, 0))),
 )
-
-
-@jax.jit
-def realised(base: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
-    """One scenario of a family with its true motion and its measurements."""
-    drawn, of_noise = draw_with_noise(base, family, key)
-    truth = integrate(drawn)
-    return drawn, truth, measure(drawn, truth, of_noise)
+realised = jax.jit(realise)
 
 
 @pytest.fixture(scope="module")
