@@ -14,10 +14,8 @@ from posegsa.exchange import load_controller as load_controller
 from posegsa.export import export_c as export_c
 from posegsa.export import export_c_gain as export_c_gain
 from posegsa.export import export_csv as export_csv
-from posegsa.export import export_fcl as export_fcl
 from posegsa.export import export_fis as export_fis
 from posegsa.export import export_fll as export_fll
-from posegsa.export import export_fml as export_fml
 from posegsa.export import export_json as export_json
 from posegsa.export import filter_to_c as filter_to_c
 from posegsa.figures.result import draw as draw
