@@ -14,10 +14,8 @@ from .exchange import load_controller as load_controller
 from .export import export_c as export_c
 from .export import export_c_gain as export_c_gain
 from .export import export_csv as export_csv
-from .export import export_fcl as export_fcl
 from .export import export_fis as export_fis
 from .export import export_fll as export_fll
-from .export import export_fml as export_fml
 from .export import export_json as export_json
 from .export import filter_to_c as filter_to_c
 from .figures.result import draw as draw

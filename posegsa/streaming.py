@@ -18,6 +18,7 @@ from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.judging.known_sensors import KnownSensors, of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
+from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
@@ -120,14 +121,24 @@ class PoseFilter:
         self._vectors = _Sensors("vector", vectors, vector_weights, of_vectors)
         self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
         self._dtype = _dtype_of(filter)
-        _check_range("vector_references", vectors, self._dtype)
-        _check_range("landmark_references", landmarks, self._dtype)
+        limits.VECTOR.checked("vector_references", vectors)
+        limits.POSITION.checked("landmark_references", landmarks)
         start = self._state(rotation, position, bias)
         parameters = OnlineParameters(filter, vectors, landmarks)
         with jax.enable_x64(self._dtype == np.float64):
             self._loop = OnlineLoop(parameters, start)
         where = self._loop.record.unpack(np.arange(self._loop.record.size))
-        self._rotation_at, self._position_at = where.rotation, np.array(where.estimate.place)
+        self._rotation_at, estimate = where.rotation, where.estimate
+        self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
+        self._limited = [
+            (name, np.array(at, np.intp), limit)
+            for name, at, limit in (
+                ("position", estimate.place, limits.POSITION),
+                ("bias of the angular velocity", estimate.bias_angular, limits.ANGULAR_VELOCITY),
+                ("bias of the velocity", estimate.bias_linear, limits.VELOCITY),
+                ("biases of the vectors", estimate.vector_biases, limits.VECTOR),
+            )
+        ]
         self._start = self._loop.start(start)
         self._begin(self._start)
 
@@ -158,36 +169,24 @@ class PoseFilter:
             The pose at the next sample, that is `time_step` later.
 
         Raises:
-            MeasurementError: A time step that is not positive, an array of another shape, an
-                infinite number, or one so large that the estimate would overflow; or a velocity
-                that has been missing for longer than `hold_time`.
+            MeasurementError: An array of another shape; a number, or an estimate that would come of
+                it, beyond the limits of `posegsa.model.limits`, which are those of the exported C
+                too; or a velocity that has been missing for longer than `hold_time`.
         """
-        dt = _time_step(time_step, self._dtype)
+        dt = float(limits.TIME_STEP.checked("time_step", finite_array("time_step", time_step, ())))
         ages = self._ages + self._time_step
-        omega = self._held("angular_velocity", angular_velocity, 0, ages)
-        v = self._held("velocity", _STILL if self._unmoved(velocity) else velocity, 1, ages)
+        omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
+        still = velocity is None and self._attitude_only
+        v = self._held("velocity", _STILL if still else velocity, 1, ages, limits.VELOCITY)
         vectors_seen, vector_factors = self._vectors.seen(vectors, vector_weights)
         landmarks_seen, landmark_factors = self._landmarks.seen(landmarks, landmark_weights)
         factors = np.concatenate([vector_factors, landmark_factors])
-        # In the order of OnlineSample.
-        sample = {
-            "time": (self._time,),
-            "time_step": (dt,),
-            "angular_velocity": omega,
-            "velocity": v,
-            "vectors": vectors_seen.ravel(),
-            "vector_weights": vector_factors,
-            "landmarks": landmarks_seen.ravel(),
-            "landmark_weights": landmark_factors,
-        }
-        record = self._loop(self._record, _packed(sample, self._dtype))
-        # XLA's sine and cosine of a billion turns are of any size: finite, but no rotation.
-        turned = np.abs(record[self._rotation_at]).max() < 1.01
-        if not (turned and np.isfinite(record).all()):
-            raise MeasurementError(
-                f"the estimate would be NaN, beyond {self._dtype}'s range or no rotation: numbers "
-                "of the sample are too large, or the gain is NaN or below 0"
-            )
+        sample = [
+            *([self._time, dt], omega, v),
+            *(vectors_seen.ravel(), vector_factors, landmarks_seen.ravel(), landmark_factors),
+        ]  # in the order of OnlineSample
+        record = self._loop(self._record, np.concatenate(sample).astype(self._dtype))
+        self._check_estimate(record)
         self._record = record
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
@@ -334,11 +333,29 @@ class PoseFilter:
     def _state(
         self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None
     ) -> FilterState:
-        with np.errstate(over="ignore"), jax.enable_x64(self._dtype == np.float64):
-            state = checked_state(rotation, position, bias, self._dtype)
-        if not np.isfinite(jax.tree.leaves(state)).all():
-            raise MeasurementError(f"position or bias: must be within {self._dtype}'s range")
-        return state
+        P = limits.POSITION.checked("position", finite_array("position", position, (3,)))
+        b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
+        limits.ANGULAR_VELOCITY.checked("bias", b[:3])
+        limits.VELOCITY.checked("bias", b[3:])
+        with jax.enable_x64(self._dtype == np.float64):
+            return checked_state(rotation, P, b, self._dtype)
+
+    def _check_estimate(self, record: np.ndarray) -> None:
+        """Refuse a record whose estimate is none.
+
+        Raises:
+            MeasurementError: It holds NaN or infinity, no rotation, or what is beyond its limits.
+        """
+        if not np.isfinite(record).all():
+            raise MeasurementError("the estimate would be NaN or infinite, or the gain is below 0")
+        excess = abs(np.square(record[self._quaternion_at]).sum() - 1)
+        if excess > limits.UNIT_TOLERANCE:
+            raise MeasurementError(
+                f"the squared length of the estimated quaternion would be off 1 by {excess:g}; "
+                f"allowed: {limits.UNIT_TOLERANCE:g} at most"
+            )
+        for name, at, limit in self._limited:
+            limit.checked(f"the estimate, {name}", record[at])
 
     def _begin(self, record: np.ndarray) -> None:
         sensors = len(self._vectors.references) + len(self._landmarks.references)
@@ -349,17 +366,15 @@ class PoseFilter:
         self._velocities = np.zeros(3), np.zeros(3)
         """The last ones that were measured."""
 
-    def _unmoved(self, velocity: ArrayLike | None) -> bool:
-        """Whether there is no velocity because the filter is one of the attitude alone."""
-        return velocity is None and self._attitude_only
-
-    def _held(self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray) -> np.ndarray:
+    def _held(
+        self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray, limit: limits.Limit
+    ) -> np.ndarray:
         """The velocity as measured, or the last one where it is missing and that is not too old."""
         if value is not None:
             measured = finite_array(name, value, (3,), finite=False)
             if not np.isnan(measured).any():
                 ages[which] = 0
-                return measured
+                return limit.checked(name, measured)
         age = ages[which]
         if age <= self._hold_time * (1 + 1e-9):
             return self._velocities[which]
@@ -381,6 +396,7 @@ class _Sensors:
         weights: tuple[Any, ...] | None,
     ) -> None:
         self.name, self.references = name, references
+        self._limit = limits.VECTOR if name == "vector" else limits.LANDMARK
         count = len(references)
         if weights is not None and len(weights) != count:
             setting = "vectors.weights" if name == "vector" else "landmark_weights"
@@ -405,6 +421,7 @@ class _Sensors:
             values = values or np.zeros((0, 3))
         rows = finite_array(f"{self.name}s", values, (count, 3), finite=False)
         there = ~np.isnan(rows).any(axis=1) & (factors > 0)
+        self._limit.checked(f"{self.name}s", rows[there])
         if self.name == "vector":  # a direction of no length says nothing
             there &= rows.any(axis=1)
         rows = np.where(there[:, None], rows, 0.0)
@@ -414,9 +431,7 @@ class _Sensors:
         name, count = f"{self.name}_weights", len(self.references)
         shape = () if np.ndim(factors) == 0 else (count,)
         array = np.broadcast_to(finite_array(name, factors, shape), (count,))
-        if (array < 0).any():
-            raise MeasurementError(f"{name}: must not be negative, got {array.min():g}")
-        return array
+        return limits.WEIGHT.checked(name, array)
 
 
 def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
@@ -481,35 +496,6 @@ def _duration(name: str, value: float) -> float:
     if value != math.inf:
         check_number(name, value, 0.0)
     return float(value)
-
-
-def _time_step(value: float, dtype: np.dtype) -> float:
-    dt = float(finite_array("time_step", value, ()))
-    with np.errstate(over="ignore", under="ignore"):
-        positive = dtype.type(dt) >= np.finfo(dtype).tiny  # below, XLA takes it for 0
-    if not positive:
-        raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
-    return dt
-
-
-def _packed(sample: Mapping[str, Any], dtype: np.dtype) -> np.ndarray:
-    """A sample as one array; what is infinite, or beyond the dtype's range, is refused by name."""
-    with np.errstate(over="ignore"):
-        packed = np.concatenate(list(sample.values())).astype(dtype)
-    if not np.isfinite(packed).all():
-        for name, array in sample.items():
-            _check_range(name, array, dtype)
-    return packed
-
-
-def _check_range(name: str, array: ArrayLike, dtype: np.dtype) -> None:
-    """Refuse what is infinite at this dtype."""
-    with np.errstate(over="ignore"):
-        fits = np.isfinite(np.asarray(array, dtype)).all()
-    if not fits:
-        raise MeasurementError(
-            f"{name}: must be within {dtype}'s range, got {np.asarray(array).tolist()}"
-        )
 
 
 def _stored(checkpoint: Mapping[str, np.ndarray], name: str, like: np.ndarray) -> np.ndarray:

@@ -3,10 +3,8 @@
 from .c import export_c as export_c
 from .c import filter_to_c as filter_to_c
 from .c_gain import export_c_gain as export_c_gain
-from .controllers import export_fcl as export_fcl
 from .controllers import export_fis as export_fis
 from .controllers import export_fll as export_fll
-from .controllers import export_fml as export_fml
 from .formats import FORMATS as FORMATS
 from .formats import export as export
 from .tables import SCHEMA as SCHEMA

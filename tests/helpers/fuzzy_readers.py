@@ -1,7 +1,7 @@
 """Controllers for other fuzzy tools: which ones are tried, on which inputs, and what must come out.
 
-The readers themselves are other people's: Debian's `fuzzylite` (fis, fll, fcl), and from PyPI
-pyfuzzylite before 8, which needs no NumPy (fll), and pyit2fls (fcl, fml).
+The readers themselves are other people's: Debian's `fuzzylite` (fis, fll), and from PyPI
+pyfuzzylite before 8, which needs no NumPy (fll).
 """
 
 import shutil
