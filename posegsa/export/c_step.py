@@ -262,7 +262,8 @@ class Step:
 
         def name(path: Any, leaf: Any) -> Known:
             if np.ndim(leaf):
-                refuse(f"{prefix.rstrip('.')} with arrays of numbers", "one made of scalars")
+                of = prefix.rstrip(".") or "settings"
+                refuse(f"{of} with arrays of numbers", "one made of scalars")
             key, bracket, index = jax.tree_util.keystr(path).lstrip(".").partition("[")
             own, about = _NUMBERS.get(prefix + key, ("", ""))
             text = own or (prefix + key).replace(".", "_")

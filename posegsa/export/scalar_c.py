@@ -169,7 +169,7 @@ class _Trace:
 
     def _applied(self, equation: core.JaxprEqn, given: list[_Value]) -> _Value:
         name, params = equation.primitive.name, equation.params
-        for var in equation.outvars:
+        for var in (*equation.invars, *equation.outvars):
             if getattr(var.aval, "shape", ()):
                 refuse(f"a step with the operation {name!r} on arrays", "operations on scalars")
             if not _is_real(var) and not _is_truth(var):

@@ -1,6 +1,7 @@
 """What can't be used is refused by its name, wherever it comes in."""
 
 import re
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from helpers.generated import call, configuration, some_result
 import posegsa
 from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
+from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 
@@ -85,6 +87,16 @@ def test_configurations_hold_no_paths():
 # One by one ---------------------------------------------------------------------------------------
 
 
+STATE = posegsa.initial_state(np.eye(3), np.zeros(3))
+NO_VECTORS = VectorSettings()
+
+
+def measured() -> posegsa.Measurements:
+    """Two samples of the velocities alone."""
+    still = np.zeros((2, 3))
+    return posegsa.Measurements.from_arrays(time_step=0.1, angular_velocity=still, velocity=still)
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -113,10 +125,9 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.signal_settings(tiny().gain, int), "dtype = .*floating"),
         (lambda r: posegsa.initial_state(np.eye(2), np.zeros(3)), r"rotation: .*\(3, 3\)"),
         (lambda r: posegsa.initial_state(np.eye(3), "here"), "position"),
-        (lambda r: posegsa.begin(5, None), "schedule: a int"),
-        (lambda r: posegsa.begin(r.schedule, None), "initial: a NoneType"),
-        (lambda r: posegsa.run_filter(r.schedule, 5, None, None, None), "measurements: a int"),
-        (lambda r: posegsa.run_filter(r.schedule, 5), "a Measurements or a Recording"),
+        (lambda r: posegsa.run_filter(5, measured(), STATE), "filter: a int"),
+        (lambda r: posegsa.run_filter(r.filter_for(0, 0), 5), "a Measurements or a Recording"),
+        (lambda r: posegsa.run_filter(r.filter_for(0, 0), measured(), 5), "initial: a int"),
         (lambda r: posegsa.replay(5, []), r"result:.* int.*TuneResult, a Rec"),
         (lambda r: posegsa.replay(r, 5), "recordings: a int"),
         (lambda r: posegsa.evaluate(r, recordings=[]), "recordings: none"),
@@ -125,8 +136,8 @@ def test_configurations_hold_no_paths():
         (lambda r: posegsa.recording_errors(5, 5), "estimates: a int"),
         (lambda r: posegsa.Recording.read(5), "path: a int"),
         (lambda r: posegsa.load_recorded(5), "folder = 5"),
-        (lambda r: posegsa.scheduled_step(5, 5, r.schedule, 5, 5), "loop: a int"),
-        (lambda r: posegsa.step(5, 5, 1.0, 5), "state: a int"),
+        (lambda r: posegsa.step(5, 5, 5), "filter: a int"),
+        (lambda r: posegsa.step(r.filter_for(0, 0), None, 5), "measurement: a int"),
         (lambda r: r.controller([1.0, 2.0], [1.0, 2.0, 3.0]), "error, rate, last"),
         (lambda r: r.estimate(5, np.eye(3), np.zeros(3)), "measurements: a int"),
     ],
@@ -193,9 +204,8 @@ def test_measurements_made_by_hand_are_checked_too(result):
         landmarks=np.ones((5, 1, 3)),
         landmark_references=np.ones((1, 3)),
     )
-    start = (posegsa.initial_state(np.eye(3), np.zeros(3)),)
-    start += (posegsa.filter_settings(tiny()),)
-    start += (posegsa.signal_settings(tiny().gain, np.float32),)
+    gain = posegsa.ConstantGain(jnp.ones(()))
+    filter = posegsa.Observer(gain, replace(posegsa.filter_settings(tiny()), vectors=NO_VECTORS))
     for change, said in (
         ({"velocity": jnp.full((5, 3), jnp.nan)}, r"velocity:.*finite.* nan"),
         ({"velocity": jnp.zeros((4, 3))}, r"velocity:.* \(5, 3\)"),
@@ -207,7 +217,7 @@ def test_measurements_made_by_hand_are_checked_too(result):
         ({"landmark_weights": -jnp.ones((5, 1))}, r"landmark_weights:.*not neg"),
     ):
         with pytest.raises(MeasurementError, match=said):
-            posegsa.run_filter(posegsa.ConstantGain(jnp.ones(())), good._replace(**change), *start)
+            posegsa.run_filter(filter, good._replace(**change), STATE)
 
 
 # Memory -------------------------------------------------------------------------------------------

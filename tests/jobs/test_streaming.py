@@ -347,7 +347,7 @@ def test_what_is_returned_is_the_callers_own(pose_filter):
     ("change", "message"),
     [
         (lambda c: c.pop("ages"), "checkpoint: without 'ages'"),
-        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 2"),
+        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 3"),
         (lambda c: c.update(record=c["record"][1:]), "record of float64"),
         (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
         (lambda c: c.update(structure=c["structure"] + 1), "of a filter with other laws or rules"),

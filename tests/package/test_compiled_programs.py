@@ -272,10 +272,10 @@ import sys
 import numpy as np
 import posegsa
 posegsa.enable_fast_path(devices=1)
-from posegsa.model import filter
+from posegsa.filters import observer
 from posegsa.filters.rollout import run_filter
 if sys.argv[1:]:
-    filter.REFERENCE_GAIN = float(sys.argv[1])
+    observer.REFERENCE_GAIN = float(sys.argv[1])
 measurements = posegsa.Measurements.from_arrays(
     time_step=np.full(20, 0.01),
     angular_velocity=np.ones((20, 3)),
@@ -286,11 +286,9 @@ measurements = posegsa.Measurements.from_arrays(
     landmark_references=np.ones((1, 3)),
 )
 estimates = run_filter(
-    posegsa.ConstantGain(5.0),
+    posegsa.Observer(posegsa.ConstantGain(5.0)),
     measurements,
     posegsa.initial_state(np.eye(3), np.zeros(3)),
-    posegsa.FilterSettings(),
-    posegsa.SignalSettings(),
 )
 print(estimates.bias[-1])
 """

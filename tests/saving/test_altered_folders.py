@@ -24,7 +24,7 @@ from posegsa.errors import RunFolderError
 from posegsa.judging.baselines import candidate_of
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
 from posegsa.judging.evaluation import EKF, OPEN_LOOP, SWITCH, TUNED, Description
-from posegsa.judging.kalman import noise_of
+from posegsa.judging.kalman import candidate_of_noises
 from posegsa.judging.known_sensors import KnownSensors
 from posegsa.judging.recorded import RecordingResult, RecordingScore, SimulatedScore
 from posegsa.recordings.accuracy import Rmse
@@ -175,7 +175,7 @@ def rebuilt(found: Description) -> object:
     """The filter that a description means."""
     with jax.enable_x64(True):
         if found.kind == "Kalman":
-            return noise_of(found, np.dtype(np.float64))
+            return candidate_of_noises(found, np.dtype(np.float64))
         return candidate_of(found, posegsa.parameter_space(tiny("run.dtype=float64")))
 
 

@@ -18,7 +18,7 @@ from posegsa.errors import (
     SearchError,
     SearchInterrupted,
 )
-from posegsa.optimisers import GSA, gsa, lengthened
+from posegsa.optimisers import GSA, lengthened
 from posegsa.saving import checkpointing
 from posegsa.saving.checkpoint import read
 from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
@@ -52,7 +52,7 @@ def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
             asked.signal_number = signal.SIGTERM
 
     with CheckpointWriter(folder, experiment, asked) as keep:
-        return run_search(task, tell, search=search, keep=keep).search
+        return run_search(task, tell, search=search, after_chunk=keep).search
 
 
 def names(folder) -> list[int]:
@@ -72,7 +72,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
     times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
     hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
     with CheckpointWriter(tmp_path, hasty, StopRequest(), clock=lambda: next(times)) as keep:
-        assert_same(run_search(task, keep=keep).search, whole)
+        assert_same(run_search(task, after_chunk=keep).search, whole)
     assert names(tmp_path)[-1] == 8
 
 
@@ -99,29 +99,6 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
     assert_same(search_in(tmp_path, task, begun=begun), whole)
 
 
-def test_a_signal_within_an_iteration_stops_there_if_it_goes_in_pieces(
-    task, whole, tmp_path, monkeypatch
-):
-    """What the iteration would have brought is lost; the last whole one is saved."""
-    monkeypatch.setattr(gsa, "PART", gsa.PULL_SECONDS * 6**2 * 22 / 1.5)  # two parts of GSA's step
-    seen, asked = [], StopRequest()
-
-    def tell(progress) -> None:
-        seen.append((progress.iteration, round(3 * progress.share)))
-        if seen[-1] == (2, 1):
-            asked.signal_number = signal.SIGTERM
-
-    with (
-        pytest.raises(SearchInterrupted, match="iteration 2 of 8"),
-        CheckpointWriter(tmp_path, LONG, asked) as keep,
-    ):
-        run_search(task, tell, keep=keep, pause=keep.stop_if_asked)
-    assert seen[-5:] == [(1, 1), (1, 2), (1, 3), (2, 0), (2, 1)], "the costs, and two parts"
-    begun = newest_checkpoint(tmp_path).checkpoint.search(first_search(task))
-    assert begun.iteration == 2
-    assert_same(run_search(task, search=begun).search, whole)
-
-
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
     """All iterations are done, but nothing is judged: who asked to stop gets what was asked for."""
     with pytest.raises(SearchInterrupted, match=r"iteration 8 of 8.*--resume"):
@@ -130,7 +107,7 @@ def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
     told = []
     with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
         search = begun.checkpoint.search(first_search(task))
-        found = run_search(task, told.append, search=search, keep=keep).search
+        found = run_search(task, told.append, search=search, after_chunk=keep).search
     assert_same(found, whole)
     assert [p.iteration for p in told] == [8], "nothing is left to search"
 
@@ -224,7 +201,7 @@ def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
             pytest.warns(PosegsaWarning, match=r"File too large.* 2"),
             CheckpointWriter(tmp_path, often, StopRequest()) as keep,
         ):
-            assert_same(run_search(task, fill_and_clear, keep=keep).search, whole)
+            assert_same(run_search(task, fill_and_clear, after_chunk=keep).search, whole)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path)[-1] == 8
@@ -253,7 +230,7 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
         pytest.raises(SearchError, match=r"iteration 5 of 8.*--resume"),
         CheckpointWriter(tmp_path, LONG, StopRequest()) as keep,
     ):
-        run_search(task, fail, keep=keep)
+        run_search(task, fail, after_chunk=keep)
     assert_same(search_in(tmp_path, task, begun=newest_checkpoint(tmp_path)), whole)
 
 

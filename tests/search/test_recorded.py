@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import posegsa
 from posegsa import config
 from posegsa.errors import ConfigError, MemoryLimitError
+from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
@@ -48,9 +49,8 @@ def cost_by_hand(recording: Recording, gain: float, position_weight: float) -> f
     sensors = [
         np.shape(a)[1] for a in (recording.measurements.vectors, recording.measurements.landmarks)
     ]
-    estimates = posegsa.run_filter(
-        ConstantGain(jnp.float32(gain)), recording, settings=settings_on(experiment, *sensors)
-    )
+    filter = Observer(ConstantGain(jnp.float32(gain)), settings_on(experiment, *sensors))
+    estimates = posegsa.run_filter(filter, recording)
     errors = posegsa.recording_errors(estimates, recording)
     chord = np.degrees(2 * np.sin(np.radians(errors.attitude.total) / 2))
     cost = posegsa.rmse(chord, recording.judged)
