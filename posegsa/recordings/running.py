@@ -1,4 +1,4 @@
-"""A gain schedule run over a recording: in parts, so that memory on the device stays bounded."""
+"""Runs gain schedules over recordings, in parts, so that device memory stays bounded."""
 
 from dataclasses import replace
 from typing import overload
@@ -20,7 +20,7 @@ from posegsa.recordings.start import Start
 from posegsa.stored_programs import stored
 
 PART = 2**12
-"""Samples that are on the device at once."""
+"""Number of samples on the device at once."""
 
 
 @overload
@@ -50,26 +50,26 @@ def run_filter(
     settings: FilterSettings | None = None,
     signal: SignalSettings | None = None,
 ) -> Estimates:
-    """Runs a gain schedule over a whole measurement sequence, or a recording, of a user's own.
+    """Run a gain schedule over a sequence of measurements or a recording.
 
-    The time that it takes is linear in the number of samples. Of a recording, some PART samples
-    are on the device at once, and the estimates are NumPy arrays.
+    The time is linear in the number of samples. A recording is processed in parts of PART samples,
+    and its estimates are NumPy arrays.
 
     Args:
         schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
         measurements: N samples (`posegsa.Measurements`), or a recording.
         initial: the estimate at the first sample (`posegsa.initial_state`); by default that of the
-            recording. The vectors' biases, if they are learnt, begin at 0.
-        settings: the filter's; of a tuned result `filter_settings(result.tuned)`.
-        signal: the error signal's; "measured", since the truth is not known.
+            recording. Estimates of the vectors' biases, if the filter has them, start at 0.
+        settings: of the filter; for a tuned result `filter_settings(result.tuned)`.
+        signal: of the error signal; "measured", since the truth is not known.
 
     Returns:
-        The estimates; of a recording of attitude only, positions are NaN.
+        The estimates; in an attitude-only recording the positions are NaN.
 
     Raises:
-        ArgumentError: an argument is of another type, the signal is "pose", or measurements come
-            without an initial estimate.
-        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
+        ArgumentError: an argument has the wrong type, the signal is "pose", or measurements are
+            given without an initial estimate.
+        MeasurementError: the measurements contain what `Measurements.from_arrays` refuses.
     """
     check_type("measurements", measurements, Measurements, Recording)
     settings = FilterSettings() if settings is None else settings
@@ -94,7 +94,7 @@ def run_filter(
 
 
 def state_of(start: Start, learnt_vectors: int = 0) -> FilterState:
-    """A start as the filter's state, at JAX's present precision."""
+    """The filter's state at a start, in JAX's current precision."""
     arrays = (jnp.asarray(a) for a in start)
     return initial_state(*arrays, learnt_vectors=learnt_vectors)
 
@@ -114,8 +114,8 @@ def _run_in_parts(
     count, loop, parts = recording.samples, begin(schedule, state), []
     length = min(PART, count)
     for first in range(0, count, length):
-        # All parts have one length, and are compiled once: the last one is filled up with its last
-        # sample, and what the filter makes of that is cut off.
+        # All parts have the same length, so that one program serves them: the last part is padded
+        # with its last sample, and the results of the padding are cut off.
         index = np.minimum(np.arange(first, first + length), count - 1)
         own = _settings_at(settings, index)
         samples = _part(recording, index, own)
@@ -128,7 +128,7 @@ def _run_in_parts(
 
 
 def _settings_at(settings: FilterSettings, index: np.ndarray) -> FilterSettings:
-    """The settings for some samples: gammas that are given for each sample are those of these."""
+    """The settings for some samples: of gammas given per sample, those of these samples."""
     gammas = settings.gamma_angular, settings.gamma_linear
     angular, linear = (np.asarray(g)[index] if np.ndim(g) else g for g in gammas)
     return replace(settings, gamma_angular=angular, gamma_linear=linear)

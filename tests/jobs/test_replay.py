@@ -137,7 +137,7 @@ def test_what_a_file_lacks_is_bridged_by_name(
     (data,) = json.loads((out / "replay.json").read_text())["recordings"]
     table = (out / "replay.txt").read_text()
     expected = (
-        "1 sample dropped: stamps that do not go on",
+        "1 sample dropped: stamps that do not increase",
         "1 gap longer than 5 median steps",
         "1 sample without velocities, the first at 300: bridged (interpolate)",
     )

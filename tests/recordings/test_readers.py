@@ -93,7 +93,7 @@ def test_vectors_and_landmarks_have_usual_names_and_references_beside_the_file(
     np.testing.assert_array_equal(m.landmarks[0, 0], [2, 3, 4])
     np.testing.assert_array_equal(m.landmark_references[0], [[5, 6, 7]])
     assert m.landmark_weights[1, 0] == 0  # an empty cell is not seen
-    assert recording.notes == ("columns that nothing is made of: pressure",)
+    assert recording.notes == ("columns that are not used: pressure",)
     # What Python says goes before it.
     other = Recording.from_csv(tmp_path / "flight.csv", landmark_references=[[1, 1, 1]])
     np.testing.assert_array_equal(other.measurements.landmark_references[0], [[1, 1, 1]])
@@ -152,7 +152,7 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
     recording = Recording.read(path)
     words = (
         "drone: has no vectors and no landmarks, so that nothing corrects an estimate "
-        r"\(columns that nothing is made of: beacon_x\); allowed in a CSV file: columns v0_x .* "
+        r"\(columns that are not used: beacon_x\); allowed in a CSV file: columns v0_x .* "
         r"drone.csv.toml"
     )
     with pytest.raises(RecordingError, match=words):
