@@ -1,4 +1,4 @@
-"""A filter run over a recording: in parts, so that memory on the device stays bounded."""
+"""Runs filters over recordings, in parts, so that device memory stays bounded."""
 
 from typing import overload
 
@@ -18,7 +18,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
 
 PART = 2**12
-"""Samples that are on the device at once."""
+"""Number of samples on the device at once."""
 
 
 @overload
@@ -36,25 +36,25 @@ def run_filter(
     measurements: Measurements | Recording,
     initial: FilterState | None = None,
 ) -> Estimates:
-    """Run a filter over a whole measurement sequence, or a recording, of a user's own.
+    """Run a filter over a sequence of measurements or a recording.
 
-    The time that it takes is linear in the number of samples. Of a recording, some PART samples
-    are on the device at once, and the estimates are NumPy arrays.
+    The time is linear in the number of samples. A recording is processed in parts of PART samples,
+    and its estimates are NumPy arrays.
 
     Args:
         filter: e.g. `Observer(FuzzyGain(controller), settings, signal)`, or that of a tuned result,
-            `result.tuned_filter`.
+            `result.filter_for(vectors, landmarks)`.
         measurements: N samples (`posegsa.Measurements`), or a recording.
         initial: the estimate at the first sample (`posegsa.initial_state`); by default that of the
-            recording. The vectors' biases, if they are learnt, begin at 0.
+            recording. Estimates of the vectors' biases, if the filter has them, start at 0.
 
     Returns:
-        The estimates; of a recording of attitude only, positions are NaN.
+        The estimates; in an attitude-only recording the positions are NaN.
 
     Raises:
-        ArgumentError: an argument is of another type, the filter looks at the true pose (signal
-            "pose"), or measurements come without an initial estimate.
-        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
+        ArgumentError: an argument has the wrong type, the filter looks at the true pose (signal
+            "pose"), or measurements are given without an initial estimate.
+        MeasurementError: the measurements contain what `Measurements.from_arrays` refuses.
     """
     check_type("measurements", measurements, Measurements, Recording)
     if not isinstance(measurements, Recording):
@@ -74,7 +74,7 @@ def run_filter(
 
 
 def state_of(start: Start) -> FilterState:
-    """A start as an estimate, at JAX's present precision."""
+    """A start as an estimate, in JAX's current precision."""
     return initial_state(*(jnp.asarray(a) for a in start))
 
 
@@ -89,8 +89,8 @@ def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) ->
     state = filter.start(initial, vectors)
     length = min(PART, count)
     for first in range(0, count, length):
-        # All parts have one length, and are compiled once: the last one is filled up with its last
-        # sample, and what the filter makes of that is cut off.
+        # All parts have the same length, so that one program serves them: the last part is padded
+        # with its last sample, and the results of the padding are cut off.
         index = np.minimum(np.arange(first, first + length), count - 1)
         state, found = simulate_part(filter, _part(filter, recording, index), state)
         parts.append(jax.device_get(found))

@@ -469,7 +469,7 @@ def test_an_estimate_beyond_its_limit_is_refused_and_changes_nothing(result):
 def test_what_is_no_estimate_is_refused(pose_filter, monkeypatch, name, message):
     """Whatever a program makes of a sample: XLA's sine of 1e18 rad may be of any size."""
     loop = pose_filter._loop
-    where = loop.record.unpack(np.arange(loop.record.size)).loop.state
+    where = loop.record.unpack(np.arange(loop.record.size)).estimate
     factors = np.ones(loop.record.size)
     factors[np.array(getattr(where, name))] = 1.1 if name == "attitude" else np.inf
     monkeypatch.setattr(pose_filter, "_loop", lambda *given: factors * loop(*given))
