@@ -476,8 +476,9 @@ def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | 
 
 
 def _dtype_of(filter: Filter) -> np.dtype:
-    """The widest floating type of a filter's numbers, at least float32."""
-    return np.result_type(np.float32, *(np.asarray(a) for a in jax.tree.leaves(filter)))
+    """The widest floating type of a filter's arrays, at least float32; Python's numbers follow."""
+    dtypes = (leaf.dtype for leaf in jax.tree.leaves(filter) if hasattr(leaf, "dtype"))
+    return np.result_type(np.float32, *dtypes)
 
 
 def _number(value: Any) -> float:

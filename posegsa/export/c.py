@@ -217,5 +217,5 @@ def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequenc
         f"From measured {rates}, {' and '.join(filter(None, sensors))} of known "
         f"{'direction' if step.attitude_only else 'direction or place'} it estimates {out}, and "
         f"{biases}. Law: {settings.law}; {counted(settings.substeps, 'sub-step')} a sample. The "
-        f"equations stand in posegsa's posegsa/model/filter.py."
+        f"equations stand in posegsa's posegsa/filters/observer.py."
     )

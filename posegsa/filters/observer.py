@@ -71,7 +71,7 @@ are indistinguishable along three directions. So gamma_c is multiplied by min(1,
 w is the length of the low-passed angular velocity: at rest the c_i stay as they are. For a rotating
 body there is no Lyapunov proof, because df/dt has a term s_i / 2 r_i^T R_est [Omega]^ (b_i - c_i)
 of either sign. That the pose and all biases converge without noise is shown by test
-(`tests/model/test_filter_convergence.py`).
+(`tests/filters/test_observer_convergence.py`).
 """
 
 from collections.abc import Callable, Mapping

@@ -7,6 +7,7 @@ from posegsa.judging.imu import ImuResult
 from posegsa.saving.folder import holds_run, lock, prepare_folder, replace_files
 
 FILTER, TABLE = "imu.toml", "imu.txt"
+FILES = (FILTER, TABLE)
 
 
 def prepare_imu_folder(folder: str | Path, *, overwrite: bool) -> Path:

@@ -19,6 +19,7 @@ from posegsa.saving.run import RUN_FILES
 
 SCHEMA = 3
 """Version of the format of recorded.json."""
+FILES = (RECORDED, RECORDED_TABLE)
 
 
 def write_recorded(
