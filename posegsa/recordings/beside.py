@@ -45,19 +45,19 @@ def read_beside(path: Path) -> dict[str, Any]:
     if not beside.is_file():
         return {}
     try:
-        said = read_toml(beside)
+        found = read_toml(beside)
     except ConfigError as error:
         raise RecordingError(str(error)) from None
     allowed = (*TABLE_KEYS, *ARGUMENTS)
-    for key in said:
+    for key in found:
         if key not in allowed:
             raise RecordingError(f"{beside}: {key!r}; allowed: {', '.join(allowed)}")
     for key in ("time_unit", "delimiter"):
-        if key in said and not isinstance(said[key], str):
-            raise RecordingError(f"{beside}: {key} = {said[key]!r}; allowed: a text")
-    if "columns" in said:
-        _check_columns(said["columns"], beside)
-    return said
+        if key in found and not isinstance(found[key], str):
+            raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a text")
+    if "columns" in found:
+        _check_columns(found["columns"], beside)
+    return found
 
 
 def check_references(path: Path, arguments: Mapping[str, Any]) -> None:

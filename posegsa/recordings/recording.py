@@ -195,7 +195,7 @@ class Recording:
                 "landmark", found, samples, landmarks, landmark_references, landmark_weights
             ),
         )
-        told = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
+        changes = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
         intervals = {}
         for kind in ("vector", "landmark"):
             weights = values[f"{kind}_weights"]
@@ -218,7 +218,7 @@ class Recording:
             start=_start(start),
             attitude_only=attitude_only,
             sources={str(key): str(words) for key, words in (sources or {}).items()},
-            notes=(*notes, *told),
+            notes=(*notes, *changes),
             sensors={
                 str(key): found.spread(
                     finite_array(f"sensors[{key!r}]", signal, (samples, 3), finite=False), math.nan
@@ -227,8 +227,8 @@ class Recording:
             },
             **intervals,
         )
-        if told:
-            warnings.warn(f"{name}: {'; '.join(told)}", PosegsaWarning, stacklevel=2)
+        if changes:
+            warnings.warn(f"{name}: {'; '.join(changes)}", PosegsaWarning, stacklevel=2)
         return recording
 
     @classmethod
@@ -261,15 +261,15 @@ class Recording:
             MeasurementError: as in `from_arrays`.
         """
         path = as_path(path)
-        said = read_beside(path)
-        table = {name: said.pop(name) for name in TABLE_KEYS if name in said}
+        beside = read_beside(path)
+        table = {name: beside.pop(name) for name in TABLE_KEYS if name in beside}
         if columns is None:
             columns, time_unit, delimiter = (
                 table.get(name, given)
                 for name, given in zip(TABLE_KEYS, (columns, time_unit, delimiter), strict=True)
             )
         found: dict[str, Any] = {"name": path.stem}
-        found |= read_csv(path, columns, time_unit, delimiter) | said | more
+        found |= read_csv(path, columns, time_unit, delimiter) | beside | more
         check_references(path, found)
         return cls.from_arrays(**found)
 

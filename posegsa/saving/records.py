@@ -165,10 +165,10 @@ def to_csv(record: object, counted: str = "") -> str:
     `counted` is the name of an optional first column that counts the rows from 1.
     """
     header, columns = [], []
-    for field, said in _columns(type(record)).items():
+    for field, spec in _columns(type(record)).items():
         array = decimal(np.asarray(getattr(record, field)))
         table = array.reshape(len(array), array[:1].size)
-        header += said.of(table.shape[1] // len(said.names))
+        header += spec.of(table.shape[1] // len(spec.names))
         columns += table.T.tolist()
     if counted:
         header, columns = [counted, *header], [range(1, len(columns[0]) + 1), *columns]
@@ -189,7 +189,7 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     first = [counted] if counted else []
     try:
         header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-        names = {field: said.of(_count(columns, first, header)) for field, said in columns.items()}
+        names = {field: spec.of(_count(columns, first, header)) for field, spec in columns.items()}
         needed = first + [name for some in names.values() for name in some]
         if header != needed:
             found = reprlib.repr(header)
@@ -203,9 +203,9 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     except (csv.Error, ValueError) as error:
         raise RunFolderError(f"{source}: is not such a table: {error}") from None
     data, start = {}, len(first)
-    for field, said in columns.items():
+    for field, spec in columns.items():
         end = start + len(names[field])
-        alone = len(names[field]) == 1 and not said.each
+        alone = len(names[field]) == 1 and not spec.each
         data[field] = [row[start] if alone else row[start:end] for row in table]
         start = end
     return from_plain(kind, data, source)
@@ -221,15 +221,15 @@ def _number(cell: str) -> int | float | str:
 
 def _count(columns: dict[str, Columns], first: list[str], header: list[str]) -> int:
     """The number of things that have columns of their own, from the length of the header."""
-    fixed = len(first) + sum(len(said.names) for said in columns.values() if not said.each)
-    for_each = sum(len(said.names) for said in columns.values() if said.each)
+    fixed = len(first) + sum(len(spec.names) for spec in columns.values() if not spec.each)
+    for_each = sum(len(spec.names) for spec in columns.values() if spec.each)
     return max(0, len(header) - fixed) // max(1, for_each)
 
 
 def _columns(kind: Any) -> dict[str, Columns]:
     return {
-        field: said
+        field: spec
         for field, hint in typing.get_type_hints(kind, include_extras=True).items()
-        for said in hint.__metadata__
-        if isinstance(said, Columns)
+        for spec in hint.__metadata__
+        if isinstance(spec, Columns)
     }

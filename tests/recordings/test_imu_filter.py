@@ -133,9 +133,7 @@ def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_the_observer_goes_out_as_the_page_says(build: Build) -> None:
     """With the vectors that the recording has, the C of docs/imu.md is `run_imu`."""
     page = Path(__file__).parents[2] / "docs" / "imu.md"
-    (code,) = re.findall(
-        r"## Out of Python.*?```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL
-    )
+    (code,) = re.findall(r"## Export\n.*?```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     names: dict[str, Any] = {}
     exec(code, names)  # the page's own text
     recording = posegsa.imu(**inertial_motion(3.0, 4.0, noise=1.0))
