@@ -145,7 +145,7 @@ def _instead(names: list[str]) -> str:
             "starts as these scenarios do, and do not answer an error that comes later. "
         )
     if any(name in (EKF, EKF_VECTORS) for name in names):
-        advice += "The Kalman filter is `posegsa.model.ekf`. "
+        advice += "The Kalman filter is `posegsa.KalmanFilter`. "
     return (
         f"{advice}The numbers of each are in `evaluation.json`. What was tuned can still be used: "
         "`posegsa export RUN --format c`."
