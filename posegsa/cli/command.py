@@ -60,7 +60,7 @@ def _abandon_stdout() -> None:
 
 def _main(arguments: Sequence[str] | None) -> int:
     """Parse the arguments and run the command; what it refuses is a line on standard error."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
@@ -127,7 +127,8 @@ def _check_names(options: argparse.Namespace) -> None:
         raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; no command's heavy imports are made."""
     parser = Parser(
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",

@@ -18,7 +18,7 @@ from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config
-from posegsa.cli.command import _parser, main
+from posegsa.cli.command import main, parser
 from posegsa.errors import (
     ArgumentError,
     ConfigError,
@@ -164,7 +164,7 @@ def test_the_command_tunes_on_files(
     assert "Written to" in said
     # What it tells to type next is what it takes to judge the run beside others.
     (shown,) = re.findall(r"  posegsa (evaluate .*)", said)
-    options = _parser().parse_args(shlex.split(shown))
+    options = parser().parse_args(shlex.split(shown))
     assert options.run == str(tmp_path / "run")
     assert options.recording == [str(tmp_path / "b.npz")]
     assert (options.training, options.training_window) == ([str(tmp_path / "a.npz")], (0, 2))
