@@ -24,11 +24,20 @@ from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, wr
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Found, Progress, run_search, search_batch, structure
+from posegsa.search.run import (
+    Found,
+    Progress,
+    run_search,
+    samples_per_iteration,
+    search_batch,
+    structure,
+)
 from posegsa.settings.plain import plain
 from posegsa.version import VERSION
 
 MOST_RUNS = 100_000
+BATCH_SAMPLES = 50_000_000
+"""Most samples that an iteration of a batch simulates, if one run alone does not simulate more."""
 
 
 class _Planned(NamedTuple):
@@ -193,24 +202,31 @@ def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]
     one may repeat its last run.
     """
     structures: dict[str, Hashable] = {}
+    fit: dict[Hashable, int] = {}
     groups: dict[Hashable, list[_Planned]] = {}
     for one in planned:
         key = repr(one.values)
         if key not in structures:  # the seed changes numbers only
-            structures[key] = _structure(one.experiment)
+            structures[key], most = _structure(one.experiment)
+            fit[structures[key]] = most
         groups.setdefault(structures[key], []).append(one)
-    for group in groups.values():
+    for kind, group in groups.items():
         most = 1 if group[0].experiment.search.on_host else _within_memory(group, together)
+        most = min(most, fit[kind])
         batches = -(-len(group) // most)
         size = -(-len(group) // batches)
         for first in range(0, len(group), size):
             yield group[first : first + size] + group[-1:] * (first + size - len(group))
 
 
-def _structure(experiment: config.Experiment) -> Hashable:
-    """What the searches of a batch must have in common."""
+def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
+    """What the searches of a batch must have in common, and how many one batch is to have.
+
+    All runs of a batch are stored when the last is done, so large ones go in small batches.
+    """
     with jax.enable_x64(experiment.run.dtype == "float64"):
-        return structure(tuning_problem(experiment))
+        problem = tuning_problem(experiment)
+        return structure(problem), max(1, BATCH_SAMPLES // samples_per_iteration(problem))
 
 
 def _within_memory(group: list[_Planned], together: int) -> int:

@@ -164,20 +164,25 @@ LONG_ITERATION = 5.0
 """Time of an iteration from which on it is said beforehand [s]: a signal is answered after it."""
 
 
-def _warn_of_long_iterations(problem: TuningProblem) -> None:
-    """Say how long an iteration takes where that is long: it can't be interrupted."""
+def samples_per_iteration(problem: TuningProblem) -> int:
+    """Samples that an iteration simulates at most: agents x scenarios x samples."""
     batches = [problem.training, *([] if problem.beside is None else [problem.beside])]
     samples = sum(batch.samples.time.size for batch in batches)
     dimensions = len(problem.space.box.lower)
-    work = max(
-        # A gradient, by forward mode, takes a simulation for each dimension.
+    return max(
+        # A gradient, by forward mode, takes one simulation for each dimension.
         phase.agents * samples * (dimensions if phase.wants_gradients else 1)
         for phase in problem.experiment.search.phases
     )
-    seconds = work / SAMPLES_PER_SECOND
+
+
+def _warn_of_long_iterations(problem: TuningProblem) -> None:
+    """Say how long an iteration takes if that is long, because it can't be interrupted."""
+    samples = samples_per_iteration(problem)
+    seconds = samples / SAMPLES_PER_SECOND
     if jax.default_backend() == "cpu" and seconds > LONG_ITERATION:
         warnings.warn(
-            f"an iteration simulates {work:.2g} samples (agents x scenarios x samples), some "
+            f"an iteration simulates {samples:.2g} samples (agents x scenarios x samples), some "
             f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered, and checkpoints "
             "written, between iterations",
             PosegsaWarning,
