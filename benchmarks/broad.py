@@ -31,11 +31,12 @@ import jax.numpy as jnp  # noqa: E402  (after the fast path)
 from readme import write_block  # noqa: E402  (after the fast path)
 
 from posegsa import config  # noqa: E402  (after the fast path)
+from posegsa.filters.base import samples_of  # noqa: E402  (after the fast path)
+from posegsa.filters.observer import FilterSettings, Observer, VectorBias  # noqa: E402  (after the fast path)
+from posegsa.filters.rollout import simulate_cost  # noqa: E402  (after the fast path)
 from posegsa.model.cost import CostWeights  # noqa: E402  (after the fast path)
-from posegsa.model.filter import FilterSettings, VectorBias, initial_state  # noqa: E402  (after the fast path)
-from posegsa.model.rollout import samples_of, simulate_cost  # noqa: E402  (after the fast path)
+from posegsa.model.estimate import initial_state  # noqa: E402  (after the fast path)
 from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain, SmoothGain  # noqa: E402  (after the fast path)
-from posegsa.model.signal import SignalSettings  # noqa: E402  (after the fast path)
 from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402  (after the fast path)
 from posegsa.recordings.imu import STARTUP, ImuRecording  # noqa: E402  (after the fast path)
 from posegsa.recordings.imu_filter import imu_schedule, imu_settings, in_passes  # noqa: E402  (after the fast path)
@@ -166,10 +167,9 @@ def _sums(m: Any, R: Any, judged: Any, initial: Any, gains: Any, *, at_rest: boo
             gamma_angular=gamma,
             vectors=replace(settings.vectors, weights=(jnp.ones_like(east), east), each_agent=True),
         )
-        samples = samples_of(m, settings.vectors, R, jnp.zeros((len(R), 3), R.dtype))
-        return simulate_cost(
-            schedule(gain), samples, initial, weights, settings, SignalSettings()
-        ).steady
+        observer = Observer(schedule(gain), settings)
+        samples = samples_of(observer, m, R, jnp.zeros((len(R), 3), R.dtype))
+        return simulate_cost(observer, samples, initial, weights).steady
 
     return jax.vmap(one)(jnp.asarray(gains, jnp.float32))
 
@@ -242,10 +242,8 @@ def with_settings(
         recording = trial.prepared(setting.vectors)
         with jax.enable_x64(True):
             gains = schedule or imu_schedule(setting.observer, recording)
-            settings = change(imu_settings(setting.observer))
-            found = in_passes(
-                recording, lambda each: posegsa.run_filter(gains, each, settings=settings)
-            )
+            observer = Observer(gains, change(imu_settings(setting.observer)))
+            found = in_passes(recording, lambda each: posegsa.run_filter(observer, each))
         return judged(np.asarray(found.rotation), recording)
 
     return changed
@@ -269,10 +267,8 @@ def magnetometer_itself(trial: Trial, setting: config.ImuConfig) -> Errors:
 
     with jax.enable_x64(True):
         gain = imu_schedule(setting.observer, recording)
-        settings = imu_settings(setting.observer)
-        found = in_passes(
-            recording, lambda each: posegsa.run_filter(gain, changed(each), settings=settings)
-        )
+        observer = Observer(gain, imu_settings(setting.observer))
+        found = in_passes(recording, lambda each: posegsa.run_filter(observer, changed(each)))
     return judged(np.asarray(found.rotation), recording)
 
 

@@ -36,8 +36,8 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
 
     Any other exception ends the campaign.
     """
-    import generated
     import jax
+    from helpers import generated
 
     from posegsa.errors import PosegsaError
     from posegsa.search.build import tuning_problem
@@ -86,7 +86,7 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
 
 def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, float]:
     """Tune, sometimes with a folder; whether something is NaN, and the best cost."""
-    import generated
+    from helpers import generated
 
     count = "configurations tuned whole"
     if counts[count] % WRITTEN == 0:
@@ -102,7 +102,7 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
 
 def calls(wanted: int, rng: np.random.Generator) -> Counter:
     """Calls of public functions: refused in words, or answered."""
-    import generated
+    from helpers import generated
 
     from posegsa.errors import PosegsaError
 

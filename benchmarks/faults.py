@@ -81,8 +81,8 @@ def searched(experiment: config.Experiment, folder: Path) -> None:
     from posegsa.search.run import run_search
 
     folder.mkdir(parents=True, exist_ok=True)
-    with CheckpointWriter(folder, experiment, StopRequest()) as keep:
-        run_search(tuning_problem(experiment), keep=keep)
+    with CheckpointWriter(folder, experiment, StopRequest()) as writer:
+        run_search(tuning_problem(experiment), after_chunk=writer)
 
 
 def overhead(repeats: int, folder: Path) -> dict[str, float]:
@@ -108,10 +108,10 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
         times["without"].append(run_search(task).search_seconds)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        with Counted(folder, experiment, StopRequest()) as keep:
-            found = run_search(task, keep=keep)
+        with Counted(folder, experiment, StopRequest()) as writer:
+            found = run_search(task, after_chunk=writer)
         times["with"].append(found.search_seconds)
-        count = keep.count
+        count = writer.count
     least = {name: min(values) for name, values in times.items()}
     # What a checkpoint takes, by itself: the difference above is smaller than its noise.
     assert found is not None

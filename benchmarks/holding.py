@@ -25,9 +25,9 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import TuneResult
-from posegsa.model.rollout import ErrorTrack
 from posegsa.runtime import environment
 from posegsa.saving.run import load
 from posegsa.search.build import parameter_space, scenario, scenario_batch, tuning_problem

@@ -21,10 +21,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from readme import ROOT, write_block
 
 import posegsa
+from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import EKF
 from posegsa.judging.recorded import RecordingResult, mean_errors
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
@@ -67,7 +69,8 @@ def euroc(folder: Path) -> list[dict[str, Any]]:
         ]
         tuned = posegsa.tune(ROOT / "configs" / "landmarks.toml", recordings=training)
         print(tuned.summary(), flush=True)
-        judged = posegsa.evaluate(tuned, recordings=held_out, training=training, progress=print)
+        with Display():
+            judged = posegsa.evaluate(tuned, recordings=held_out, training=training)
         rows += _rows(rate, judged)
     return rows
 
@@ -207,13 +210,13 @@ def outliers_table(rows: list[dict[str, Any]]) -> str:
 
 def speed() -> list[dict[str, float]]:
     """Time and memory of filter runs over recordings of several lengths."""
-    schedule, rows = posegsa.ConstantGain(np.float32(5.0)), []  # type: ignore[arg-type]  # a NumPy scalar will do
+    observer, rows = posegsa.Observer(posegsa.ConstantGain(jnp.float32(5.0))), []
     for samples in (SAMPLES[0], *SAMPLES):  # the first compiles
         recording = _recording(samples)
         before, times = _memory(), []
         for _ in range(REPEATS):
             begun = time.perf_counter()
-            posegsa.run_filter(schedule, recording)
+            posegsa.run_filter(observer, recording)
             times.append(time.perf_counter() - begun)
         rows.append({"samples": samples, "seconds": min(times), "more_mib": _memory() - before})
     return rows[1:]

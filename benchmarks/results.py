@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
+from posegsa.cli.progress import Display
 from posegsa.evaluating import evaluate
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.result import TuneResult
@@ -82,7 +83,8 @@ def endurance_rows(case: Case, result: TuneResult) -> list[str]:
 def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
     """What is kept of one kind of scenario and one seed."""
     result = posegsa.tune(experiment_of(case, seed))
-    result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED, progress=tqdm.write)
+    with Display():
+        result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED)
     evaluation, rows, differences = result.evaluation, [], {}
     for name, contender in evaluation.contenders.items():
         m, cost = contender.metrics, evaluation.cost(name)

@@ -15,7 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -25,29 +25,34 @@ from readme import write_block
 import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaWarning
+from posegsa.filters.rollout import _step
 from posegsa.model.fuzzy import _compiled_gain
-from posegsa.model.rollout import _scheduled_step
 
 PAGE = "docs/streaming.md"
 
 
-def made(dtype: str) -> Callable[[], posegsa.PoseFilter]:
-    """What makes the filter."""
+def observer(dtype: str) -> posegsa.Observer:
+    """The filter."""
     experiment = config.override(config.Experiment(), [f"run.dtype={dtype}"])
-    scenario = experiment.scenario
     with jax.enable_x64(dtype == "float64"):
         space = posegsa.parameter_space(experiment)
         controller = space.controller(0.5 * (space.lower + space.upper))
-        settings = posegsa.filter_settings(experiment)
-        signal = posegsa.signal_settings(experiment.gain, dtype)
+        return posegsa.Observer(
+            posegsa.FuzzyGain(controller),
+            posegsa.filter_settings(experiment),
+            posegsa.signal_settings(experiment.gain, dtype),
+        )
+
+
+def made(dtype: str) -> Callable[[], posegsa.PoseFilter]:
+    """What makes the filter for a stream."""
+    scenario, filter = config.Experiment().scenario, observer(dtype)
     return lambda: posegsa.PoseFilter(
-        controller,
+        filter,
         rotation=np.diag([1.0, -1.0, -1.0]),
         position=np.zeros(3),
         vector_references=np.array([v.direction for v in scenario.vectors]),
         landmark_references=np.array([p.position for p in scenario.landmarks]),
-        settings=settings,
-        signal=signal,
     )
 
 
@@ -100,14 +105,10 @@ def measured(dtype: str, updates: int) -> dict[str, Any]:
 
 def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
     """Medians of other calls for one sample, and of the compiled calls in them [us]."""
-    experiment = config.override(config.Experiment(), [f"run.dtype={dtype}"])
+    filter = observer(dtype)
+    controller = cast(posegsa.FuzzyGain, filter.schedule).controller
     rng = np.random.default_rng(0)
     with jax.enable_x64(dtype == "float64"):
-        space = posegsa.parameter_space(experiment)
-        controller = space.controller(0.5 * (space.lower + space.upper))
-        schedule = posegsa.FuzzyGain(controller)
-        settings = posegsa.filter_settings(experiment)
-        signal = posegsa.signal_settings(experiment.gain, dtype)
         measured = posegsa.Measurements.from_arrays(
             time_step=0.01,
             angular_velocity=rng.normal(size=(100, 3)),
@@ -118,18 +119,16 @@ def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
             landmark_references=rng.normal(size=(1, 3)),
             dtype=np.dtype(dtype),
         )
-        loop = posegsa.begin(schedule, posegsa.initial_state(np.eye(3), np.zeros(3)))
+        state = filter.start(posegsa.initial_state(np.eye(3), np.zeros(3)), vectors=2)
         sample = measured.at(5)
-        fixed = schedule, settings, signal
-        loop, _ = posegsa.scheduled_step(loop, sample, *fixed)  # with states of the biases
-        step = _scheduled_step.lower(loop, sample, *fixed, 0.0).compile()
+        step = _step.lower(filter, state, sample, 0.0).compile()
         gain = _compiled_gain.lower(controller, np.asarray(0.2), np.asarray(0.01), None).compile()
 
         inputs = np.asarray(0.2), np.asarray(0.01)
         pairs: dict[str, list[Callable[[], object]]] = {
-            "scheduled_step": [
-                lambda: posegsa.scheduled_step(loop, sample, *fixed),
-                lambda: step(loop, sample, *fixed, 0.0),
+            "step": [
+                lambda: posegsa.step(filter, state, sample),
+                lambda: step(filter, state, sample, 0.0),
             ],
             "controller(error, rate)": [
                 lambda: controller(0.2, 0.01),
@@ -174,7 +173,7 @@ def main() -> None:
             f"| {dtype} | {found['update']:.0f} us | {found['update 99 %']:.0f} us | "
             f"{found['compiled call']:.0f} us | {found['first']:.1f} s | {found['second']:.2f} s |"
         )
-        for name in ("scheduled_step", "controller(error, rate)", "Measurements.at"):
+        for name in ("step", "controller(error, rate)", "Measurements.at"):
             whole, inner = found[name]
             compiled = f"{inner:.0f} us" if name != "Measurements.at" else "nothing"
             others.append(f"| `{name}` | {dtype} | {whole:.0f} us | {compiled} |")

@@ -11,6 +11,7 @@ accelerates. Printed are time, position (3) [m] and roll, pitch, yaw [deg].
 import csv
 import sys
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -22,13 +23,13 @@ UP, NORTH, BEACON = [0, 0, 9.81], [0.5, 0, -0.8], [4.0, -3.0, 2.0]  # inertial f
 def made_filter():
     """A filter with a gain of one's own; `posegsa.PoseFilter(posegsa.load(RUN), ...)` is tuned."""
     experiment = posegsa.config.override(posegsa.Experiment(), ["filter.vector_bias=off"])
+    gain = posegsa.ConstantGain(jnp.asarray(20.0))  # K [1/s]
     return posegsa.PoseFilter(
-        20.0,  # K [1/s]
+        posegsa.Observer(gain, posegsa.filter_settings(experiment)),
         rotation=np.eye(3),
         position=[0.0, 0.8, 0.0],
         vector_references=[UP, NORTH],
         landmark_references=[BEACON],
-        settings=posegsa.filter_settings(experiment),
     )
 
 

@@ -8,6 +8,6 @@ Importing it changes nothing in the process. `enable_fast_path()`, called first,
 Its names stand in `__init__.pyi`, and are imported when they are first used.
 """
 
-from posegsa.lazy import attached
+import lazy_loader
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +11,13 @@ from jax import Array
 
 from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, check_type, check_whole, several
+from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.errors import ConfigError
 from posegsa.figures.choice import chosen_figures
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
+from posegsa.optimisers.registry import USUAL
 from posegsa.runtime import environment
 from posegsa.saving.comparison import continued, write_comparison, write_searches
 from posegsa.saving.folder import locked_folder
@@ -24,25 +25,18 @@ from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import repeat_key
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Found, Progress, first_search, run_search, run_timed
+from posegsa.search.run import (
+    Found,
+    Progress,
+    first_search,
+    run_search,
+    run_timed,
+    tell_share,
+)
 from posegsa.settings.fields import MAX_COUNT
 
-USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
-"""What is compared unless something else is asked for."""
 POINTS = 250
 """Iterations of a search whose best cost is kept, and some more of the first."""
-
-
-class Status(NamedTuple):
-    """What a progress callback is told."""
-
-    optimiser: str
-    repeat: int
-    """Searches of this optimiser that are done."""
-    repeats: int
-    share: float
-    """Share of the running search that is done."""
-    best_cost: float
 
 
 class Subject(NamedTuple):
@@ -77,7 +71,7 @@ def _function(function: ClassicalFunction) -> Subject:
 
     def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
         run, begin = runner(optimiser, function, box), start(optimiser, box, key)
-        return run_timed(lambda _: run, begin, optimiser.total_iterations, tell)
+        return run_timed(run, begin, optimiser.total_iterations, tell)
 
     return Subject(function.title, search, lambda _: None)
 
@@ -86,14 +80,14 @@ def compare(
     experiment: config.Experiment | str | Path | None = None,
     *,
     optimisers: Iterable[str] = USUAL,
-    repeats: int = 20,
-    evaluations: int = 25000,
+    repeats: int = REPEATS,
+    evaluations: int = EVALUATIONS,
     function: ClassicalFunction | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
     levels: Sequence[float] | None = None,
     figures: Iterable[str] | None = None,
-    progress: Callable[[Status], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> OptimiserComparison:
     """Run several optimisers many times on the same problem, each with the same evaluations.
 
@@ -118,7 +112,8 @@ def compare(
         overwrite: Replace a comparison of something else in that folder.
         levels: Costs to reach, in the table that is written to `out`; by default medians.
         figures: Names of those to draw in `out`: "comparison", by default, or none.
-        progress: Told several times a search where it stands.
+        progress: Called with each `steps.Step`; a search is a part of "comparing", and `about` says
+            which. Those that a folder held count as done.
 
     Returns:
         The comparison; of a folder also those optimisers that it held before, after the others.
@@ -151,7 +146,8 @@ def compare(
             memory.check([one.model_copy(update={"search": optimiser})])
     # A run in that folder has files of other names: nothing of it is overwritten.
     place = nullcontext() if out is None else locked_folder(out, overwrite=True)
-    with place as folder, jax.enable_x64(one.run.dtype == "float64"):
+    in_dtype = jax.enable_x64(one.run.dtype == "float64")
+    with steps.listening(progress), place as folder, in_dtype:
         steps.begin("preparing")
         subject = _filter(one) if function is None else _function(function)
         comparison = OptimiserComparison(
@@ -164,11 +160,12 @@ def compare(
         )
         if folder is not None:
             comparison = continued(comparison, folder, overwrite=overwrite)
-        for name, optimiser in made.items():
+        for before, (name, optimiser) in enumerate(made.items()):
             for repeat in range(len(comparison.repeats[name]), repeats):
+                done, about = before * repeats + repeat, f"{name} {repeat + 1}/{repeats}"
+                steps.begin("comparing", done, len(made) * repeats, about)
                 key = repeat_key(one.run.seed, repeat)
-                tell = partial(_tell, progress, name, repeat, repeats)
-                comparison.repeats[name].append(_search(subject, optimiser, key, tell))
+                comparison.repeats[name].append(_search(subject, optimiser, key))
                 if folder is not None:
                     write_searches(comparison, folder)
         if folder is not None:
@@ -219,27 +216,13 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
     return config.override(experiment, settings).search.within(evaluations)
 
 
-def _tell(
-    progress: Callable[[Status], object] | None, name: str, repeat: int, repeats: int, now: Progress
-) -> None:
-    if progress is not None:
-        progress(
-            Status(
-                name, repeat, repeats, (now.iteration + now.share) / now.iterations, now.best_cost
-            )
-        )
-
-
-def _search(
-    subject: Subject, optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]
-) -> Repeat:
+def _search(subject: Subject, optimiser: Optimiser, key: Array) -> Repeat:
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:
         if progress.iteration > stamps[-1][0]:  # not when it is compiled, nor within an iteration
             stamps.append((progress.iteration, progress.seconds))
-        if progress.iteration or progress.share:
-            tell(progress)
+        tell_share(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = optimiser.evaluations_spent()

@@ -17,6 +17,7 @@ from posegsa.arguments import (
     refuse,
     several,
 )
+from posegsa.defaults import SCENARIOS
 from posegsa.judging.baselines import candidate_of, describe, schedule_baselines
 from posegsa.judging.evaluation import (
     CONTENDERS,
@@ -46,9 +47,6 @@ from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.settings.fields import MAX_COUNT
 
-SCENARIOS = 1000
-"""Held-out scenarios, if nothing else is asked for."""
-
 
 @overload
 def evaluate(
@@ -57,7 +55,7 @@ def evaluate(
     scenarios: int = SCENARIOS,
     seed: int | None = None,
     cost: TrackCost | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> TuneResult: ...
 
 
@@ -68,7 +66,7 @@ def evaluate(
     recordings: Recording | Iterable[Recording],
     others: bool | None = None,
     cost: TrackCost | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> RecordingResult: ...
 
 
@@ -79,7 +77,7 @@ def evaluate(
     recordings: Recording | Iterable[Recording],
     training: Recording | Iterable[Recording] = (),
     others: bool | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> RecordingResult: ...
 
 
@@ -92,7 +90,7 @@ def evaluate(
     scenarios: int = SCENARIOS,
     seed: int | None = None,
     cost: TrackCost | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> TuneResult | RecordingResult:
     """Judge a tuned schedule beside all baselines, on unseen scenarios or on recordings.
 
@@ -105,7 +103,7 @@ def evaluate(
     tuned on what it was tuned on: on `training`, or, if it was tuned on simulated scenarios, on
     those. On recordings of an IMU, VQF, Madgwick's and Mahony's filter stand beside it too, each
     with the settings of its paper (`judging.other_filters`). A recording's sensors have the
-    experiment's weights in order, further ones 1 (`TuneResult.settings_for`).
+    experiment's weights in order, further ones 1 (`TuneResult.filter_for`).
 
     Args:
         result: A tuned result.
@@ -118,7 +116,7 @@ def evaluate(
         scenarios: Number of held-out scenarios, at least 2.
         seed: Another held-out set than the run's own.
         cost: The user's own cost that the result was tuned with, if it was.
-        progress: Told in words what is done next.
+        progress: Called with each `steps.Step`, whose `about` names the filter.
 
     Returns:
         The result with its evaluation replaced; of one that was tuned on scenarios, judged on
@@ -137,7 +135,8 @@ def evaluate(
         given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None}
         for name in (name for name, stated in given.items() if stated):
             refuse(f"{name} with recordings", "recordings, training and others")
-        return _on_recordings(result, recordings, training, others, cost, progress)
+        with steps.listening(progress):
+            return _on_recordings(result, recordings, training, others, cost)
     if training != () or others is not None:
         refuse("training, others without recordings", "both, or neither")
     check_whole("scenarios", scenarios, 2, MAX_COUNT)
@@ -146,16 +145,14 @@ def evaluate(
     check_same_cost(cost, result.cost)
     experiment = result.experiment
     memory.check([experiment], held_out=scenarios)
-    say = progress if progress is not None else lambda _: None
-    with jax.enable_x64(experiment.run.dtype == "float64"):
+    with steps.listening(progress), jax.enable_x64(experiment.run.dtype == "float64"):
         steps.begin("preparing")
         problem = tuning_problem(experiment, cost)
-        found = _all_found(result, problem, say)
+        found = _all_found(result, problem)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
         held_out = scenario_batch(experiment, problem.scenario, unseen)
         contenders = {}
         for name, description in steps.each("judging", list(found.items()), itemgetter(0)):
-            say(f"judging: {name}")
             if description.kind == "Kalman":
                 as_measured = kalman_scenarios(
                     experiment,
@@ -177,7 +174,6 @@ def _on_recordings(
     training: Recording | Iterable[Recording],
     others: bool | None,
     cost: TrackCost | None,
-    progress: Callable[[str], object] | None,
 ) -> RecordingResult:
     unseen, seen = (
         several(name, [given] if isinstance(given, Recording) else given, Recording, "recordings")
@@ -197,18 +193,15 @@ def _on_recordings(
     names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
     if others is None:
         names = [name for name in names if installed(name)]
-    say = progress if progress is not None else lambda _: None
     if isinstance(result, TuneResult):
         check_same_cost(cost, result.cost)
-        return run_beside_baselines(result, unseen, names, say, cost)
+        return run_beside_baselines(result, unseen, names, cost)
     if cost is not None:
         refuse("cost with a result on recordings", "recordings, training and others")
-    return judged_beside_baselines(result, unseen, seen, names, say)
+    return judged_beside_baselines(result, unseen, seen, names)
 
 
-def _all_found(
-    result: TuneResult, problem: TuningProblem, say: Callable[[str], object]
-) -> dict[str, Description]:
+def _all_found(result: TuneResult, problem: TuningProblem) -> dict[str, Description]:
     """All contenders, in order; those that the result has been judged beside are not searched."""
     known = {name: each.filter for name, each in result.evaluation.contenders.items()}
     space, evaluations = problem.space.schedules, problem.experiment.search.evaluations
@@ -226,7 +219,6 @@ def _all_found(
         )
     missing = [name for name in find if name not in known]
     for name in steps.each("searching", missing, str):
-        say(f"searching: {name}")
         known[name] = find[name]()
     return {name: known[name] for name in CONTENDERS}
 

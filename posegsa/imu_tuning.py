@@ -1,6 +1,6 @@
 """The attitude filter for inertial sensors tuned on recordings."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +13,6 @@ from posegsa.recordings.imu import Frame, ImuRecording, as_imu
 from posegsa.recordings.recording import Recording
 from posegsa.saving.imu import prepare_imu_folder, write_imu
 from posegsa.search.imu import search_imu
-from posegsa.search.run import Progress
 
 Given = Recording | Iterable[Recording]
 
@@ -28,7 +27,7 @@ def tune_imu(
     seed: int = 0,
     out: str | Path | None = None,
     overwrite: bool = False,
-    progress: Callable[[Progress], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> ImuResult:
     """Tune the attitude filter for inertial sensors: what `parameters.also` of its file names.
 
@@ -46,7 +45,7 @@ def tune_imu(
         seed: Of the search.
         out: Folder to write imu.toml, which `posegsa replay` takes, and imu.txt to.
         overwrite: Replace the filter that it holds; a run there is never replaced.
-        progress: Called before the search, and after each iteration.
+        progress: Called with each `steps.Step`; of the search, after each iteration.
 
     Raises:
         ArgumentError: An argument is of another type, or there is no recording.
@@ -69,12 +68,15 @@ def tune_imu(
         refuse("recordings: none", "at least one")
     if both := [one.name for one in others if any(one is other for other in given)]:
         refuse(f"held_out: {both[0]} is tuned on", "recordings that are not")
-    steps.begin("preparing")
-    training, unseen = ([_prepared(one, chosen, frame, rest) for one in a] for a in (given, others))
-    folder = None if out is None else prepare_imu_folder(out, overwrite=overwrite)
-    found = search_imu(chosen, training, seed, progress)
-    steps.begin("judging")
-    result = judge_imu(found, chosen, training, unseen)
+    with steps.listening(progress):
+        steps.begin("preparing")
+        training, unseen = (
+            [_prepared(one, chosen, frame, rest) for one in a] for a in (given, others)
+        )
+        folder = None if out is None else prepare_imu_folder(out, overwrite=overwrite)
+        found = search_imu(chosen, training, seed)
+        steps.begin("judging")
+        result = judge_imu(found, chosen, training, unseen)
     if folder is not None:
         try:
             write_imu(result, folder)

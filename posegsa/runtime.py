@@ -17,7 +17,6 @@ import numpy as np
 from posegsa.arguments import check_whole
 from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.errors import PosegsaWarning
-from posegsa.stored_programs import store_in
 from posegsa.version import VERSION
 
 # Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
@@ -48,6 +47,8 @@ _OPTIONS = {
 def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     """XLA_FLAGS with the fast path's options appended; what `flags` sets already stays as it is.
 
+    So does the name of a file, from which XLA then reads its options: they can't be appended to it.
+
     Args:
         flags: What XLA_FLAGS is now.
         devices: CPU devices to make; by default one for each core that the process may use.
@@ -58,6 +59,8 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     words = flags.split()
     if devices is not None:
         check_whole("devices", devices, 1, _MAX_DEVICES)
+    if _is_file(flags):
+        return flags
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     own = [word for word in words if word.startswith(_EXTRA)]
     options = [option for word in own for option in word.removeprefix(_EXTRA).split(",") if option]
@@ -68,6 +71,11 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
         if not any(word.split("=")[0] == name for word in others):
             others.append(f"{name}={value}")
     return " ".join([*others, _EXTRA + ",".join(options)])
+
+
+def _is_file(flags: str) -> bool:
+    """Whether XLA takes XLA_FLAGS for the name of a file with its options."""
+    return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
 def enable_fast_path(devices: int | None = None) -> bool:
@@ -97,8 +105,14 @@ def enable_fast_path(devices: int | None = None) -> bool:
             stacklevel=2,
         )
         enable_compilation_cache()
-        store_in(None)  # programs are stored by XLA's options, and which it has read is unknown
         return False
+    if _is_file(flags):
+        warnings.warn(
+            f"XLA_FLAGS names a file, {flags}, which is used as it is: the fast path's options "
+            "(posegsa.runtime.fast_path_flags() returns them) are not added",
+            PosegsaWarning,
+            stacklevel=2,
+        )
     os.environ["XLA_FLAGS"] = flags
     enable_compilation_cache()
     return True

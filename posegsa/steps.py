@@ -1,10 +1,8 @@
-"""The steps of long work, told to whoever shows them.
+"""Progress of long work: the steps of a job, told to whoever listens.
 
-What takes long says here what it does next (`begin`), and how much of that is done (`share`).
-Nothing happens unless somebody listens, as the command line does:
+A job says here which step it begins and how far it is. Nothing happens unless somebody listens:
 
-    with listening(lambda step: print(step.name, step.about)):
-        posegsa.tune("quick")
+    posegsa.tune("quick", progress=lambda step: print(step.name, step.done, step.parts))
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,47 +14,53 @@ Item = TypeVar("Item")
 
 
 class Step(NamedTuple):
-    """What is being done, and how much of it is done."""
+    """A step of a job, and how much of it is done."""
 
     name: str
-    """In one word, such as "judging"."""
+    """In one word, such as "searching" or "judging"."""
     done: float = 0.0
-    """Parts that are done."""
+    """Parts that are done; of a search, iterations."""
     parts: int = 1
     """Parts in all."""
     about: str = ""
     """What the present part is, in words."""
     best_cost: float | None = None
-    """Of a search."""
+    """Of a search, the best so far, infinite before any; None of other steps."""
 
 
 Listener = Callable[[Step], object]
+"""What is called with each step as it begins and goes on; what it raises stops the work."""
 
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 _PRESENT: ContextVar[Step | None] = ContextVar("present", default=None)
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
-    """Have a function told each step, and how far it is, while the context lasts; in this thread.
+def listening(listener: Listener | None) -> Iterator[None]:
+    """A context whose steps, in this thread, are told to a function.
 
-    What it raises stops the work.
+    It listens instead of any other; with None, whoever listens already goes on.
     """
-    token = _LISTENER.set(listener)
+    token = _LISTENER.set(listener or _LISTENER.get())
     try:
         yield
     finally:
         _LISTENER.reset(token)
 
 
-def begin(name: str, done: int = 0, parts: int = 1, about: str = "") -> None:
-    """Say that a step begins, or the next part of it."""
-    _PRESENT.set(Step(name, done, parts, about))
+def tell(step: Step) -> None:
+    """Tell how far a step is; it is the present one from now on."""
+    _PRESENT.set(step)
     share(0.0)
 
 
+def begin(name: str, done: int = 0, parts: int = 1, about: str = "") -> None:
+    """Tell that a step begins, or the next part of it."""
+    tell(Step(name, done, parts, about))
+
+
 def share(part: float) -> None:
-    """Say how much of the present part is done, in [0, 1]."""
+    """Tell how much of the present part is done, in [0, 1]."""
     present, listener = _PRESENT.get(), _LISTENER.get()
     if present is not None and listener is not None:
         listener(present._replace(done=present.done + part))

@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -13,46 +12,21 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.filters.base import Filter, check_filter
+from posegsa.filters.observer import Observer
+from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.judging.known_sensors import KnownSensors, of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, FilterState, check_gammas, checked_state
-from posegsa.model.fuzzy import FuzzyController
+from posegsa.model import limits
+from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
-from posegsa.model.online import OnlineLoop, OnlineParameters, OnlineRecord
-from posegsa.model.schedules import (
-    ConstantGain,
-    FuzzyGain,
-    GainSchedule,
-    KnotGain,
-    SettlingGain,
-    SwitchGain,
-    check_schedule,
-)
-from posegsa.model.signal import SignalSettings
-from posegsa.search.build import signal_settings
 
-FORMAT = 2
+FORMAT = 3
 """Number of the layout of a checkpoint; it changes with what is in it."""
 
-MAX_GAIN = 1e9
-"""The largest constant gain [1/s], as in a configuration."""
-
-BLIND = (ConstantGain, SettlingGain, SwitchGain, KnotGain)
-"""Schedules that do not look at the error, and so need no settings of its signal."""
-
 _STILL = np.zeros(3)
-_NO_NUMBER: Any = np.zeros(())
-_UNSEEN = SignalSettings(
-    signal="measured",
-    rate="per_sample",
-    position_weight=_NO_NUMBER,
-    smoothing=_NO_NUMBER,
-    error_scale=_NO_NUMBER + 1,
-    rate_scale=_NO_NUMBER,
-)
-"""The signal that these do not look at."""
 
 
 class Pose(NamedTuple):
@@ -90,10 +64,9 @@ class PoseFilter:
     another process, which compiles it anew.
 
     Args:
-        source: What the gain comes from: a tuned result, which brings settings and references too
-            (one tuned on recordings those of its recordings, whose weights are in its settings);
-            or a gain schedule (`FuzzyGain`, `ConstantGain`, one of your own), a `FuzzyController`,
-            or a constant gain K [1/s] as a number.
+        source: A tuned result, which brings its references too (one tuned on recordings those of
+            its recordings, whose weights are in its filter); or any filter: an `Observer` with a
+            schedule, a `KalmanFilter`, one of your own (`posegsa.filters.base.Filter`).
         rotation: (3, 3) R_est at the first sample, body to inertial.
         position: (3,) P_est there [m], inertial frame.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
@@ -103,9 +76,6 @@ class PoseFilter:
         landmark_references: (m, 3) p_i, the landmarks in the inertial frame [m], likewise.
         vector_weights: scalar or (n,) factors on the filter's weights s_i^R, not negative.
         landmark_weights: scalar or (m,) factors on the weights s_i^L, likewise.
-        settings: The filter's, as from `posegsa.filter_settings`; not with a result.
-        signal: The error signal's, as from `posegsa.signal_settings`; not with a result, and not
-            needed where the gain does not look at the error.
         hold_time: How long [s] a velocity that is missing is held; 0 refuses it at once, `math.inf`
             holds it always.
         observable_window: What was seen within this time [s] counts for `observable`.
@@ -118,7 +88,7 @@ class PoseFilter:
 
     def __init__(
         self,
-        source: TuneResult | RecordingResult | GainSchedule | FuzzyController | float,
+        source: TuneResult | RecordingResult | Filter,
         *,
         rotation: ArrayLike,
         position: ArrayLike,
@@ -127,44 +97,48 @@ class PoseFilter:
         landmark_references: ArrayLike | None = None,
         vector_weights: ArrayLike = 1.0,
         landmark_weights: ArrayLike = 1.0,
-        settings: FilterSettings | None = None,
-        signal: SignalSettings | None = None,
         hold_time: float = 0.1,
         observable_window: float = 1.0,
     ) -> None:
         self._hold_time = _duration("hold_time", hold_time)
         self._window = _duration("observable_window", observable_window)
         known = None
-        if isinstance(source, TuneResult | RecordingResult):
-            if settings is not None or signal is not None:
-                refuse("settings, signal: given beside a result", "neither, it brings its own")
-            if vector_references is None or landmark_references is None:
-                known = _known_sensors(source)
-                if vector_references is None:
-                    vector_references = np.array(known.vectors)
-                if landmark_references is None:
-                    landmark_references = np.array(known.landmarks)
+        stated = vector_references is not None and landmark_references is not None
+        if isinstance(source, TuneResult | RecordingResult) and not stated:
+            known = _known_sensors(source)
+            if vector_references is None:
+                vector_references = np.array(known.vectors)
+            if landmark_references is None:
+                landmark_references = np.array(known.landmarks)
         self._attitude_only = known is not None and known.attitude_only
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
         if isinstance(source, TuneResult | RecordingResult):
-            schedule, settings, signal = _tuned(source, len(vectors), len(landmarks))
+            filter = _tuned(source, len(vectors), len(landmarks))
         else:
-            schedule, settings, signal = _by_hand(source, settings, signal)
-        self._vectors = _Sensors("vector", vectors, vector_weights, settings.vectors.weights)
-        self._landmarks = _Sensors(
-            "landmark", landmarks, landmark_weights, settings.landmark_weights
-        )
-        self._learnt = 0 if settings.vector_bias is None else len(vectors)
-        self._dtype = _dtype_of(settings)
-        _check_range("vector_references", vectors, self._dtype)
-        _check_range("landmark_references", landmarks, self._dtype)
+            filter = _by_hand(source)
+        of_vectors, of_landmarks = _weights(filter)
+        self._vectors = _Sensors("vector", vectors, vector_weights, of_vectors)
+        self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
+        self._dtype = _dtype_of(filter)
+        limits.VECTOR.checked("vector_references", vectors)
+        limits.POSITION.checked("landmark_references", landmarks)
         start = self._state(rotation, position, bias)
-        parameters = OnlineParameters(schedule, settings, signal, vectors, landmarks)
+        parameters = OnlineParameters(filter, vectors, landmarks)
         with jax.enable_x64(self._dtype == np.float64):
             self._loop = OnlineLoop(parameters, start)
         where = self._loop.record.unpack(np.arange(self._loop.record.size))
-        self._rotation_at, self._position_at = where.rotation, np.array(where.loop.state.place)
+        self._rotation_at, estimate = where.rotation, where.estimate
+        self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
+        self._limited = [
+            (name, np.array(at, np.intp), limit)
+            for name, at, limit in (
+                ("position", estimate.place, limits.POSITION),
+                ("bias of the angular velocity", estimate.bias_angular, limits.ANGULAR_VELOCITY),
+                ("bias of the velocity", estimate.bias_linear, limits.VELOCITY),
+                ("biases of the vectors", estimate.vector_biases, limits.VECTOR),
+            )
+        ]
         self._start = self._loop.start(start)
         self._begin(self._start)
 
@@ -195,36 +169,24 @@ class PoseFilter:
             The pose at the next sample, that is `time_step` later.
 
         Raises:
-            MeasurementError: A time step that is not positive, an array of another shape, an
-                infinite number, or one so large that the estimate would overflow; or a velocity
-                that has been missing for longer than `hold_time`.
+            MeasurementError: An array of another shape; a number, or an estimate that would come of
+                it, beyond the limits of `posegsa.model.limits`, which are those of the exported C
+                too; or a velocity that has been missing for longer than `hold_time`.
         """
-        dt = _time_step(time_step, self._dtype)
+        dt = float(limits.TIME_STEP.checked("time_step", finite_array("time_step", time_step, ())))
         ages = self._ages + self._time_step
-        omega = self._held("angular_velocity", angular_velocity, 0, ages)
-        v = self._held("velocity", _STILL if self._unmoved(velocity) else velocity, 1, ages)
+        omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
+        still = velocity is None and self._attitude_only
+        v = self._held("velocity", _STILL if still else velocity, 1, ages, limits.VELOCITY)
         vectors_seen, vector_factors = self._vectors.seen(vectors, vector_weights)
         landmarks_seen, landmark_factors = self._landmarks.seen(landmarks, landmark_weights)
         factors = np.concatenate([vector_factors, landmark_factors])
-        # In the order of OnlineSample.
-        sample = {
-            "time": (self._time,),
-            "time_step": (dt,),
-            "angular_velocity": omega,
-            "velocity": v,
-            "vectors": vectors_seen.ravel(),
-            "vector_weights": vector_factors,
-            "landmarks": landmarks_seen.ravel(),
-            "landmark_weights": landmark_factors,
-        }
-        record = self._loop(self._record, _packed(sample, self._dtype))
-        # XLA's sine and cosine of a billion turns are of any size: finite, but no rotation.
-        turned = np.abs(record[self._rotation_at]).max() < 1.01
-        if not (turned and np.isfinite(record).all()):
-            raise MeasurementError(
-                f"the estimate would be NaN, beyond {self._dtype}'s range or no rotation: numbers "
-                "of the sample are too large, or the gain is NaN or below 0"
-            )
+        sample = [
+            *([self._time, dt], omega, v),
+            *(vectors_seen.ravel(), vector_factors, landmarks_seen.ravel(), landmark_factors),
+        ]  # in the order of OnlineSample
+        record = self._loop(self._record, np.concatenate(sample).astype(self._dtype))
+        self._check_estimate(record)
         self._record = record
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
@@ -239,29 +201,29 @@ class PoseFilter:
     @property
     def state(self) -> FilterState:
         """All that the filter estimates, by components; `run_filter` takes it as its start."""
-        return jax.tree.map(np.copy, self._unpacked.loop.state)
+        return jax.tree.map(np.copy, self._unpacked.estimate)
 
     @property
     def bias(self) -> np.ndarray:
         """(6,) b_est of the velocities [rad/s, m/s], body frame, angular first."""
-        state = self._unpacked.loop.state
-        return np.array(state.bias_angular + state.bias_linear)
+        estimate = self._unpacked.estimate
+        return np.array(estimate.bias_angular + estimate.bias_linear)
 
     @property
     def vector_bias(self) -> np.ndarray:
         """(n, 3) c_i of each vector, body frame, in its unit; (0, 3) where they are not learnt."""
-        biases = self._unpacked.loop.state.vector_biases
+        biases = self._unpacked.estimate.vector_biases
         return np.array(biases, self._dtype).reshape(-1, 3)
 
     @property
     def gain(self) -> float:
-        """The gain K that the schedule asked for in the last update [1/s]."""
-        return float(self._unpacked.loop.memory.gain)
+        """The gain K that the schedule asked for in the last update [1/s]; NaN before the first."""
+        return _number(self._unpacked.gain)
 
     @property
     def gain_used(self) -> float:
         """The same after the gain limit, mean over the sub-steps [1/s]."""
-        return float(self._unpacked.gain_used)
+        return _number(self._unpacked.gain_used)
 
     @property
     def time(self) -> float:
@@ -371,13 +333,29 @@ class PoseFilter:
     def _state(
         self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None
     ) -> FilterState:
-        with np.errstate(over="ignore"), jax.enable_x64(self._dtype == np.float64):
-            state = checked_state(
-                rotation, position, bias, self._dtype, learnt_vectors=self._learnt
+        P = limits.POSITION.checked("position", finite_array("position", position, (3,)))
+        b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
+        limits.ANGULAR_VELOCITY.checked("bias", b[:3])
+        limits.VELOCITY.checked("bias", b[3:])
+        with jax.enable_x64(self._dtype == np.float64):
+            return checked_state(rotation, P, b, self._dtype)
+
+    def _check_estimate(self, record: np.ndarray) -> None:
+        """Refuse a record whose estimate is none.
+
+        Raises:
+            MeasurementError: It holds NaN or infinity, no rotation, or what is beyond its limits.
+        """
+        if not np.isfinite(record).all():
+            raise MeasurementError("the estimate would be NaN or infinite, or the gain is below 0")
+        excess = abs(np.square(record[self._quaternion_at]).sum() - 1)
+        if excess > limits.UNIT_TOLERANCE:
+            raise MeasurementError(
+                f"the squared length of the estimated quaternion would be off 1 by {excess:g}; "
+                f"allowed: {limits.UNIT_TOLERANCE:g} at most"
             )
-        if not np.isfinite(jax.tree.leaves(state)).all():
-            raise MeasurementError(f"position or bias: must be within {self._dtype}'s range")
-        return state
+        for name, at, limit in self._limited:
+            limit.checked(f"the estimate, {name}", record[at])
 
     def _begin(self, record: np.ndarray) -> None:
         sensors = len(self._vectors.references) + len(self._landmarks.references)
@@ -388,17 +366,15 @@ class PoseFilter:
         self._velocities = np.zeros(3), np.zeros(3)
         """The last ones that were measured."""
 
-    def _unmoved(self, velocity: ArrayLike | None) -> bool:
-        """Whether there is no velocity because the filter is one of the attitude alone."""
-        return velocity is None and self._attitude_only
-
-    def _held(self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray) -> np.ndarray:
+    def _held(
+        self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray, limit: limits.Limit
+    ) -> np.ndarray:
         """The velocity as measured, or the last one where it is missing and that is not too old."""
         if value is not None:
             measured = finite_array(name, value, (3,), finite=False)
             if not np.isnan(measured).any():
                 ages[which] = 0
-                return measured
+                return limit.checked(name, measured)
         age = ages[which]
         if age <= self._hold_time * (1 + 1e-9):
             return self._velocities[which]
@@ -420,6 +396,7 @@ class _Sensors:
         weights: tuple[Any, ...] | None,
     ) -> None:
         self.name, self.references = name, references
+        self._limit = limits.VECTOR if name == "vector" else limits.LANDMARK
         count = len(references)
         if weights is not None and len(weights) != count:
             setting = "vectors.weights" if name == "vector" else "landmark_weights"
@@ -444,6 +421,7 @@ class _Sensors:
             values = values or np.zeros((0, 3))
         rows = finite_array(f"{self.name}s", values, (count, 3), finite=False)
         there = ~np.isnan(rows).any(axis=1) & (factors > 0)
+        self._limit.checked(f"{self.name}s", rows[there])
         if self.name == "vector":  # a direction of no length says nothing
             there &= rows.any(axis=1)
         rows = np.where(there[:, None], rows, 0.0)
@@ -453,9 +431,7 @@ class _Sensors:
         name, count = f"{self.name}_weights", len(self.references)
         shape = () if np.ndim(factors) == 0 else (count,)
         array = np.broadcast_to(finite_array(name, factors, shape), (count,))
-        if (array < 0).any():
-            raise MeasurementError(f"{name}: must not be negative, got {array.min():g}")
-        return array
+        return limits.WEIGHT.checked(name, array)
 
 
 def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
@@ -465,12 +441,9 @@ def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
     return of_scenario(result.experiment)
 
 
-def _tuned(
-    result: TuneResult | RecordingResult, vectors: int, landmarks: int
-) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
-    """Schedule, settings and signal of a result, for so many sensors."""
-    gain = result.tuned.gain
-    if gain.signal == "pose":
+def _tuned(result: TuneResult | RecordingResult, vectors: int, landmarks: int) -> Observer:
+    """The filter of a result, for so many sensors."""
+    if result.tuned.gain.signal == "pose":
         refuse(
             'source: a result tuned on the true errors (gain.signal = "pose"), which no vehicle '
             "knows",
@@ -478,57 +451,39 @@ def _tuned(
         )
     if found := result.warnings():
         warnings.warn(f"the result says: {'; '.join(found)}", PosegsaWarning, stacklevel=4)
-    dtype = result.experiment.run.dtype
-    with jax.enable_x64(dtype == "float64"):
-        return (
-            result.schedule,
-            result.settings_for(vectors, landmarks),
-            signal_settings(gain, dtype),
-        )
+    with jax.enable_x64(result.experiment.run.dtype == "float64"):
+        return result.filter_for(vectors, landmarks)
 
 
-def _by_hand(
-    source: Any, settings: FilterSettings | None, signal: SignalSettings | None
-) -> tuple[GainSchedule, FilterSettings, SignalSettings]:
-    """Schedule, settings and signal that were given one by one."""
-    if not (isinstance(source, Real | FuzzyController) or hasattr(source, "prepare")):
-        allowed = (
-            "a TuneResult or RecordingResult (posegsa.load reads one), a gain schedule, a "
-            "FuzzyController, a number"
-        )
-        refuse(f"source: a {type(source).__name__}", allowed)
-    if settings is None:
-        refuse("settings: None", "the filter's, as from posegsa.filter_settings, without a result")
-    check_type("settings", settings, FilterSettings)
-    check_gammas(settings)
-    if isinstance(source, FuzzyController):
-        source = FuzzyGain(source)
-    elif isinstance(source, Real) and not isinstance(source, bool):
-        check_number("source, a constant gain", source, 0.0, MAX_GAIN)
-        constant: Any = np.asarray(float(source))
-        source = ConstantGain(constant)
-    kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves((source, settings, signal))}
+def _by_hand(source: Any) -> Filter:
+    """A filter that a user has made, its numbers of one floating type."""
+    check_filter("source", source, "a TuneResult or RecordingResult (posegsa.load reads one)")
+    kinds = {np.asarray(leaf).dtype for leaf in jax.tree.leaves(source)}
     if wrong := [kind for kind in kinds if kind.kind not in "fi"]:
-        refuse(f"source, settings or signal: holds {wrong[0]}", "a schedule of real numbers")
-    if signal is None:
-        if not isinstance(source, BLIND):
-            refuse("signal: None", "the error signal's settings, as from posegsa.signal_settings")
-        signal = _UNSEEN
-    check_type("signal", signal, SignalSettings)
-    if signal.signal == "pose":
-        refuse('signal: "pose", the true errors, which no vehicle knows', '"measured"')
-    dtype = _dtype_of(settings)
+        refuse(f"source: holds {wrong[0]}", "a filter of real numbers")
+    if isinstance(source, Observer) and source.signal.signal == "pose":
+        refuse('source.signal: "pose", the true errors, which no vehicle knows', '"measured"')
+    dtype = _dtype_of(source)
     with np.errstate(over="ignore"), jax.enable_x64(dtype == np.float64):
-        given = jax.tree.map(
-            lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), (source, settings, signal)
-        )
-        check_schedule(given[0])
-    return given
+        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), source)
 
 
-def _dtype_of(settings: FilterSettings) -> np.dtype:
-    """The widest floating type of a filter's settings, at least float32."""
-    return np.result_type(np.float32, *(np.asarray(a) for a in jax.tree.leaves(settings)))
+def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | None]:
+    """The weights of vectors and of landmarks of an observer; others have none."""
+    if not isinstance(filter, Observer):
+        return None, None
+    return filter.settings.vectors.weights, filter.settings.landmark_weights
+
+
+def _dtype_of(filter: Filter) -> np.dtype:
+    """The widest floating type of a filter's arrays, at least float32; Python's numbers follow."""
+    dtypes = (leaf.dtype for leaf in jax.tree.leaves(filter) if hasattr(leaf, "dtype"))
+    return np.result_type(np.float32, *dtypes)
+
+
+def _number(value: Any) -> float:
+    """A number of a record; NaN where the filter has none."""
+    return math.nan if value is None else float(value)
 
 
 def _references(name: str, references: ArrayLike | None) -> np.ndarray:
@@ -542,35 +497,6 @@ def _duration(name: str, value: float) -> float:
     if value != math.inf:
         check_number(name, value, 0.0)
     return float(value)
-
-
-def _time_step(value: float, dtype: np.dtype) -> float:
-    dt = float(finite_array("time_step", value, ()))
-    with np.errstate(over="ignore", under="ignore"):
-        positive = dtype.type(dt) >= np.finfo(dtype).tiny  # below, XLA takes it for 0
-    if not positive:
-        raise MeasurementError(f"time_step: must be positive, got {dt:g} s")
-    return dt
-
-
-def _packed(sample: Mapping[str, Any], dtype: np.dtype) -> np.ndarray:
-    """A sample as one array; what is infinite, or beyond the dtype's range, is refused by name."""
-    with np.errstate(over="ignore"):
-        packed = np.concatenate(list(sample.values())).astype(dtype)
-    if not np.isfinite(packed).all():
-        for name, array in sample.items():
-            _check_range(name, array, dtype)
-    return packed
-
-
-def _check_range(name: str, array: ArrayLike, dtype: np.dtype) -> None:
-    """Refuse what is infinite at this dtype."""
-    with np.errstate(over="ignore"):
-        fits = np.isfinite(np.asarray(array, dtype)).all()
-    if not fits:
-        raise MeasurementError(
-            f"{name}: must be within {dtype}'s range, got {np.asarray(array).tolist()}"
-        )
 
 
 def _stored(checkpoint: Mapping[str, np.ndarray], name: str, like: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from functools import partial
 from itertools import product
 from numbers import Integral
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from posegsa import config, steps
 from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole, refuse, several
+from posegsa.defaults import TOGETHER
 from posegsa.errors import MemoryLimitError
 from posegsa.judging.baselines import describe, tuned_experiment
 from posegsa.judging.sweep import SEED, Sweep, SweepRun, Values, run_name, with_values
@@ -21,27 +23,21 @@ from posegsa.saving.interrupt import resumable
 from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
-from posegsa.search.large_populations import most_work, work
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Found, Progress, run_search, search_batch, structure
+from posegsa.search.run import (
+    Found,
+    Progress,
+    run_search,
+    samples_per_iteration,
+    search_batch,
+    structure,
+)
 from posegsa.settings.plain import plain
 from posegsa.version import VERSION
 
-TOGETHER = 16
-"""Searches of one batch, at most: what is lost where a sweep is stopped."""
 MOST_RUNS = 100_000
-
-
-class SweepStatus(NamedTuple):
-    """What a progress callback is told."""
-
-    done: int
-    """Runs that are done, those of earlier calls too."""
-    runs: int
-    running: float
-    """Of those that are searched now, how many that is by iterations."""
-    best_cost: float
-    """Best cost of those so far; infinite before any."""
+BATCH_SAMPLES = 50_000_000
+"""Most samples that an iteration of a batch simulates, if one run alone does not simulate more."""
 
 
 class _Planned(NamedTuple):
@@ -61,7 +57,7 @@ def sweep(
     shard: tuple[int, int] = (1, 1),
     together: int = TOGETHER,
     overwrite: bool = False,
-    progress: Callable[[SweepStatus], object] | None = None,
+    progress: steps.Listener | None = None,
 ) -> Sweep:
     """Search an experiment with every combination of values, each with several seeds.
 
@@ -81,7 +77,8 @@ def sweep(
             at the same time; `merge_sweeps` puts them together.
         together: Searches of one batch, at most; fewer where memory is short.
         overwrite: Remove another sweep in that folder.
-        progress: Called as searches go on.
+        progress: Called with each `steps.Step`; a run is a part of "sweeping". Those that a folder
+            held count as done.
 
     Returns:
         All runs of this part that are asked for; with a folder, of all parts that it holds.
@@ -98,9 +95,9 @@ def sweep(
     check_whole("together", together, 1)
     base = config.as_experiment(experiment)
     mine = _part(_planned(base, vary, seeds), shard)
-    tell = progress or (lambda _: None)
     if out is None:
-        return Sweep(tuple(in_order(_made(base, mine, together, tell))))
+        with steps.listening(progress):
+            return Sweep(tuple(in_order(_made(base, mine, together))))
 
     folder = as_path("out", out)
     stored = prepare_sweep_folder(folder, base, list(mine[0].values), overwrite=overwrite)
@@ -112,8 +109,8 @@ def sweep(
         done = f"{before + len(made)} of {len(mine)} runs are in {folder}"
         return f"interrupted; {done}, the same command goes on from there"
 
-    with resumable(how):
-        for run in _made(base, missing, together, tell, before):
+    with steps.listening(progress), resumable(how):
+        for run in _made(base, missing, together, before):
             write_sweep_run(folder, run)
             made.append(run)
         found = Sweep(tuple(in_order([*stored, *made])))
@@ -176,32 +173,30 @@ def _part(planned: list[_Planned], shard: tuple[int, int]) -> list[_Planned]:
 
 
 def _made(
-    base: config.Experiment,
-    planned: list[_Planned],
-    together: int,
-    tell: Callable[[SweepStatus], object],
-    before: int = 0,
+    base: config.Experiment, planned: list[_Planned], together: int, before: int = 0
 ) -> Iterator[SweepRun]:
     """Make runs in batches, each run as its batch is done; `before` are done already."""
-    done, total = before, before + len(planned)
+    done, total, best = before, before + len(planned), math.inf
+
+    def tell(running: float = 0.0, best_cost: float = math.inf) -> None:
+        best_cost = min(best, best_cost)
+        steps.tell(steps.Step("sweeping", done + running, total, best_cost=best_cost))
+
+    def tell_batch(runs: int, at: Progress) -> None:
+        tell(runs * at.iteration / at.iterations, at.best_cost)
+
     steps.begin("preparing")
-    tell(SweepStatus(done, total, 0.0, math.inf))
+    tell()
     for batch in _batches(planned, together):
-
-        def show(
-            at: Progress, size: int = len({id(one) for one in batch}), done: int = done
-        ) -> None:
-            running = size * (at.iteration + at.share) / at.iterations
-            tell(SweepStatus(done, total, running, at.best_cost))
-
-        for run in _search(base, batch, show):
-            done += 1
+        runs = len({id(one) for one in batch})
+        for run in _search(base, batch, partial(tell_batch, runs)):
+            done, best = done + 1, min(best, run.training_cost)
             yield run
-        tell(SweepStatus(done, total, 0.0, math.inf))
+        tell()
 
 
 def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]:
-    """What is searched at once: of one structure, within memory and the work of a compiled call.
+    """What is searched at once: of one structure, within memory.
 
     The batches of a structure have the same size, so that one program serves all of them; the last
     one may repeat its last run.
@@ -225,13 +220,13 @@ def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]
 
 
 def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
-    """The structure of an experiment, and how many of it a compiled call is to search.
+    """What the searches of a batch must have in common, and how many one batch is to have.
 
-    Where one alone is much work, each is kept as soon as it is done.
+    All runs of a batch are stored when the last is done, so large ones go in small batches.
     """
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = tuning_problem(experiment)
-        return structure(problem), max(1, most_work() // work(problem))
+        return structure(problem), max(1, BATCH_SAMPLES // samples_per_iteration(problem))
 
 
 def _within_memory(group: list[_Planned], together: int) -> int:
@@ -252,14 +247,14 @@ def _within_memory(group: list[_Planned], together: int) -> int:
 
 
 def _search(
-    base: config.Experiment, batch: list[_Planned], show: Callable[[Progress], object]
+    base: config.Experiment, batch: list[_Planned], told: Callable[[Progress], object]
 ) -> Iterator[SweepRun]:
     """The runs of a batch, without those that it repeats."""
     first = batch[0].experiment
     with jax.enable_x64(first.run.dtype == "float64"):
         problems = [tuning_problem(one.experiment) for one in batch]
         alone = first.search.on_host
-        found = [run_search(problems[0], show)] if alone else search_batch(problems, show)
+        found = [run_search(problems[0], told)] if alone else search_batch(problems, told)
         last = None
         for one, problem, each in zip(batch, problems, found, strict=True):
             if one is not last:  # which is repeated to fill the batch up

@@ -1,7 +1,7 @@
 """The main job: an experiment in, a tuned schedule out, judged on noise that it has not seen."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple, get_args, overload
@@ -40,15 +40,13 @@ from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
 from posegsa.search.recorded_schedules import RecordedSchedule
-from posegsa.search.run import Found, Progress, run_search, search_batch
+from posegsa.search.run import Found, run_search, search_batch, tell_search
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
 """An experiment, a TOML file, or the recommended experiment."""
 Recordings = Recording | Iterable[Recording]
 """One recording, or several."""
-Tell = Callable[[Progress], object] | None
-"""What is called with the progress of a search, if anything."""
 
 
 @overload
@@ -66,7 +64,7 @@ def tune(
     resume: str | Path | None = None,
     figures: Iterable[str] | None = None,
     cost: TrackCost | None = None,
-    progress: Tell = None,
+    progress: steps.Listener | None = None,
 ) -> TuneResult: ...
 
 
@@ -85,7 +83,7 @@ def tune(
     resume: str | Path | None = None,
     figures: None = None,
     cost: None = None,
-    progress: Tell = None,
+    progress: steps.Listener | None = None,
 ) -> RecordingResult: ...
 
 
@@ -103,13 +101,12 @@ def tune(
     resume: str | Path | None = None,
     figures: Iterable[str] | None = None,
     cost: TrackCost | None = None,
-    progress: Tell = None,
+    progress: steps.Listener | None = None,
 ) -> TuneResult | RecordingResult:
     """Tune a fuzzy gain schedule, on simulated scenarios or on recordings.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
-    it can report progress and save its state, or in several calls an iteration where that simulates
-    more than 50 million samples (`posegsa.search.large_populations`). With a folder it saves its
+    it can report progress and save its state. With a folder it saves its
     state by itself, and Ctrl-C, SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
     devices of the process, or of all processes that have joined
     (`posegsa.search.devices.join_processes`), to the same bits.
@@ -140,7 +137,8 @@ def tune(
         figures: With a folder, names of the figures to draw; by default all. Not on recordings.
         cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
             its errors (`ErrorTrack`) and the times (N,) [s].
-        progress: Called when the search is compiled, and after each chunk of iterations.
+        progress: Called with each `steps.Step`; of "searching" when the search is compiled, and
+            after each chunk of iterations.
 
     Returns:
         The result, with the cost on held-out scenarios beside the training cost; on recordings a
@@ -161,35 +159,37 @@ def tune(
     drawn = run_figures(figures)
     if figures is not None and (recordings is not None or (out is None and resume is None)):
         refuse("figures with recordings, or without a folder", "with out or resume")
-    if recordings is not None:
-        if cost is not None:
-            refuse("recordings with cost", "one of them")
-        task = _recorded_task(recordings, held_out, schedule, position_weight)
+    with steps.listening(progress):
+        if recordings is not None:
+            if cost is not None:
+                refuse("recordings with cost", "one of them")
+            task = _recorded_task(recordings, held_out, schedule, position_weight)
+            if resume is not None:
+                folder = folder_to_resume(resume, out, overwrite)
+                return _resume_on_recordings(folder, experiment, seed, iterations, task)
+            chosen = _chosen(experiment, seed, iterations)
+            if out is not None:
+                with locked_folder(out, overwrite=overwrite) as folder:
+                    return _tune_on_recordings(chosen, task, folder, None)
+            return _tune_on_recordings(chosen, task, None, None)
+        given = {
+            "held_out": held_out is not None,
+            "schedule": schedule != "fuzzy",
+            "position_weight": position_weight != DEGREES_PER_METRE,
+        }
+        for name in (name for name, stated in given.items() if stated):
+            refuse(f"{name} without recordings", "both, or neither")
         if resume is not None:
             folder = folder_to_resume(resume, out, overwrite)
-            return _resume_on_recordings(folder, experiment, seed, iterations, task, progress)
+            return _resume(folder, experiment, seed, iterations, drawn, cost)
         chosen = _chosen(experiment, seed, iterations)
-        if out is not None:
+        # Of processes that have joined, one writes.
+        if out is not None and jax.process_index() == 0:
             with locked_folder(out, overwrite=overwrite) as folder:
-                return _tune_on_recordings(chosen, task, folder, None, progress)
-        return _tune_on_recordings(chosen, task, None, None, progress)
-    given = {
-        "held_out": held_out is not None,
-        "schedule": schedule != "fuzzy",
-        "position_weight": position_weight != DEGREES_PER_METRE,
-    }
-    for name in (name for name, stated in given.items() if stated):
-        refuse(f"{name} without recordings", "both, or neither")
-    if resume is not None:
-        folder = folder_to_resume(resume, out, overwrite)
-        return _resume(folder, experiment, seed, iterations, drawn, cost, progress)
-    chosen = _chosen(experiment, seed, iterations)
-    if out is not None and jax.process_index() == 0:  # of processes that have joined, one writes
-        with locked_folder(out, overwrite=overwrite) as folder:
-            return _tune_in_folder(chosen, folder, None, drawn, cost, progress)
-    with jax.enable_x64(chosen.run.dtype == "float64"):
-        problem = _prepared(chosen, cost)
-        return judge(problem, run_search(problem, progress))
+                return _tune_in_folder(chosen, folder, None, drawn, cost)
+        with jax.enable_x64(chosen.run.dtype == "float64"):
+            problem = _prepared(chosen, cost)
+            return judge(problem, run_search(problem, tell_search))
 
 
 class _RecordedTask(NamedTuple):
@@ -241,7 +241,6 @@ def _tune_on_recordings(
     task: _RecordedTask,
     folder: Path | None,
     run: CheckpointedRun | None,
-    progress: Tell,
 ) -> RecordingResult:
     """Tune, in a locked folder with checkpoints and on from a run if there is one."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
@@ -249,10 +248,10 @@ def _tune_on_recordings(
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
         steps.begin("compiling")
         if folder is None:
-            found = run_search(problem, progress)
+            found = run_search(problem, tell_search)
             return _judged_on_recordings(problem, found, task)
         stored = task.stored()
-        found = search_with_checkpoints(problem, folder, run, progress, stored)
+        found = search_with_checkpoints(problem, folder, run, tell_search, stored)
         with _resumable(folder, stored):
             result = _judged_on_recordings(problem, found, task)
     try:
@@ -276,7 +275,6 @@ def _resume_on_recordings(
     seed: int | None,
     iterations: int | None,
     task: _RecordedTask,
-    progress: Tell,
 ) -> RecordingResult:
     """Go on with the run on recordings in a folder, or read its result if it is finished."""
     with locked_folder(folder, overwrite=True):
@@ -288,19 +286,16 @@ def _resume_on_recordings(
         asked = tuned_on_recordings(asked, task.training, task.schedule)
         agreed = experiment_to_resume(stored, asked)
         finished = finished_on_recordings(folder, agreed, asked_for)
-        return finished or _tune_on_recordings(agreed, task, folder, run, progress)
+        return finished or _tune_on_recordings(agreed, task, folder, run)
 
 
 def tune_batch(
     experiments: Given | Iterable[config.Experiment] = None,
     *,
     seeds: Iterable[int] | None = None,
-    progress: Tell = None,
+    progress: steps.Listener | None = None,
 ) -> TuneBatch:
     """Tune many problems in one compiled loop: many seeds, or experiments that differ in numbers.
-
-    Problems whose iterations simulate more than 50 million samples together are searched one after
-    the other by one compiled program.
 
     Args:
         experiments: One experiment (or a TOML file, by default the recommended experiment), or
@@ -320,10 +315,10 @@ def tune_batch(
     check_callable("progress", progress)
     many = _all_chosen(experiments, seeds)
     memory.check(many)
-    with jax.enable_x64(many[0].run.dtype == "float64"):
+    with steps.listening(progress), jax.enable_x64(many[0].run.dtype == "float64"):
         problems = [tuning_problem(one) for one in steps.each("preparing", many)]
         steps.begin("compiling")
-        found = search_batch(problems, progress)
+        found = search_batch(problems, tell_search)
         return TuneBatch(tuple(map(judge, problems, found)))
 
 
@@ -333,12 +328,11 @@ def _tune_in_folder(
     run: CheckpointedRun | None,
     figures: list[str],
     cost: TrackCost | None,
-    progress: Tell,
 ) -> TuneResult:
     """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = _prepared(experiment, cost)
-        found = search_with_checkpoints(problem, folder, run, progress)
+        found = search_with_checkpoints(problem, folder, run, tell_search)
         with _resumable(folder):
             result = judge(problem, found)
     try:
@@ -372,7 +366,6 @@ def _resume(
     iterations: int | None,
     figures: list[str],
     cost: TrackCost | None,
-    progress: Tell,
 ) -> TuneResult:
     """Go on with the run in a folder, or read its result if it is finished."""
     if jax.process_count() > 1:
@@ -393,7 +386,7 @@ def _resume(
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)
         agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed)
-        return finished or _tune_in_folder(agreed, folder, run, figures, cost, progress)
+        return finished or _tune_in_folder(agreed, folder, run, figures, cost)
 
 
 def _all_chosen(

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from posegsa import compiled_programs
 from posegsa.runtime import fast_path_flags
 
 # Before JAX makes its first array. The tests pass without it too; with it they run what users run.
@@ -46,14 +45,6 @@ gc.set_threshold(20_000, 50, 1000)
 # The first example of a shape compiles, so that no example has a deadline.
 settings.register_profile("posegsa", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("posegsa")
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _no_stored_programs() -> Iterator[None]:
-    """The command line stores programs (`stored_programs`); in a test's process it does not."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled_programs, "store_in", lambda folder: None)
-        yield
 
 
 @pytest.fixture

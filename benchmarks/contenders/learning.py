@@ -3,7 +3,7 @@
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ import numpy as np
 
 from contenders.c import FLOATS, in_body
 from contenders.scene import RULES
-from posegsa.model.filter import FilterSettings
+from posegsa.filters.observer import FilterSettings, Observer
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSamples
@@ -113,8 +113,9 @@ def _candidates(
 
     def one(vector: jax.Array) -> Any:
         controller = task.space.schedules.controller(vector[: task.space.schedules.lower.shape[0]])
-        applied = task.space.candidate(vector).applied(task.training.settings, task.training.signal)
-        return controller, *applied
+        shared = cast(Observer, task.training.filter)
+        observer = task.space.candidate(vector).applied(shared)
+        return controller, observer.settings, observer.signal
 
     return jax.jit(jax.vmap(one))(vectors)
 

@@ -119,7 +119,7 @@ def _exponential(omega: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _simulate(scene: Scene, s: int, schedule: Schedule) -> np.ndarray:
-    """Costs (A,) on scenario s; the filter as `posegsa.model.filter` has it."""
+    """Costs (A,) on scenario s; the filter as `posegsa.filters.observer` has it."""
     A, smoothing = scene.agents, scene.smoothing_factor[s]
     R = np.broadcast_to(matrix(scene.attitude[s]), (A, 3, 3))
     P = np.broadcast_to(scene.position[s], (A, 3))

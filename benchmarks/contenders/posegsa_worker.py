@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -31,6 +31,7 @@ from contenders import c, learning
 from contenders.scene import RULES, Scene
 from posegsa import config
 from posegsa.compiled_programs import enable_compilation_cache
+from posegsa.filters.observer import Observer
 from posegsa.model.vectors import Wahba
 from posegsa.optimisers import minimise
 from posegsa.runtime import fast_path_flags
@@ -106,7 +107,9 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         raise ValueError("the other contenders need the true pose, and vectors without biases")
     wahba = sample.vectors
     (landmark,) = sample.landmarks
-    (weight,) = training.settings.landmark_weights or (1.0,)
+    observer = cast(Observer, training.filter)
+    settings, signal = observer.settings, observer.signal
+    (weight,) = settings.landmark_weights or (1.0,)
 
     def plain(a: jax.Array) -> np.ndarray:
         return np.asarray(a, np.float64)
@@ -114,7 +117,6 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
     def joined(components: Sequence[jax.Array]) -> np.ndarray:
         return np.stack([plain(a) for a in components], axis=-1)
 
-    settings, signal = training.settings, training.signal
     controller = jax.jit(jax.vmap(task.space.schedules.controller))(vectors)
     return Scene(
         time_step=plain(sample.time_step),

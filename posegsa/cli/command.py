@@ -1,4 +1,7 @@
-"""The command line: a command a file of this folder."""
+"""The command line; each command is a file of this folder.
+
+Such a file has two functions: `add` adds the command's parser, `run` does what was asked for.
+"""
 
 import argparse
 import contextlib
@@ -9,10 +12,9 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 
-from posegsa.cli.parsers import compare, configs, evaluate, export, replay, sweep, tune
-from posegsa.cli.parsers.parser import Parser
+from posegsa.cli import compare, configs, evaluate, export, replay, sweep, tune
+from posegsa.cli.parser import Parser
 from posegsa.cli.progress import say
 from posegsa.config import shipped
 from posegsa.errors import (
@@ -58,7 +60,7 @@ def _abandon_stdout() -> None:
 
 def _main(arguments: Sequence[str] | None) -> int:
     """Parse the arguments and run the command; what it refuses is a line on standard error."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     with warnings.catch_warnings():
         # What posegsa has to say is one line for a person, not Python's with file and line number.
         warnings.showwarning = _show_warning
@@ -104,15 +106,15 @@ def _numbers(result) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Import the command that was named, and what it needs, and run it."""
+    """Run the command that was named."""
     _check_names(options)
-    if options.command != "configs":
+    if options.command is not configs.run:
         from posegsa import runtime  # imports JAX, which takes longer than to list configurations
 
         runtime.enable_fast_path()
         # It has two warnings about a home that can't be written; ours has one line.
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    return import_module(f"posegsa.cli.{options.command}").run(options)
+    return options.command(options)
 
 
 def _check_names(options: argparse.Namespace) -> None:
@@ -121,11 +123,12 @@ def _check_names(options: argparse.Namespace) -> None:
     if given.get("config") is not None:
         shipped.path_of(given["config"])
     run = given.get("run")
-    if run is not None and options.command != "replay" and not shipped.there(run):
+    if run is not None and not shipped.there(run):
         raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; no command's heavy imports are made."""
     parser = Parser(
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",

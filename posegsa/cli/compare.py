@@ -2,31 +2,93 @@
 
 import argparse
 
-from posegsa import comparing, config
-from posegsa.cli.parsers.arguments import drawn
-from posegsa.cli.progress import CompareDisplay
-from posegsa.optimisers.functions import ClassicalFunction
+from posegsa import config
+from posegsa.cli.arguments import add_count, add_figures, add_search_arguments, drawn
+from posegsa.cli.progress import Display
+from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.saving.interrupt import resumable
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "compare",
+        help="compare optimisers at equal budgets",
+        description="Runs several optimisers many times on the same training scenarios, or on a "
+        "test function, each with the same number of evaluations. Prints a table with paired "
+        "tests; with --out it keeps each search in the folder, goes on where it was left, and ends "
+        "with the table and a figure.",
+    )
+    parser.late_epilog = _names
+    add_search_arguments(
+        parser,
+        config="the recommended experiment",
+        setting="search.agents=50",
+        out="folder to write to, and to go on from",
+        replaced="another comparison in the folder",
+    )
+    parser.add_argument(
+        "--optimisers",
+        metavar="LIST",
+        help="names with commas between, each with settings of its own after colons if wanted, "
+        "such as gsa:g0=1.0; the others are compared with the first (default: see below)",
+    )
+    add_count(parser, "--repeats", REPEATS, "searches of each")
+    counted = "evaluations of a search; a gradient counts as gradient_price of them"
+    add_count(parser, "--evaluations", EVALUATIONS, counted)
+    levels = "costs to reach, with commas between (default: medians of the optimisers)"
+    parser.add_argument("--levels", type=_numbers, metavar="LIST", help=levels)
+    function = "a test function instead of the filter (see below)"
+    parser.add_argument("--function", metavar="NAME", help=function)
+    add_count(parser, "--dimensions", 30, "of the function")
+    shift = "move the function's minimum by this in every coordinate, in half widths of the box"
+    parser.add_argument("--shift", type=float, default=0.0, metavar="S", help=shift)
+    rotation = "turn the function about its minimum"
+    parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
+    add_figures(parser)
+    parser.set_defaults(command=run)
+
+
+def _names() -> str:
+    """The optimisers and test functions that there are, in words."""
+    from posegsa.optimisers.functions import FUNCTIONS
+    from posegsa.optimisers.registry import OPTIMISERS, USUAL
+
+    others = [name for name in OPTIMISERS if name not in USUAL]
+    return (
+        f"Optimisers without --optimisers: {','.join(USUAL)}. Others: {', '.join(others)}. "
+        f"Test functions: {', '.join(FUNCTIONS)}."
+    )
+
+
+def _numbers(text: str) -> list[float]:
+    """Read an argument as numbers with commas between."""
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: numbers, commas between") from None
 
 
 def run(options: argparse.Namespace) -> int:
     """Compare optimisers."""
+    from posegsa import comparing
+    from posegsa.optimisers.functions import ClassicalFunction
+    from posegsa.optimisers.registry import USUAL
+    from posegsa.saving.comparison import DATA, FIGURE, TABLE
+
     experiment = config.override(config.as_experiment(options.config), options.set)
     function = None
     if options.function is not None:
         function = ClassicalFunction(
             options.function, options.dimensions, options.shift, options.rotation
         )
-    names = list(comparing.USUAL)
+    names = list(USUAL)
     if options.optimisers is not None:
         given = (name.strip() for name in options.optimisers.split(","))
         names = list(dict.fromkeys(filter(None, given)))
     kept = "searches that are done are kept, the same command goes on"
     how = "nothing is kept without --out" if options.out is None else kept
-    with (
-        resumable(lambda: f"interrupted; {how}"),
-        CompareDisplay(names, quiet=options.quiet) as show,
-    ):
+    with resumable(lambda: f"interrupted; {how}"), Display(quiet=options.quiet):
         comparison = comparing.compare(
             experiment,
             optimisers=names,
@@ -37,10 +99,8 @@ def run(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
             levels=options.levels,
             figures=options.figures,
-            progress=show,
         )
     print(comparison.table(options.levels))
     if options.out is not None:
-        figure = drawn(options, "comparison.png")
-        print(f"\nWritten to {options.out}: comparison.json, comparison.txt{figure}")
+        print(f"\nWritten to {options.out}: {DATA}, {TABLE}{drawn(options, FIGURE)}")
     return 0

@@ -5,6 +5,26 @@ import argparse
 from posegsa.config import shipped
 
 
+def add(commands) -> None:
+    """Add the two commands to the others."""
+    parser = commands.add_parser(
+        "configs",
+        help="list the configurations that come with posegsa",
+        description="Lists the configurations that come with posegsa, by the names that other "
+        "commands take instead of a file.",
+    )
+    parser.set_defaults(command=run, name=None)
+    parser = commands.add_parser(
+        "config",
+        help="print one of them",
+        description="Prints a configuration that comes with posegsa, to read or to begin from: "
+        "`posegsa config show quick > mine.toml`.",
+    )
+    parser.add_argument("show", choices=["show"])
+    parser.add_argument("name", metavar="NAME", help="what `posegsa configs` lists")
+    parser.set_defaults(command=run)
+
+
 def run(options: argparse.Namespace) -> int:
     """List the names with a line each, or print the one that is named."""
     if options.name is not None:

@@ -2,25 +2,68 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from posegsa import evaluating
-from posegsa.cli.parsers.arguments import drawn
+from posegsa.cli.arguments import (
+    RECORDING,
+    add_bridge,
+    add_figures,
+    add_quiet,
+    add_window,
+    drawn,
+    read,
+    whole_number,
+    window,
+)
 from posegsa.cli.progress import Display
-from posegsa.cli.replay import read
+from posegsa.defaults import SCENARIOS
 from posegsa.errors import ArgumentError
-from posegsa.judging.evaluation import CONSTANT
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
-from posegsa.saving import recorded
-from posegsa.saving.folder import locked_folder
 from posegsa.saving.interrupt import resumable
-from posegsa.saving.loading import load
-from posegsa.saving.recorded import write_recorded
-from posegsa.saving.run import run_figures, write_run
+
+if TYPE_CHECKING:
+    from posegsa.judging.recorded import RecordingResult
+    from posegsa.judging.result import TuneResult
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "evaluate",
+        help="judge a finished run on more unseen scenarios or recordings, beside baselines",
+        description="Judges a finished run on unseen scenarios beside the best constant gain, "
+        "a time switch and other schedules searched with as many evaluations, and Kalman filters; "
+        "minutes. Writes the evaluation, figures and report.html to the run's folder, and the "
+        "held-out means in its result.json. With --recording it judges the run on recordings "
+        "instead, beside the best constant gains and a Kalman filter.",
+    )
+    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
+    scenarios = f"number of held-out scenarios (default: {SCENARIOS})"
+    parser.add_argument("--scenarios", type=whole_number(2), metavar="S", help=scenarios)
+    seed = "another held-out set than the run's own; any whole number from 0"
+    parser.add_argument("--seed", type=whole_number(0), metavar="N", help=seed)
+    add_figures(parser)
+    add_quiet(parser)
+    group = parser.add_argument_group(
+        "recordings", "Judges a run on recorded motion, whatever it was tuned on."
+    )
+    group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
+    add_window(group)
+    add_bridge(group)
+    words = (
+        "of a run that was tuned on recordings, one of these: constant gains and the Kalman filter "
+        "are tuned on them (without any, both are left out)"
+    )
+    group.add_argument("--training", metavar="FILE", action="append", help=words)
+    words = "the same as --window of those"
+    group.add_argument("--training-window", metavar="A:B", type=window, help=words)
+    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Judge a finished run anew."""
+    from posegsa.saving.folder import locked_folder
+    from posegsa.saving.loading import load
+
     judge = _on_scenarios if options.recording is None else _on_recordings
     _check(options, load(options.run))  # where there is no run, nothing is made
     with (
@@ -31,8 +74,11 @@ def run(options: argparse.Namespace) -> int:
         return judge(options, load(folder), folder)
 
 
-def _check(options: argparse.Namespace, result: TuneResult | RecordingResult) -> None:
+def _check(options: argparse.Namespace, result: "TuneResult | RecordingResult") -> None:
     """Refuse options that mean nothing together, or for this run."""
+    from posegsa.judging.recorded import RecordingResult
+    from posegsa.saving.run import run_figures
+
     on_recordings = options.recording is not None
     others = ("window", "bridge", "longest_gap", "training", "training_window")
     if on_recordings:
@@ -50,7 +96,11 @@ def _check(options: argparse.Namespace, result: TuneResult | RecordingResult) ->
 
 
 def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
-    scenarios = evaluating.SCENARIOS if options.scenarios is None else options.scenarios
+    from posegsa import evaluating
+    from posegsa.judging.evaluation import CONSTANT
+    from posegsa.saving.run import EVALUATION, REPORT, RESULT, TABLE, write_run
+
+    scenarios = SCENARIOS if options.scenarios is None else options.scenarios
     with Display(quiet=options.quiet):
         result = evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
         write_run(result, folder, options.figures, same_run=True)
@@ -59,13 +109,15 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
     print(f"\n{result.endurance.table(CONSTANT, long)}")
     for warning in result.warnings():
         print(f"  warning: {warning}")
-    files = f"report.html, evaluation.json, evaluation.txt{drawn(options)}"
-    print(f"\nWritten to {options.run}: {files}")
-    print("The held-out means in its result.json are those of these scenarios now.")
+    print(f"\nWritten to {options.run}: {REPORT}, {EVALUATION}, {TABLE}{drawn(options)}")
+    print(f"The held-out means in its {RESULT} are those of these scenarios now.")
     return 0
 
 
 def _on_recordings(options: argparse.Namespace, result, folder: Path) -> int:
+    from posegsa import evaluating
+    from posegsa.saving.recorded import FILES, write_recorded
+
     bridge = options.bridge, options.longest_gap
     recordings = read(options.recording, options.window, *bridge)
     training = read(options.training or [], options.training_window, *bridge)
@@ -75,5 +127,5 @@ def _on_recordings(options: argparse.Namespace, result, folder: Path) -> int:
         judged = evaluating.evaluate(result, recordings=recordings, training=training)
     write_recorded(judged, folder, same_run=True)
     print(f"\n{judged.summary()}")
-    print(f"\nWritten to {options.run}: {', '.join(recorded.FILES)}")
+    print(f"\nWritten to {options.run}: {', '.join(FILES)}")
     return 0

@@ -5,22 +5,40 @@ import sys
 from pathlib import Path
 
 from posegsa.errors import PosegsaError
-from posegsa.export import export
-from posegsa.saving.loading import load
+from posegsa.export.formats import FORMATS, export
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "export",
+        help=f"write a tuned filter or its schedule as {', '.join(FORMATS)}",
+        description="Writes the filter of a finished run, or the controller of its gain.\n\n"
+        + "\n".join(f"  {name:7}{format.about}" for name, format in FORMATS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
+    parser.add_argument("--format", choices=tuple(FORMATS), required=True)
+    parser.add_argument("--out", metavar="FILE", help="file to write; default standard output")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
+    parser.add_argument("--name", help="what names in C begin with; default posegsa")
+    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
+    from posegsa.saving.loading import load
+
     text = export(load(options.run), options.format, options.name)
     if options.out is None:
         sys.stdout.write(text)
         return 0
-    write_new(Path(options.out), text, overwrite=options.overwrite)
+    _write_new(Path(options.out), text, overwrite=options.overwrite)
     print(f"Written: {options.out}")
     return 0
 
 
-def write_new(path: Path, text: str, *, overwrite: bool) -> None:
+def _write_new(path: Path, text: str, *, overwrite: bool) -> None:
     """Write a file, and refuse one that is there already unless it may be overwritten."""
     try:
         with path.open("w" if overwrite else "x", encoding="utf-8") as file:

@@ -1,8 +1,8 @@
 """What the command line shows of long work, on standard error.
 
-On a terminal the last line is that of the present step: how much of it is done, since when, and how
-long the rest will take. Elsewhere, as in a file or on a terminal that can't go back in a line
-(TERM=dumb), a line is written now and then. Neither has colours (NO_COLOR).
+On a terminal the last line is that of the present step: how much of it is done and how long the
+rest will take. Elsewhere, as in a file or on a terminal that can't go back in a line (TERM=dumb), a
+line is written now and then. Neither has colours (NO_COLOR).
 """
 
 import io
@@ -11,17 +11,12 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import Self, TextIO
 
 from posegsa import steps
 from posegsa.steps import Step
-
-if TYPE_CHECKING:
-    from posegsa.comparing import Status
-    from posegsa.search.run import Progress
-    from posegsa.sweeping import SweepStatus
 
 BETWEEN_LINES = 10.0
 """Time between two lines of the same part, where nothing is drawn [s]."""
@@ -29,10 +24,8 @@ BETWEEN_DRAWN = 0.1
 """Time between two states of a line that is drawn [s]."""
 BAR = 20
 """Characters of the bar."""
-FIRST_PIECES = 5.0
-"""Time after which the pieces of a first iteration tell how long a search will take [s]."""
 LONG = 10.0
-"""Time that a search must take for it to be said beforehand [s]."""
+"""Time from which on that of a whole search is said after its first iteration [s]."""
 
 
 class Display:
@@ -45,13 +38,22 @@ class Display:
         self,
         *,
         quiet: bool = False,
+        after_search: str = "",
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Show steps on a stream, by default standard error, unless it is to be quiet."""
+        """Show steps.
+
+        Args:
+            quiet: Show nothing.
+            after_search: What comes after the search, in words. Where it is given, a line says
+                after the first iteration how long the search will take.
+            stream: Where to; by default standard error.
+            clock: The time [s].
+        """
         given = sys.stderr if stream is None else stream
         self.stream = io.StringIO() if given is None else given  # standard error may be closed
-        self.quiet, self.clock = quiet, clock
+        self.quiet, self.after_search, self.clock = quiet, after_search, clock
         self.drawn = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.present: Step | None = None
         """The step that is shown."""
@@ -82,6 +84,7 @@ class Display:
             self._begun, self._began_with = now, step.done
             before = None
         self.present, self.began = step, True
+        self._say_whole(now)
         another = before is None or step.about != before.about
         whole = step.done >= step.parts
         least = BETWEEN_DRAWN if self.drawn else BETWEEN_LINES
@@ -93,6 +96,17 @@ class Display:
         """Write a line above what is drawn."""
         self._clear()
         print(text, file=self.stream, flush=True)
+
+    def _say_whole(self, now: float) -> None:
+        """Say once, after the first iteration of a search, how long all of it takes."""
+        assert self.present is not None
+        done = self.present.done - self._began_with
+        if not self.after_search or self.present.best_cost is None or done < 1:
+            return
+        whole = (now - self._begun) / done * (self.present.parts - self._began_with)
+        if whole >= LONG and not self.quiet:
+            self.say(f"about {span(whole)} to search; {self.after_search}")
+        self.after_search = ""
 
     def _end(self, ended: str) -> None:
         """Leave a line of the step that was shown, with the time that it took."""
@@ -119,11 +133,11 @@ class Display:
             about = f"best cost {best_cost:.4g}"
         left = self._left(now)
         tail = [about] * bool(about) + [f"{span(left)} left"] * (left is not None)
-        if not self.drawn:
-            return f"{name} {int(done)}/{parts}{''.join(f', {word}' for word in tail)}"
-        filled = int(BAR * min(done / parts, 1))
-        bar = "#" * filled + "." * (BAR - filled)
-        return f"{name} [{bar}] {int(done)}/{parts}{''.join(f', {word}' for word in tail)}"
+        bar = ""
+        if self.drawn:
+            filled = int(BAR * min(done / parts, 1))
+            bar = f"[{'#' * filled}{'.' * (BAR - filled)}] "
+        return f"{name} {bar}{', '.join([f'{int(done)}/{parts}', *tail])}"
 
     def _left(self, now: float) -> float | None:
         """The time that the rest of the step will take [s], once that can be told."""
@@ -160,66 +174,6 @@ def say(text: str) -> None:
         _SHOWN[-1].say(text)
     else:
         print(text, file=sys.stderr or io.StringIO(), flush=True)
-
-
-class TuneDisplay(Display):
-    """Shows a search, and says how long it will take after its first iteration."""
-
-    def __init__(self, judging: str, *, quiet: bool = False) -> None:
-        """Show a search; `judging` says what comes after it, in words."""
-        super().__init__(quiet=quiet)
-        self.judging = judging
-        self._from: int | None = None
-        self._said = False
-
-    def __call__(self, progress: "Progress") -> None:
-        """Show where the search stands."""
-        iteration, iterations, best_cost, seconds, share = progress
-        if self._from is None:
-            self._from = iteration
-        done = iteration + share - self._from
-        if (done >= 1 or (done > 0 and seconds >= FIRST_PIECES)) and not self._said:
-            self._said = True
-            whole = seconds / done * (iterations - self._from)
-            if whole >= LONG and not self.quiet:
-                self.say(f"about {span(whole)} to search; {self.judging}")
-        self.show(Step("searching", iteration + share, iterations, best_cost=best_cost))
-
-
-class CompareDisplay(Display):
-    """Shows all searches of a comparison."""
-
-    def __init__(self, optimisers: Sequence[str], *, quiet: bool = False) -> None:
-        """Show the searches of these."""
-        super().__init__(quiet=quiet)
-        self.optimisers = optimisers
-
-    def __call__(self, status: "Status") -> None:
-        """Show where the comparison stands; what a folder held already counts as done."""
-        before = self.optimisers.index(status.optimiser) * status.repeats + status.repeat
-        self.show(
-            Step(
-                name="comparing",
-                done=before + status.share,
-                parts=len(self.optimisers) * status.repeats,
-                about=f"{status.optimiser} {status.repeat + 1}/{status.repeats}",
-            )
-        )
-
-
-class SweepDisplay(Display):
-    """Shows all runs of a sweep."""
-
-    def __call__(self, status: "SweepStatus") -> None:
-        """Show where the sweep stands; what a folder held already counts as done."""
-        self.show(
-            Step(
-                name="sweeping",
-                done=status.done + status.running,
-                parts=status.runs,
-                best_cost=status.best_cost if math.isfinite(status.best_cost) else None,
-            )
-        )
 
 
 def span(seconds: float | None) -> str:

@@ -1,17 +1,76 @@
 """`posegsa sweep`."""
 
 import argparse
+from typing import TYPE_CHECKING
 
-from posegsa import config, sweeping
-from posegsa.cli.parsers.sweep import FILES, OUT
-from posegsa.cli.progress import SweepDisplay
+from posegsa import config
+from posegsa.cli.arguments import add_count, add_search_arguments
+from posegsa.cli.progress import Display
+from posegsa.defaults import TOGETHER
 from posegsa.errors import ArgumentError
-from posegsa.judging.sweep import Sweep
-from posegsa.saving.sweep import merge_sweeps
+
+if TYPE_CHECKING:
+    from posegsa.judging.sweep import Sweep
+
+OUT = "posegsa-sweep"
+"""Folder that is written to where none is given."""
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "sweep",
+        help="tune with other values and seeds, side by side",
+        description="Searches with every combination of values, each with several seeds. Each run "
+        "is kept in the folder as it is done; the same command goes on where it was left, and more "
+        "values or seeds come to those that are there. Ends with tables and figures in the folder.",
+    )
+    add_search_arguments(
+        parser,
+        config="the recommended experiment",
+        setting="search.agents=50",
+        out=f"folder to write to, and to go on from (default: {OUT})",
+        replaced="another sweep in the folder",
+    )
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=A,B,...",
+        help="values of a key, e.g. filter.gamma=1,5,10; may be given again, for every "
+        "combination; what is set so is not searched",
+    )
+    add_count(parser, "--seeds", 1, "searches of each, with the seeds from run.seed on")
+    parser.add_argument(
+        "--shard",
+        type=_shard,
+        default=(1, 1),
+        metavar="I/N",
+        help="make the I-th of N parts, from 1; they may run at once and share the folder",
+    )
+    add_count(parser, "--together", TOGETHER, "searches of one batch, at most")
+    parser.add_argument(
+        "--merge",
+        nargs="+",
+        metavar="DIR",
+        help="search nothing: put the runs of these folders together, in --out or the first",
+    )
+    parser.set_defaults(command=run)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """Read an argument as a part and the number of parts."""
+    part, _, parts = text.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: I/N with 1 <= I <= N")
+    return int(part), int(parts)
 
 
 def run(options: argparse.Namespace) -> int:
     """Search with other values and seeds, or put such runs together."""
+    from posegsa import sweeping
+    from posegsa.saving.sweep import merge_sweeps
+
     if options.merge is not None:
         for name in ("config", "set", "vary"):
             if getattr(options, name):
@@ -23,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     if len(vary) < len(options.vary):
         raise ArgumentError("--vary: a key is given twice; allowed: once, with all its values")
     out, (part, parts) = options.out or OUT, options.shard
-    with SweepDisplay(quiet=options.quiet) as show:
+    with Display(quiet=options.quiet):
         found = sweeping.sweep(
             base,
             vary=vary,
@@ -32,7 +91,6 @@ def run(options: argparse.Namespace) -> int:
             shard=options.shard,
             together=options.together,
             overwrite=options.overwrite,
-            progress=show,
         )
     if parts == 1:
         _show(found, out)
@@ -41,6 +99,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _show(found: Sweep, folder: str) -> None:
+def _show(found: "Sweep", folder: str) -> None:
+    from posegsa.saving.folder import FIGURES
+    from posegsa.saving.sweep import FILES
+
     print(found.table())
-    print(f"\nWritten to {folder}: {FILES}")
+    print(f"\nWritten to {folder}: {', '.join(FILES)}, {FIGURES}/")

@@ -4,24 +4,92 @@ import argparse
 import shlex
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, get_args
 
-import jax
-
-from posegsa import config, imu_tuning, tuning
-from posegsa.cli.parsers.arguments import drawn
-from posegsa.cli.parsers.tune import FILES, OUT
-from posegsa.cli.progress import TuneDisplay
-from posegsa.cli.replay import read, refuse_imu_options
-from posegsa.config.imu import names_imu
+from posegsa import config
+from posegsa.cli.arguments import (
+    RECORDING,
+    add_bridge,
+    add_figures,
+    add_imu,
+    add_search_arguments,
+    add_window,
+    drawn,
+    read,
+    refuse_imu_options,
+    window,
+)
+from posegsa.cli.progress import Display
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.saving import imu, recorded
-from posegsa.saving.checkpointing import CheckpointedRun, newest_checkpoint
 from posegsa.saving.interrupt import resumable
-from posegsa.search.devices import join_processes
+from posegsa.search.recorded_schedules import RecordedSchedule
+
+if TYPE_CHECKING:
+    from posegsa.saving.checkpointing import CheckpointedRun
+
+OUT = "posegsa-run"
+"""Folder that is written to where none is given."""
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "tune",
+        help="tune a gain schedule and judge it on unseen scenarios",
+        description="Tunes a gain schedule and judges it on scenarios it was not tuned on, or, "
+        "with --recording, tunes it on recordings. Writes the result, tables, figures and "
+        "report.html to a folder; on recordings, result and table.",
+    )
+    add_search_arguments(
+        parser,
+        config="the recommended experiment, or that of the run to resume",
+        setting="filter.substeps=4",
+        out=f"folder to write to, checkpoints too (default: {OUT})",
+        replaced="the run that the folder holds",
+    )
+    add_figures(parser)
+    resume = (
+        "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
+        "more iterations, and so must recordings"
+    )
+    parser.add_argument("--resume", metavar="DIR", help=resume)
+    parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
+    parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
+    group = parser.add_argument_group(
+        "recordings", "Tunes on recorded motion instead of simulated scenarios."
+    )
+    group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
+    group.add_argument("--held-out", metavar="FILE", action="append", help="one that only judges")
+    add_window(group)
+    group.add_argument(
+        "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
+    )
+    add_bridge(group)
+    add_imu(group)
+    group.add_argument(
+        "--schedule",
+        choices=get_args(RecordedSchedule),
+        help="what is searched: k1 to k22 (default), one gain, or K(e) of three numbers",
+    )
+    together = parser.add_argument_group(
+        "several processes",
+        "The same command in each, on one machine or many; the first writes the files. Without "
+        "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
+    )
+    together.add_argument("--distributed", action="store_true", help="search together")
+    waits = "where the first waits for the others"
+    together.add_argument("--coordinator", metavar="HOST:PORT", help=waits)
+    together.add_argument("--processes", type=int, metavar="N", help="how many they are")
+    together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
+    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Tune, judge and say what came out."""
+    """Tune, judge and show what was found."""
+    from posegsa import tuning
+    from posegsa.config.imu import names_imu
+    from posegsa.saving.run import FILES
+
     first = _join(options)
     if names_imu(options.config):
         return _tune_imu(options)
@@ -36,18 +104,23 @@ def run(options: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    with TuneDisplay(_judging(experiment), quiet=options.quiet or not first) as show:
+    # Where more than the schedule is tuned, the best constant gains are searched too.
+    judging = f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
+    with Display(quiet=options.quiet or not first, after_search=judging) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
         where["figures"] = options.figures
-        result = tuning.tune(experiment, **where, progress=show)
+        result = tuning.tune(experiment, **where)
     _say_if_finished(options, show)
     if first:
         print(result.summary())
-        print(f"\nWritten to {out or options.resume}: {FILES}{drawn(options)}")
+        print(f"\nWritten to {out or options.resume}: {', '.join(FILES)}{drawn(options)}")
     return 0
 
 
 def _tune_on_recordings(options: argparse.Namespace) -> int:
+    from posegsa import tuning
+    from posegsa.saving.recorded import FILES
+
     if options.distributed:
         raise ArgumentError("--recording with --distributed; allowed: one of them")
     _refuse_held_out_window(options)
@@ -62,7 +135,7 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
     held_out = read(options.held_out or [], options.held_out_window, *bridge)
     for one in (*recordings, *held_out):
         print(one.describe())
-    with TuneDisplay("then seconds to judge what it finds", quiet=options.quiet) as show:
+    with Display(quiet=options.quiet, after_search="then seconds to judge what it finds") as show:
         result = tuning.tune(
             experiment,
             recordings=recordings,
@@ -71,11 +144,10 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
             out=out,
             overwrite=options.overwrite,
             resume=options.resume,
-            progress=show,
         )
     _say_if_finished(options, show)
     print(f"\n{result.summary()}")
-    print(f"\nWritten to {out or options.resume}: {', '.join(recorded.FILES)}")
+    print(f"\nWritten to {out or options.resume}: {', '.join(FILES)}")
     print(f"\n{_how_to_compare(options, str(out or options.resume))}")
     return 0
 
@@ -100,6 +172,9 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
 
 
 def _tune_imu(options: argparse.Namespace) -> int:
+    from posegsa import imu_tuning
+    from posegsa.saving.imu import FILES
+
     if options.recording is None:
         raise ArgumentError(
             f"{options.config}: is tuned on recordings alone; allowed: with --recording FILE"
@@ -118,7 +193,7 @@ def _tune_imu(options: argparse.Namespace) -> int:
     held_out = read(options.held_out or [], options.held_out_window, *bridge)
     with (
         resumable(lambda: "interrupted; nothing is kept"),
-        TuneDisplay("then seconds to judge what it finds", quiet=options.quiet) as show,
+        Display(quiet=options.quiet, after_search="then seconds to judge what it finds"),
     ):
         result = imu_tuning.tune_imu(
             filter,
@@ -129,14 +204,13 @@ def _tune_imu(options: argparse.Namespace) -> int:
             seed=options.seed or 0,
             out=out,
             overwrite=options.overwrite,
-            progress=show,
         )
     print(result.summary())
-    print(f"\nWritten to {out}: {', '.join(imu.FILES)}")
+    print(f"\nWritten to {out}: {', '.join(FILES)}")
     return 0
 
 
-def _say_if_finished(options: argparse.Namespace, show: TuneDisplay) -> None:
+def _say_if_finished(options: argparse.Namespace, show: Display) -> None:
     if options.resume is not None and not show.began:
         print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
 
@@ -154,15 +228,14 @@ def _refuse_figures(options: argparse.Namespace) -> None:
         )
 
 
-def _judging(experiment: config.Experiment) -> str:
-    """What judging will take: the best constant gains are searched too where more is tuned."""
-    return f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
-
-
 def _join(options: argparse.Namespace) -> bool:
     """Join the other processes, if there are any; whether this is the one that shows and writes."""
     given = {name: getattr(options, name) for name in ("coordinator", "processes", "process")}
     if options.distributed:
+        import jax
+
+        from posegsa.search.devices import join_processes
+
         join_processes(**given)
         return jax.process_index() == 0
     for name, value in given.items():
@@ -171,13 +244,15 @@ def _join(options: argparse.Namespace) -> bool:
     return True
 
 
-def _run_to_resume(options: argparse.Namespace) -> CheckpointedRun:
+def _run_to_resume(options: argparse.Namespace) -> "CheckpointedRun":
+    from posegsa.saving.checkpointing import newest_checkpoint
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
         return newest_checkpoint(Path(options.resume))
 
 
-def _experiment(options: argparse.Namespace) -> config.Experiment:
+def _experiment(options: argparse.Namespace) -> "config.Experiment":
     """What is to be searched: CONFIG, or that of the run to resume, with all settings."""
     if options.config is None and options.resume is not None:
         experiment = _run_to_resume(options).about.experiment

@@ -1,9 +1,9 @@
-"""The typed description of an experiment, and its way to and from TOML.
+"""Typed descriptions of experiments, read from and written to TOML.
 
-Every constant of the paper, and every one that it leaves out, is a default here and nowhere else.
+All constants of the paper, and all that it leaves out, are defaults here and nowhere else.
 `Experiment()` is the recommended experiment.
 """
 
-from posegsa.lazy import attached
+import lazy_loader
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

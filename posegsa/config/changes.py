@@ -1,4 +1,4 @@
-"""The data of an experiment, or of an attitude filter, with values changed by their paths."""
+"""Changes of values, by their paths, in the data of an experiment or an attitude filter."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -13,11 +13,11 @@ from posegsa.settings.violations import Violation
 def with_values(
     data: dict[str, Any], before: Optimiser, values: Iterable[tuple[str, object]]
 ) -> tuple[dict[str, Any], list[Violation]]:
-    """An experiment's data with values replaced, and why some can't be.
+    """The data of an experiment with values replaced, and which could not be.
 
     Args:
         data: Plain data of a whole experiment, or of an `ImuConfig`; changed in place.
-        before: Its optimiser.
+        before: The optimiser of the experiment before the changes.
         values: Paths of keys and array indices, such as `scenario.vectors.0.noise`, or of a whole
             section, each with its value.
     """
@@ -48,13 +48,13 @@ def with_values(
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Whether one of two keys is the other, or stands within it."""
+    """Whether one of two keys equals the other or is inside it."""
     one, other = f"{one}.", f"{other}."
     return one.startswith(other) or other.startswith(one)
 
 
 def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
-    """The table [search] after some of its values were named."""
+    """The table [search] after some of its values were given."""
     kind = OPTIMISERS.get(str(named.get("optimiser")), type(before))
     if kind is type(before):
         return before.model_dump(mode="json") | named
@@ -65,11 +65,11 @@ def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:
     try:
         return kind.model_validate(named).within(before.evaluations).model_dump(mode="json")
     except ValidationError:
-        return named  # it is refused with the rest
+        return named  # refused later, with all other errors
 
 
 def _set(data: dict[str, Any], path: str, value: object) -> Violation | None:
-    """Changes one value of the data in place, or says why that is not possible."""
+    """Change one value of the data in place, or return why that is not possible."""
     keys = path.split(".")
     node: Any = data
     for depth, name in enumerate(keys):

@@ -1,4 +1,4 @@
-"""The whole experiment, and the sections that are about running, filtering and judging."""
+"""The whole experiment, with the sections for running, filtering and judging."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
@@ -16,7 +16,7 @@ from posegsa.config.schedule import (
     ParametersConfig,
 )
 from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
-from posegsa.model.filter import GainLaw, Law
+from posegsa.filters.observer import GainLaw, Law
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (
@@ -39,7 +39,7 @@ from posegsa.settings.violations import (
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
-"""What [search] can be."""
+"""The optimisers that [search] can select."""
 _OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
 
 
@@ -47,45 +47,45 @@ class RunConfig(Section):
     """[run]: randomness, precision and the number of scenarios."""
 
     seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1)] = 0
-    """Seed of everything that is drawn at random: noise, first agents, search."""
+    """Seed of everything random: noise, first agents, search."""
     dtype: Literal["float32", "float64"] = "float32"
     """Precision of the simulation."""
     training_scenarios: Count = 24
-    """Number of scenarios that the search sees."""
+    """Number of scenarios that the search uses."""
     held_out_scenarios: Count = 64
-    """Number of other scenarios that the result is judged on."""
+    """Number of other scenarios on which the result is judged."""
     endurance_scenarios: Count = 16
-    """Number of further ones, on which it is judged long after the time that it was tuned for."""
+    """Number of further scenarios, longer than those that the filter was tuned on."""
     endurance_times: Annotated[int, Field(strict=True, ge=1, le=1000)] = 8
-    """How many times as long as the others these are; 1 judges nothing after that time."""
+    """Their length as a multiple of the others; 1 means that they are not longer."""
 
 
 class FilterConfig(Section):
     """[filter]: the observer."""
 
     law: Law = "gradient"
-    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed", as
+    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed" as
     in the paper, which can diverge."""
     gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
-    """Inner steps per sample in which the innovation acts, the measurement held."""
+    """Number of inner steps per sample, with the measurement held."""
     gamma_law: GainLaw = "quadratic"
-    """How gamma follows the gain K that is used: not at all, or with K or its square; gamma is then
-    what it is at K = 10/s."""
+    """How gamma depends on the gain K after its limit: constant, or proportional to K or K^2.
+    `gamma` is its value at K = 10/s."""
     bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
-    """Largest lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
-    data sheets give, or "off" for none. They keep an estimate from running away where measurements
-    stop before it has converged; one that is far beyond begins again from 0."""
+    """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
+    from data sheets, or "off" for none. They keep the estimate from running away if measurements
+    stop before it has converged; an estimate far beyond its bound is reset to 0."""
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
-    """Unit of length [m] in which attitude and position share the gain: about the distance of the
-    landmarks from the origin, for both to converge alike."""
+    """Unit of length [m], which weighs attitude against position in the gain. About the distance of
+    the landmarks from the origin lets both converge equally fast."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
-    steps above 2 are unstable. "off" applies every gain as it is."""
+    steps above 2 are unstable. "off" means no limit."""
     normalise_vectors: Flag = True
-    """Whether every vector, measured and known, is brought to length one (after its estimated bias
-    is taken off)."""
+    """Whether all vectors, measured (less their estimated biases) and known, are normalised to
+    length one."""
     cross_vector: Flag = True
     """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
     cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
@@ -93,18 +93,19 @@ class FilterConfig(Section):
     vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated."""
     vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.2
-    """Gain gamma_c of their law [1/s]."""
+    """Gain gamma_c of their bias law [1/s]."""
     vector_bias_law: GainLaw = "linear"
-    """How gamma_c follows the gain K that is used; vector_bias_gain is what it is at K = 10/s."""
+    """How gamma_c depends on the gain K after its limit; vector_bias_gain is its value at K =
+    10/s."""
     vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
-    """Rate at which an estimate is forgotten [1/s]."""
+    """Rate at which an estimate decays [1/s]."""
     vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
-    """Largest length of an estimated bias, in its vector's unit."""
+    """Maximum length of an estimated bias, in the vector's unit."""
     excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.3
-    """Angular velocity [rad/s] from which on all of vector_bias_gain is used; below it falls with
-    the fourth power, as at rest a bias can't be told from an error of the attitude."""
+    """Angular velocity [rad/s] above which all of vector_bias_gain is used. Below it the gain falls
+    with the fourth power, because at rest a bias is indistinguishable from an attitude error."""
     excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
-    """Time constant of the low-pass filter that the angular velocity passes for that [s]."""
+    """Time constant of the low-pass filter of that angular velocity [s]."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if self.law == "printed" and self.length != 1.0:
@@ -112,7 +113,7 @@ class FilterConfig(Section):
 
 
 class CostConfig(Section):
-    """[cost]: what a schedule is judged by, the sum over windows of attitude and position error."""
+    """[cost]: the sum of attitude and position errors over two windows of time."""
 
     transient_weight: NonNegative = 0.3
     """Weight of the transient window's sum, no unit."""
@@ -127,73 +128,74 @@ class CostConfig(Section):
 
 
 class ObjectiveConfig(Section):
-    """[objective]: what of the costs on the training scenarios is minimised."""
+    """[objective]: how the costs on the training scenarios are combined into what is minimised."""
 
     name: Literal["mean", "median", "worst", "cvar", "mean_std"] = "mean"
-    """The "mean", the "median" or the "worst" cost; "cvar", the mean cost of the worst scenarios;
-    "mean_std", the mean cost plus a multiple of its standard deviation."""
+    """The "mean", the "median" or the "worst" cost; "cvar", the mean of the worst costs;
+    "mean_std", the mean plus a multiple of the standard deviation."""
     level: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.75
-    """Only for "cvar": the share of scenarios, the best ones, that are left out, no unit."""
+    """Only for "cvar": the share of the scenarios with the lowest costs that is left out, no
+    unit."""
     factor: NonNegative = 1.0
     """Only for "mean_std": the multiple of the standard deviation, no unit."""
     simulated_share: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
-    """Only where recordings are tuned on: the share of simulated scenarios in what is minimised, no
-    unit. 0 simulates none; 0.5 weighs both groups alike, however many each has."""
+    """Only for tuning on recordings: the weight of simulated scenarios in the objective, no unit. 0
+    simulates none; 0.5 weighs both groups equally, whatever their sizes."""
 
 
 class CheckpointConfig(Section):
-    """[checkpoint]: when a search that writes to a folder saves its state; no result depends on it.
+    """[checkpoint]: when a search with a folder saves its state; this does not change results.
 
-    A checkpoint is due as soon as either interval is over, and at the end.
+    A checkpoint is saved as soon as either interval is over, and at the end.
     """
 
     iterations: Count = 100
-    """Iterations from one checkpoint to the next, at most."""
+    """Maximum number of iterations between checkpoints."""
     seconds: NonNegative = 10.0
-    """Time from one checkpoint to the next [s], at most, up to the running chunk of iterations."""
+    """Maximum time between checkpoints [s], plus that of the running chunk of iterations."""
     keep: Annotated[int, Field(strict=True, ge=2, le=1000)] = 2
-    """Number of checkpoints that are kept, the last ones; two or more, as one may be damaged."""
+    """Number of latest checkpoints to keep; at least two, because one may be damaged."""
 
 
 class Experiment(Section):
-    """One experiment, whole. `Experiment()` is the recommended one."""
+    """A whole experiment. `Experiment()` is the recommended one."""
 
     run: RunConfig = RunConfig()
     """Randomness, precision and the number of scenarios."""
     scenario: ScenarioConfig = ScenarioConfig()
     """True motion, sensors and initial estimate."""
     family: FamilyConfig = FamilyConfig()
-    """What differs from scenario to scenario, beside the noise."""
+    """What differs from scenario to scenario, besides the noise."""
     filter: FilterConfig = FilterConfig()
     """The observer."""
     gain: GainConfig = GainConfig()
-    """The error signal that the gain schedule looks at."""
+    """The error signal, the input of the gain schedule."""
     fuzzy: FuzzyConfig = FuzzyConfig()
     """The fuzzy inference."""
     parameters: ParametersConfig = ParametersConfig()
     """The boxes of k1..k22."""
     cost: CostConfig = CostConfig()
-    """What a schedule is judged by."""
+    """The cost of a simulation."""
     objective: ObjectiveConfig = ObjectiveConfig()
-    """What of the costs on several scenarios is minimised."""
+    """How costs on several scenarios are combined."""
     search: Annotated[Optimiser, ONE_OPTIMISER] = DifferentialEvolution(
         agents=96, iterations=90, strategy="best/1/bin", factor=0.6
     )
-    """The optimiser, by the name `search.optimiser`, with its size and its settings."""
+    """The optimiser, selected by `search.optimiser`, with its settings."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
 
     @property
     def also(self) -> tuple[AlsoTuned, ...]:
-        """The further numbers that are tuned: those of the default list have an effect here."""
+        """The further numbers that are tuned, without defaults that have no effect here."""
         return with_effect(self, self.parameters.also, needless=DEFAULT_ALSO)
 
     def replace(self, **values: object) -> Self:
-        """The same experiment with other values, checked: `replace(**{"filter.gamma": 2.0})`.
+        """A checked copy with other values: `replace(**{"filter.gamma": 2.0})`.
 
         Args:
             values: New values by path, `section.key`; or whole sections, `search=posegsa.GSA(...)`.
-                Of the optimiser and of what is tuned they change what `config.override` does.
+                They affect optimiser and tuned numbers as in `config.override`.
 
         Raises:
             ConfigError: The result is not a valid experiment.
@@ -208,7 +210,7 @@ class Experiment(Section):
             raise config_error(title, error, type(self)) from None
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
-        """What of the rest would be wrong if all that is tuned too stood at one of its bounds."""
+        """Conflicts that arise with all further tuned numbers at their lower or upper bounds."""
         for name in ("lower", "upper") if self.also else ():
             values = {one.key: getattr(one, name) for one in self.also}
             data = with_numbers(self.model_dump(mode="json"), values)
@@ -222,11 +224,11 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _leave_what_is_stated(self) -> Self:
-        """Of the default list, a number that the user states elsewhere is not tuned."""
+        """Remove from the default list those numbers that the user has set."""
         given = self.parameters
         if "also" not in given.model_fields_set:
             kept = tuple(one for one in given.also if not is_stated(self, one.key))
-            # Frozen for everyone else.
+            # The section is frozen; this is part of its construction.
             object.__setattr__(self, "parameters", given.model_copy(update={"also": kept}))
         return self
 

@@ -1,4 +1,4 @@
-"""[family]: what differs from scenario to scenario, beside the noise."""
+"""[family]: what differs from scenario to scenario, besides the noise."""
 
 from typing import Annotated, Literal
 
@@ -14,30 +14,30 @@ Off = Literal["off"]
 
 
 class Occasions(Section):
-    """Something that happens now and then in each scenario."""
+    """Events that recur in each scenario."""
 
     rate: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.05
-    """How often it begins while it is not there [1/s], at most once a second."""
+    """How often one begins while none is going on [1/s], at most once a second."""
     duration: Range = (1.0, 5.0)
-    """How long it lasts [s], minimum and maximum."""
+    """How long one lasts [s], minimum and maximum."""
 
 
 class Outages(Occasions):
     """Times without measurements."""
 
     sensors: Literal["all", "vectors", "landmarks"] = "all"
-    """What is not measured then."""
+    """Which measurements are missing."""
 
 
 class BurstsConfig(Occasions):
-    """Times in which one of the vectors is disturbed by a constant in a random direction."""
+    """Times during which one of the vectors is disturbed by a constant in a random direction."""
 
     size: NonNegative = 0.5
     """Length of the disturbance, in the vector's unit."""
 
 
 class FamilyConfig(Section):
-    """[family]: the distribution that scenarios are drawn from; by default any start, other phases.
+    """[family]: the distribution of scenarios; by default any start and random phases.
 
     Training and held-out scenarios are drawn from the same family with other keys.
     """
@@ -57,10 +57,10 @@ class FamilyConfig(Section):
     motion_scale: Range | Off = "off"
     """Factor on the amplitudes of both velocities' sines, no unit, minimum and maximum."""
     vector_bias: NonNegative | Off = "off"
-    """Standard deviation of each component of the biases of all vectors, in their unit, which
-    replace those of the scenario."""
+    """Standard deviation of each component of the vectors' biases, in their unit; they replace the
+    biases of the scenario."""
     landmark_bias: NonNegative | Off = "off"
-    """The same of the landmarks [m]."""
+    """The same for the landmarks [m]."""
     angular_velocity_drift: Range | Off = "off"
     """Intensity of the random walk of the angular velocity's bias [rad/s/sqrt(s)]."""
     velocity_drift: Range | Off = "off"
@@ -68,14 +68,14 @@ class FamilyConfig(Section):
     outages: Outages | Off = "off"
     """Times without measurements of vectors, landmarks or both."""
     bursts: BurstsConfig | Off = "off"
-    """Times in which one of the vectors is disturbed."""
+    """Times during which one of the vectors is disturbed."""
     landmark_interval: Range | Off = "off"
     """Time from one measurement of the landmarks to the next [s]."""
     rest: Range | Off = "off"
-    """Time at rest at the start [s], of those scenarios that begin at rest."""
+    """Time at rest at the start [s], in scenarios that begin at rest."""
     rest_share: Annotated[float, Field(strict=True, ge=0, le=1)] = 1.0
     """Share of the scenarios that begin at rest, no unit."""
     duration: Range | Off = "off"
-    """Time after which a scenario does not count any more [s]."""
+    """Time after which a scenario no longer counts [s]."""
     random_phase: Flag = True
     """Whether the phase of each sine of both velocities is drawn anew, uniformly."""

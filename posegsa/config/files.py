@@ -1,4 +1,4 @@
-"""Experiments as TOML files, as plain data, and with single values changed."""
+"""Experiments from and to TOML files and plain data, and changes of single values."""
 
 import os
 import re
@@ -25,7 +25,7 @@ _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
 
 
 def load(path: str | Path) -> Experiment:
-    """Reads an experiment from a TOML file; what the file leaves out keeps its default.
+    """Read an experiment from a TOML file; keys that the file leaves out keep their defaults.
 
     Args:
         path: The file, or the name of a configuration that comes with posegsa, such as "quick"
@@ -48,11 +48,11 @@ def load(path: str | Path) -> Experiment:
 
 
 load_config = load
-"""`load`, as `posegsa` calls it."""
+"""The name of `load` in the package `posegsa`."""
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:
-    """The experiment that a user means: one, that of a TOML file, or the recommended one for None.
+    """The experiment for an argument: itself, from a TOML file, or for None the recommended one.
 
     Raises:
         ArgumentError: It is something else.
@@ -70,7 +70,7 @@ def as_experiment(value: Experiment | str | Path | None) -> Experiment:
 
 
 def from_dict(data: Mapping[str, Any]) -> Experiment:
-    """Makes an experiment of plain data, sections by name, as `load` reads them from TOML.
+    """Make an experiment from plain data with sections by name, as in a TOML file.
 
     Raises:
         ConfigError: If the data are not a valid experiment.
@@ -79,23 +79,22 @@ def from_dict(data: Mapping[str, Any]) -> Experiment:
 
 
 def to_toml(experiment: Experiment) -> str:
-    """Writes an experiment as TOML, every value included; reading it gives an equal experiment."""
+    """Write an experiment as TOML with all values; reading it gives an equal experiment."""
     check_type("experiment", experiment, Experiment)
     return tomli_w.dumps(experiment.model_dump(mode="json"))
 
 
 def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
-    """Changes single values of an experiment, as `--set` does on the command line.
+    """Change single values of an experiment, like `--set` on the command line.
 
     Args:
-        experiment: Where the other values come from.
+        experiment: The source of all other values.
         settings: Texts like `filter.substeps=4`, `gain.signal=pose`, `scenario.vectors.0.noise=1`:
-            a path of keys and array indices, and a value as TOML writes it; quotes around a word
-            may be left out. All are applied before the result is checked. Where they name another
-            optimiser, the settings of the one before go, and what is not named of the new one's has
-            its default; it keeps agents and iterations or, if one of both descends by gradients,
-            the number of evaluations. A number that they name is no longer tuned, unless they name
-            parameters.also too.
+            a path of keys and array indices, and a value in TOML; quotes around a word may be left
+            out. The result is checked after all are applied. If they name another optimiser, it
+            gets default settings except for those given; agents and iterations are kept or, if one
+            of the two optimisers uses gradients, the number of evaluations. A number that is set
+            is no longer tuned, unless parameters.also is set too.
 
     Raises:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
@@ -106,14 +105,14 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:
-    """Reads a key and several values, as `--vary` has them on the command line.
+    """Read a key and several values, as for `--vary` on the command line.
 
     Args:
         text: Such as `filter.gamma=1,5,10` or `search.optimiser=gsa,de`: a path of keys and array
-            indices, and values as TOML writes them with commas between.
+            indices, and values in TOML, separated by commas.
 
     Raises:
-        ConfigError: It is no such text.
+        ConfigError: The text cannot be read.
     """
     path, _, written = (part.strip() for part in text.partition("="))
     parsed = [_parsed(f"{path}={part}") for part in _parts(written)]
@@ -123,7 +122,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
 
 
 def _parts(written: str) -> list[str]:
-    """A text divided at its commas, but for those within brackets and quotes."""
+    """A text split at its commas, except those inside brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for character in written:
         if quote:
@@ -140,7 +139,7 @@ def _parts(written: str) -> list[str]:
 
 
 def override_imu(imu: ImuConfig, settings: Iterable[str]) -> ImuConfig:
-    """Changes single values of an attitude filter for inertial sensors, as `override` does.
+    """Change single values of an attitude filter for inertial sensors, like `override`.
 
     Raises:
         ConfigError: If a setting cannot be read, or the result is not a valid filter.
@@ -157,7 +156,7 @@ def override_imu(imu: ImuConfig, settings: Iterable[str]) -> ImuConfig:
 def _changed(
     given: Experiment | ImuConfig, settings: Iterable[str], allowed: str
 ) -> dict[str, Any]:
-    """What a user configured, as plain data with settings applied."""
+    """The plain data of a configuration with settings applied."""
     settings = several("settings", settings, str, allowed)
     data, refused = _with_settings(given.model_dump(mode="json"), given.search, settings)
     if refused:
@@ -166,9 +165,9 @@ def _changed(
 
 
 def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experiment:
-    """An experiment with the numbers in it that were tuned beside k1..k22, by key.
+    """An experiment with the tuned numbers other than k1..k22, by key.
 
-    Each stays within its bounds, which rounding to the run's precision may have passed.
+    Each is clipped to its bounds, which it may exceed by rounding to the run's precision.
     """
     bounds = {one.key: (one.lower, one.upper) for one in experiment.also}
     within = {
@@ -189,7 +188,7 @@ def _validated(data: object, title: str) -> Experiment:
 def _with_settings(
     data: dict[str, Any], search: Optimiser, settings: Iterable[str]
 ) -> tuple[dict[str, Any], list[Violation]]:
-    """Plain data with the values that settings name, and what is wrong with these."""
+    """Plain data with the settings applied, and those that cannot be."""
     parsed = [_parsed(text) for text in settings]
     violations = [one for one in parsed if isinstance(one, Violation)]
     values = [one for one in parsed if not isinstance(one, Violation)]
@@ -198,7 +197,7 @@ def _with_settings(
 
 
 def _parsed(text: str) -> tuple[str, Any] | Violation:
-    """The path and the value that a setting names, or what is wrong with it."""
+    """The path and the value of a setting, or what is wrong with it."""
     path, _, written = (part.strip() for part in text.partition("="))
     keys = path.split(".")
     if not written or len(keys) < 2 or not all(keys):

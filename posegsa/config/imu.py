@@ -1,4 +1,4 @@
-"""The attitude filter for inertial sensors: its numbers; `ImuConfig()` is the shipped one."""
+"""Settings of the attitude filter for inertial sensors; `ImuConfig()` is the shipped filter."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,43 +15,44 @@ from posegsa.settings.fields import NonNegative, Positive, Section, Tunable
 from posegsa.settings.violations import Violation, config_error
 
 SHIPPED = "imu"
-"""What the shipped filter is called instead of a file."""
+"""The name of the shipped filter, used in place of a file."""
 
 
 class ImuVectorsConfig(Section):
-    """[vectors]: what is made of accelerometer and magnetometer before the filter sees it."""
+    """[vectors]: how the filter's vectors are computed from accelerometer and magnetometer."""
 
     low_pass: Annotated[NonNegative, Tunable()] = 2.5
-    """Time constant of the low-pass filter that the acceleration passes in an almost inertial frame
-    [s]; 0 is none."""
+    """Time constant of the low-pass filter of the acceleration in an almost inertial frame [s]; 0
+    means none."""
     field_tolerance: Annotated[Positive | Literal["off"], Tunable()] = 0.02
     """Distance of the magnetic field from its reference, as a share of the reference's length, at
-    which east has half its weight; "off" never takes any away."""
+    which east has half its weight; "off" always gives full weight."""
     field_recovery: Annotated[NonNegative, Tunable()] = 0.0
-    """Time constant with which a disturbance of the field is forgotten [s]; 0 at once."""
+    """Time constant with which the weight recovers after a disturbance of the field [s]; 0 means
+    at once."""
     outlier: Annotated[Positive, Tunable()] = 10.0
-    """An acceleration or a field so many times as long as its reference is passed over."""
+    """An acceleration or a field more than this many times as long as its reference is ignored."""
     gyroscope_interval: Literal["before", "after"] = "before"
-    """Which time an angular velocity is about: that before its stamp, since the last sample, or
-    that after it, until the next."""
+    """Whether an angular velocity is the mean over the interval before its time stamp, since the
+    last sample, or after it, until the next sample."""
 
 
 class ImuObserverConfig(Section):
     """[observer]: the gains of the filter, which are constant."""
 
     gain: Annotated[Positive, Tunable()] = 4.0
-    """K [1/s]; an error of the inclination decays at K / 2."""
+    """K [1/s]; an error of the inclination decays at the rate K / 2."""
     east_weight: Annotated[NonNegative, Tunable()] = 0.075
-    """Weight s of east beside that of up, which is 1, no unit; where the field is undisturbed, an
-    error of the heading decays at K s / 2."""
+    """Weight s of east, no unit; that of up is 1. In an undisturbed field an error of the heading
+    decays at the rate K s / 2."""
     gamma: Annotated[NonNegative, Tunable()] = 2.0
-    """Gain of the gyroscope's bias law at K = 10/s [1/s^2]; that at K is (K / 10)^2 times it."""
+    """Gain of the gyroscope's bias law at K = 10/s [1/s^2]; it is proportional to K^2."""
     gain_limit: Annotated[Positive, Tunable()] = 1.5
-    """Maximum step of the innovation, as [filter] gain_limit."""
+    """Maximum step of the innovation, like gain_limit in [filter]."""
 
 
 class ImuParametersConfig(Section):
-    """[parameters]: what a search on recordings tunes."""
+    """[parameters]: which numbers a search on recordings tunes."""
 
     also: tuple[AlsoTuned, ...] = (
         AlsoTuned(key="vectors.low_pass", lower=0.5, upper=8.0, scale="logarithmic"),
@@ -64,7 +65,7 @@ class ImuParametersConfig(Section):
 
 
 class ImuConfig(Section):
-    """The whole filter, and how `tune_imu` searches for its numbers."""
+    """The whole filter, and the search of `tune_imu`."""
 
     vectors: ImuVectorsConfig = ImuVectorsConfig()
     observer: ImuObserverConfig = ImuObserverConfig()
@@ -72,7 +73,7 @@ class ImuConfig(Section):
     search: Annotated[Optimiser, ONE_OPTIMISER] = DifferentialEvolution(
         agents=12, iterations=20, strategy="best/1/bin", factor=0.6
     )
-    """The optimiser, by the name `search.optimiser`, with its size and its settings."""
+    """The optimiser, selected by `search.optimiser`, with its settings."""
 
     def _conflicts(self) -> Iterator[Violation]:
         # A number that is "off" is not tuned by default.
@@ -85,10 +86,10 @@ class ImuConfig(Section):
         return with_effect(self, self.parameters.also, needless=ImuParametersConfig().also)
 
     def with_numbers(self, values: Mapping[str, float]) -> Self:
-        """The same with some of its numbers replaced, by key such as "vectors.low_pass".
+        """The filter with some numbers replaced, by keys such as "vectors.low_pass".
 
         Raises:
-            ConfigError: One is not allowed.
+            ConfigError: A number is not allowed.
         """
         data: dict[str, Any] = with_numbers(self.model_dump(mode="json"), values)
         try:
@@ -98,17 +99,17 @@ class ImuConfig(Section):
             raise config_error(title, error, type(self)) from None
 
     def to_toml(self) -> str:
-        """As a TOML file, every value included; `load_imu` of it gives an equal filter."""
+        """The filter as TOML with all values; `load_imu` reads it back."""
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
 def is_imu(data: Mapping[str, Any]) -> bool:
-    """Whether the data of a TOML file are meant as such a filter, not as an experiment."""
+    """Whether the data of a TOML file are an attitude filter, not an experiment."""
     return bool(data.keys() & {"vectors", "observer"})
 
 
 def names_imu(name: str | Path | None) -> bool:
-    """Whether a user's CONFIG is such a filter: "imu", or a file that holds one.
+    """Whether a CONFIG argument is an attitude filter: "imu", or a file with one.
 
     Raises:
         ConfigError: The file cannot be read or is not TOML.
@@ -119,13 +120,13 @@ def names_imu(name: str | Path | None) -> bool:
 
 
 def load_imu(path: str | Path = SHIPPED) -> ImuConfig:
-    """The attitude filter of a TOML file; what the file leaves out keeps its shipped number.
+    """The attitude filter of a TOML file; keys that the file leaves out keep the shipped values.
 
     Args:
         path: the file, or "imu" for the shipped filter.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML or is not such a filter.
+        ConfigError: the file cannot be read, is not TOML or is not an attitude filter.
     """
     if path == SHIPPED:
         return ImuConfig()

@@ -1,4 +1,4 @@
-"""TOML files as plain data; what can't be read is said with its line."""
+"""Reads TOML files as plain data; errors show the line."""
 
 import os
 import re
@@ -10,7 +10,7 @@ from posegsa.arguments import check_type
 from posegsa.errors import ConfigError
 
 MAX_BYTES = 2**20
-"""Size up to which a configuration file is read: 1 MiB."""
+"""Maximum size of a configuration file: 1 MiB."""
 
 _SHOWN = 100  # characters of a line that a message shows
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
@@ -20,7 +20,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """The data of a TOML file.
 
     Raises:
-        ArgumentError: It is no path.
+        ArgumentError: It is not a path.
         ConfigError: The file cannot be read or is not TOML.
     """
     check_type("path", path, str, os.PathLike, allowed="the path of a TOML file")
@@ -45,7 +45,7 @@ def _read(path: str | Path) -> str:
 
 
 def _parse(text: str, path: str | Path) -> dict[str, Any]:
-    """The data in a TOML document; a mistake is shown in its line."""
+    """The data of a TOML document; an error shows the line."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -24,11 +24,11 @@ from posegsa.settings.fields import (
 from posegsa.settings.violations import Violation, refusal
 
 _ZERO_LENGTH = 1e-12
-"""Length, in its own unit, up to which a direction counts as a zero vector."""
+"""A direction counts as zero up to this length, in its unit."""
 
 _IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ROTATION_WITHIN = {"initial_rotation": 1e-6, "initial_rotation_estimate": 0.1}
-"""How far a singular value may be from one: the estimate, as the paper prints it, is rounded."""
+"""Allowed deviation of singular values from one; the paper's estimate is printed rounded."""
 
 
 class Sine(Section):
@@ -43,7 +43,7 @@ class Sine(Section):
 
 
 class Vector(Section):
-    """A direction known in the inertial frame and measured in the body frame, such as gravity."""
+    """A direction, such as gravity, known in the inertial frame and measured in the body frame."""
 
     direction: Vector3
     """v_i^I, inertial frame, in the unit of its sensor; not zero, of any length."""
@@ -63,7 +63,7 @@ class Vector(Section):
 
 
 class Landmark(Section):
-    """A point known in the inertial frame whose position is measured in the body frame."""
+    """A point known in the inertial frame and measured in the body frame."""
 
     position: Vector3
     """p_i^I, inertial frame [m]."""
@@ -101,7 +101,7 @@ class ScenarioConfig(Section):
     angular_velocity_bias: Vector3 = (0.1, -0.1, 0.1)
     """Bias b_Omega of the measured angular velocity, body frame [rad/s]."""
     angular_velocity_noise: NonNegative = 0.2
-    """Standard deviation of the noise of each component of it, body frame [rad/s]."""
+    """Standard deviation of the noise of each of its components, body frame [rad/s]."""
     angular_velocity_drift: NonNegative = 0.0
     """Intensity of the random walk of each component of its bias [rad/s/sqrt(s)]."""
     velocity: Sines = _sines((0.3, 0.6, 0.0), (0.3, 0.4, 0.0), (0.3, 0.1, 0.0))
@@ -109,11 +109,11 @@ class ScenarioConfig(Section):
     velocity_bias: Vector3 = (0.2, 0.5, 0.1)
     """Bias b_V of the measured linear velocity, body frame [m/s]."""
     velocity_noise: NonNegative = 0.1
-    """Standard deviation of the noise of each component of it, body frame [m/s]."""
+    """Standard deviation of the noise of each of its components, body frame [m/s]."""
     velocity_drift: NonNegative = 0.0
     """Intensity of the random walk of each component of its bias [m/s/sqrt(s)]."""
     rest: Annotated[tuple[Interval, ...], Field(max_length=64)] = ()
-    """Times at rest, beginning and end [s], in which both velocities are 0."""
+    """Times at rest, beginning and end [s], during which both velocities are 0."""
 
     vectors: Annotated[tuple[Vector, ...], Field(max_length=64)] = (
         Vector(
@@ -190,7 +190,7 @@ class ScenarioConfig(Section):
         return (float(x), float(y), float(z))
 
     def observability_conflicts(self, cross_vector_weight: float) -> Iterator[Violation]:
-        """What is wrong if all that the filter is given does not determine the pose.
+        """A violation if the vectors and landmarks of the filter do not determine the pose.
 
         Args:
             cross_vector_weight: Weight of `cross_vector` in the filter; 0 without it.

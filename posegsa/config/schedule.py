@@ -1,4 +1,4 @@
-"""The gain schedule: the error it looks at, the fuzzy inference, and the boxes of k1..k22."""
+"""The gain schedule: its error signal, the fuzzy inference, and the boxes of k1..k22."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -63,7 +63,7 @@ DEFAULT_ALSO = tuple(
         ("gain.error_scale", 0.05, 1.0),
     )
 )
-"""What the recommended experiment tunes beside k1..k22."""
+"""The numbers that the recommended experiment tunes besides k1..k22."""
 
 T = TypeVar("T")
 
@@ -96,33 +96,32 @@ PAPER_RULES: Rules = (
 
 
 SEARCHED: Literal["searched"] = "searched"
-"""Instead of a rule table: the search looks for one too."""
+"""Used instead of a rule table: the search chooses the table too."""
 
 
 def _rules(given: object) -> object:
-    """The table that a word stands for; anything else as it is."""
+    """The rule table for a name; anything else unchanged."""
     if given == "paper":
         return PAPER_RULES
     return tuple(row[::-1] for row in PAPER_RULES) if given == "reversed" else given
 
 
 class GainConfig(Section):
-    """[gain]: the error signal e that the gain schedule looks at."""
+    """[gain]: the error signal e, the input of the gain schedule."""
 
     signal: Signal = "measured"
-    """What e is made of: "measured", the vectors and landmarks that a vehicle has, or "pose", the
-    true errors in attitude and position (an oracle, for simulation only)."""
+    """How e is computed: "measured", from the vectors and landmarks, as a vehicle can do it, or
+    "pose", from the true errors of attitude and position (an oracle, for simulation only)."""
     position_weight: Annotated[NonNegative, Tunable()] = 0.2
     """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
     smoothing: Annotated[NonNegative, Tunable()] = 1.5
-    """Time constant of the first-order low-pass filter that e passes before all else [s]; 0 is
-    none."""
+    """Time constant of the first-order low-pass filter of e [s]; 0 means none."""
     error_scale: Annotated[Positive, Tunable()] = 0.3
-    """e is divided by this before it is clipped to [0, 1], in the unit of e."""
+    """Divisor of e before it is clipped to [0, 1], in the unit of e."""
     rate: Rate = "per_sample"
-    """What the controller's second input is: |e_k - e_(k-1)|, or that over the time between."""
+    """The controller's second input: |e_k - e_(k-1)|, or this divided by the time between."""
     rate_scale: Annotated[NonNegative, Tunable()] = 1.0
-    """Factor on it (no unit, or [s]) before it is clipped to [0, 1]."""
+    """Factor on the rate (no unit, or [s]) before it is clipped to [0, 1]."""
 
 
 class FuzzyConfig(Section):
@@ -134,24 +133,24 @@ class FuzzyConfig(Section):
     sampled_points: Annotated[int, Field(strict=True, ge=3, le=100_001)] = 101
     """Number of samples of the output universe; only for the sampled centroid."""
     sampled_rule: SampledRule = "sum"
-    """How samples are summed: "sum" weighs them alike, as MATLAB does, "trapezoid" the two at the
-    ends by half; only for the sampled centroid."""
+    """Weights of the samples: "sum", all equal, as in MATLAB, or "trapezoid", half at the two ends;
+    only for the sampled centroid."""
     no_rule: NoRule = "hold"
     """The gain where no rule fires: "hold" keeps the last one; "midrange" is the offset + the
     middle of the output universe, as in MATLAB."""
     ordering: Flag = True
-    """Whether parameters are put in order: within each triangle, then between the terms."""
+    """Whether parameters are sorted: within each triangle, then between the terms."""
     coverage: Flag = True
     """Whether gaps between the input terms, where no rule fires, are closed."""
     overlap: NonNegative = 0.01
     """Minimum overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
     offset: NonNegative = 1.0
-    """What is added to the centroid [1/s]: the gain is K = offset + centroid, 1 in the paper."""
+    """Added to the centroid [1/s]: the gain is K = offset + centroid; 1 in the paper."""
     rules: Annotated[Rules | Literal["searched"], BeforeValidator(_rules)] = PAPER_RULES
     """The rule table; rows are the rate, VL at the top to VS at the bottom; columns are the error,
-    VL at the left to VS at the right. "paper" is the paper's (its V is L), "reversed" the same with
-    the error's axis turned round: a large residual that is a disturbance asks for a low gain.
-    "searched" has the search choose the 25 output terms too, beside k1..k22."""
+    VL at the left to VS at the right. "paper" is the paper's (its V is L). "reversed" has the error
+    axis reversed, for large residuals that are disturbances, which need a low gain. With "searched"
+    the search chooses the 25 output terms too, besides k1..k22."""
 
     def _conflicts(self) -> Iterator[Violation]:
         if not self.ordering and self.centroid != "sampled":
@@ -165,7 +164,7 @@ class FuzzyConfig(Section):
 
 
 def fitted_bounds(low: float, high: float) -> dict[str, tuple[float, ...]]:
-    """The paper's bounds, lower and upper, with those of k12..k22 moved and scaled to a range."""
+    """The paper's bounds, lower and upper, with those of k12..k22 shifted and scaled to a range."""
     fitted = {}
     for key, side in (("lower", 0), ("upper", 1)):
         paper = [box[side] for box in _PAPER_BOXES]
@@ -182,22 +181,22 @@ class ParametersConfig(Section):
     upper: Bounds = tuple(high for _, high in _PAPER_BOXES)
     """Upper bounds, likewise."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
-    """Universe of the output k_op; the gain is K = fuzzy.offset + its centroid [1/s]. Where it is
-    given without bounds, those of k12..k22 are the paper's, moved and scaled to it."""
+    """Universe of the output k_op; the gain is K = fuzzy.offset + its centroid [1/s]. If it is
+    given without bounds, those of k12..k22 are the paper's, shifted and scaled to it."""
     also: tuple[AlsoTuned, ...] = DEFAULT_ALSO
-    """Further numbers that are searched together with k1..k22; of the default list, those that are
-    not stated elsewhere in the configuration, and that have an effect."""
+    """Further numbers that are searched together with k1..k22. Of the defaults, those are left out
+    that are set in the configuration or have no effect."""
 
     @model_validator(mode="before")
     @classmethod
     def _fit_the_boxes(cls, values: Any) -> Any:
-        """Bounds that the user leaves out fit the gain range that he states."""
+        """Fit bounds that are not given to a gain range that is."""
         if not isinstance(values, Mapping) or "gain_range" not in values:
             return values
         try:
             low, high = (float(end) for end in values["gain_range"])
         except (TypeError, ValueError):
-            return values  # refused by the field's own check
+            return values  # the field's validation refuses it
         return fitted_bounds(low, high) | dict(values)
 
     def _conflicts(self) -> Iterator[Violation]:
@@ -217,7 +216,7 @@ class ParametersConfig(Section):
                 yield Violation(f"lower.{i}", reason, low)
 
     def disorder(self) -> Iterator[Violation]:
-        """Bounds with which sorting could take parameters out of their boxes.
+        """Bounds for which sorting could move parameters out of their boxes.
 
         Sorting numbers keeps each of them inside its own interval if the lower ends of the
         intervals ascend and the upper ends do too. What is sorted is each triangle, so that
@@ -238,7 +237,7 @@ class ParametersConfig(Section):
                         )
 
     def gaps(self) -> Iterator[Violation]:
-        """Bounds with which the coverage repair could not close a gap between two input terms.
+        """Bounds for which the coverage repair could not close a gap between two input terms.
 
         The repair moves the left end a of a term down to the right end c of the term before it,
         and both may be as low as their boxes go.
@@ -256,6 +255,6 @@ class ParametersConfig(Section):
 
 
 def _neighbours(terms: Sequence[tuple[T, T, T]]) -> Iterator[tuple[T, T]]:
-    """Pairs that sorting brings into order: within each triangle, and from term to term."""
+    """The pairs that sorting orders: within each triangle, and from term to term."""
     for numbers in (*terms, *zip(*terms, strict=True)):
         yield from pairwise(numbers)

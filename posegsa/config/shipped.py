@@ -9,15 +9,15 @@ _NAME = re.compile(r"[a-z0-9_]+")
 
 
 def names() -> list[str]:
-    """What they are called."""
+    """The names of the configurations."""
     return sorted(path.stem for path in _folder().glob("*.toml"))
 
 
 def find(name: str) -> Path:
-    """The file of one.
+    """The file of a configuration.
 
     Raises:
-        ConfigError: There is none of that name.
+        ConfigError: There is no configuration with that name.
     """
     if name not in names():
         raise ConfigError(
@@ -28,7 +28,7 @@ def find(name: str) -> Path:
 
 
 def path_of(given: str | Path) -> str | Path:
-    """The file that a user means: its path, or the name of a configuration of posegsa.
+    """The file for an argument, a path or the name of a configuration of posegsa.
 
     Raises:
         ConfigError: It is neither.
@@ -39,7 +39,7 @@ def path_of(given: str | Path) -> str | Path:
 
 
 def there(given: str | Path) -> bool:
-    """Whether there is something at a path; a name that is too long for a file is none."""
+    """Whether a path exists; False for names that are too long for a file."""
     try:
         return Path(given).exists()
     except OSError:  # before Python 3.14
@@ -47,10 +47,10 @@ def there(given: str | Path) -> bool:
 
 
 def about(name: str) -> str:
-    """What one is for: the first sentence of the comment that begins its file.
+    """The purpose of a configuration: the first sentence of its file's initial comment.
 
     Raises:
-        ConfigError: There is none of that name.
+        ConfigError: There is no configuration with that name.
     """
     lines = find(name).read_text("utf-8").splitlines()
     comment = []
@@ -62,7 +62,7 @@ def about(name: str) -> str:
 
 
 def _folder() -> Path:
-    """Beside the package's modules in a wheel, beside the package itself in a checkout."""
+    """The folder of the files: inside the package in a wheel, beside it in a checkout."""
     package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"

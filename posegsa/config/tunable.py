@@ -1,4 +1,4 @@
-"""Numbers beside k1..k22 that a search may tune: of the filter, its error signal, its weights."""
+"""Numbers other than k1..k22 that a search may tune: of filter, error signal and weights."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
@@ -13,11 +13,11 @@ class AlsoTuned(Section):
     """[[parameters.also]]: a further number that is searched together with k1..k22."""
 
     key: str
-    """Which: a key such as "filter.vector_bias_gain" or "scenario.vectors.0.weight"."""
+    """Its key, such as "filter.vector_bias_gain" or "scenario.vectors.0.weight"."""
     lower: Number
     """Lower bound, in the unit of the key."""
     upper: Number
-    """Upper bound, likewise."""
+    """Upper bound, in the unit of the key."""
     scale: Literal["linear", "logarithmic"] = "linear"
     """Whether the number itself is searched, or its logarithm."""
 
@@ -30,20 +30,20 @@ class AlsoTuned(Section):
 
 
 class _Place(NamedTuple):
-    """Where a tunable number stands: the section, its field, and the index within that."""
+    """The location of a tunable number: section, field, and index in the field."""
 
     section: Section
     field: str
     index: int | None
 
     def refusal(self, value: float) -> str | None:
-        """Why the section refuses a value there; None if it takes it."""
+        """Why the section refuses a value there; None if it is allowed."""
         given: Any = value
         if self.index is not None:
             given = list(getattr(self.section, self.field))
             given[self.index] = value
         try:
-            # Not by calling the section, which would report as if a user had made it.
+            # Calling the section would raise a ConfigError with the wrong key.
             type(self.section).model_validate(dict(self.section) | {self.field: given})
         except ValidationError as error:
             return violations_of(error, type(self.section))[0].reason
@@ -79,13 +79,13 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
 def with_effect(
     experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> tuple[AlsoTuned, ...]:
-    """Numbers that an experiment wants tuned too, without those of `needless` that do nothing."""
+    """The numbers to tune, without those in `needless` that have no effect."""
     places = tunable(experiment)
     return tuple(one for one in also if one.key in places or one not in needless)
 
 
 def is_stated(section: Any, key: str) -> bool:
-    """Whether a user has given the number of a key, or left its default."""
+    """Whether a user has set the number with this key."""
     for name in key.split("."):
         if isinstance(section, Section):
             if name not in section.model_fields_set:
@@ -93,7 +93,7 @@ def is_stated(section: Any, key: str) -> bool:
             section = getattr(section, name)
         elif name.isdecimal() and isinstance(section, tuple) and int(name) < len(section):
             section = section[int(name)]
-        else:  # a number stands where there could be several
+        else:  # one number for several, such as gamma
             return True
     return True
 
@@ -112,9 +112,9 @@ def with_numbers(data: dict[str, Any], values: Mapping[str, float]) -> dict[str,
 def also_conflicts(
     experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> Iterator[Violation]:
-    """What is wrong with the numbers that an experiment wants tuned too.
+    """What is wrong with the further numbers to tune.
 
-    Those of `needless` may be without effect: nobody asked for them.
+    Those in `needless`, the defaults, may be without effect.
     """
     places, seen = tunable(experiment), set()
     for i, one in enumerate(also):

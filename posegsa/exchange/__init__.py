@@ -1,14 +1,8 @@
-"""Fuzzy controllers in the formats of other fuzzy tools: written, and two of them read.
+"""Fuzzy controllers in the formats of other fuzzy tools, written and read.
 
-format | whose                                     | file       | read back
------- | ----------------------------------------- | ---------- | ---------
-`fis`  | MATLAB's Fuzzy Logic Toolbox              | `fis.py`   | yes
-`fll`  | fuzzylite, its own                        | `fll.py`   | yes
-`fcl`  | IEC 61131-7, Fuzzy Control Language       | `fcl.py`   | no
-`fml`  | IEEE 1855, Fuzzy Markup Language          | `fml.py`   | no
-
-`system.py` is what all of them say; what one of them can't say stands in a comment of the file and
-in docs/export-formats.md.
+`fis.py` is MATLAB's Fuzzy Logic Toolbox, `fll.py` is fuzzylite. `system.py` holds what both formats
+express; what a format can't express is written in a comment of the file, and in
+docs/export-formats.md.
 """
 
 from posegsa.exchange.loading import load_controller

@@ -1,4 +1,4 @@
-"""MATLAB's Fuzzy Logic Toolbox: `.fis`, written and read.
+"""The files of MATLAB's Fuzzy Logic Toolbox, `.fis`, written and read.
 
 MATLAB samples the centroid at 101 points and takes the middle of the output's range where no rule
 fires; a file can say neither. A term that has its peak at an end of the range is written with a
@@ -17,8 +17,10 @@ from posegsa.exchange.system import (
     System,
     Term,
     Variable,
+    check_inputs,
     commented,
     limits,
+    numbers_of,
     offset_of,
     system_of,
 )
@@ -35,15 +37,15 @@ METHODS = {
 
 
 def to_fis(controller: FuzzyController, about: Sequence[str] = ()) -> str:
-    """A controller for `readfis`.
+    """The text of a .fis file, for `readfis`.
 
     Args:
-        controller: It.
+        controller: What is written.
         about: Lines for the comment at the head.
 
     Raises:
-        ArgumentError: It is no controller.
-        FuzzyError: It is a batch of several.
+        ArgumentError: The first argument is not a controller.
+        FuzzyError: It is a batch of several controllers.
     """
     system = system_of(controller)
     notes = [
@@ -98,10 +100,10 @@ def _variable(variable: Variable) -> str:
 
 
 def from_fis(text: str) -> System:
-    """The system of a file's text.
+    """The system that a file's text describes.
 
     Raises:
-        FuzzyError: It is none, or of another structure; says where.
+        FuzzyError: The text is no .fis, or has another structure; says where.
     """
     sections = _sections(text)
     system, rules = (_section(sections, name) for name in ("System", "Rules"))
@@ -113,9 +115,7 @@ def from_fis(text: str) -> System:
     inputs = [_read_variable(sections, f"Input{i}") for i in (1, 2)]
     if "Input3" in sections or "Output2" in sections:
         raise FuzzyError("[System]: has more than two inputs and one output")
-    if {one.name for one in inputs} != set(INPUTS):
-        names = ", ".join(one.name for one in inputs)
-        raise FuzzyError(f"inputs: named {names}; allowed: {' and '.join(INPUTS)}")
+    check_inputs([one.name for one in inputs])
     swapped = inputs[0].name != INPUTS[0]
     error, rate = reversed(inputs) if swapped else inputs
     output = _read_variable(sections, "Output1")
@@ -184,13 +184,7 @@ def _read_variable(sections: dict[str, list[str]], section: str) -> Variable:
 
 def _numbers(text: str, count: int, where: str) -> list[float]:
     """'[0 1]' as numbers."""
-    try:
-        numbers = [float(word) for word in text.strip().strip("[]").replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise FuzzyError(f"{where}: must be {count} numbers, got {text!r}")
-    return numbers
+    return numbers_of(text.strip("[]").replace(",", " "), count, where)
 
 
 def _read_rule(line: str, swapped: bool, variables: tuple[Variable, ...]) -> Rule:

@@ -1,8 +1,8 @@
-"""fuzzylite's own language, `.fll`: written and read.
+"""fuzzylite's own language, `.fll`, written and read.
 
-It says all of a controller but K = 1 + output: inputs are clipped (`lock-range`), and the last gain
-is kept where no rule fires (`lock-previous`). Its centroid is a sum over the middles of so many
-equal parts of the range.
+It expresses all of a controller but K = 1 + output: inputs are clipped (`lock-range`), and the last
+gain is kept where no rule fires (`lock-previous`). Its centroid is a sum over the midpoints of
+equal parts of the output's range, `RESOLUTION` of them where posegsa's is exact.
 """
 
 import re
@@ -16,10 +16,11 @@ from posegsa.exchange.system import (
     System,
     Term,
     Variable,
+    check_inputs,
     commented,
     limits,
+    numbers_of,
     offset_of,
-    rule_text,
     system_of,
 )
 from posegsa.model.fuzzy import FuzzyController, NoRule
@@ -33,15 +34,15 @@ Block = tuple[str, str, list[tuple[str, str]]]
 
 
 def to_fll(controller: FuzzyController, about: Sequence[str] = ()) -> str:
-    """A controller for fuzzylite, and pyfuzzylite.
+    """The text of a .fll file, for fuzzylite and pyfuzzylite.
 
     Args:
-        controller: It.
+        controller: What is written.
         about: Lines for the comment at the head.
 
     Raises:
-        ArgumentError: It is no controller.
-        FuzzyError: It is a batch of several.
+        ArgumentError: The first argument is not a controller.
+        FuzzyError: It is a batch of several controllers.
     """
     system = system_of(controller)
     resolution = RESOLUTION if system.points is None else system.points
@@ -64,7 +65,7 @@ def to_fll(controller: FuzzyController, about: Sequence[str] = ()) -> str:
         "  disjunction: none",
         f"  implication: {_METHODS['implication']}",
         "  activation: General",
-        *(f"  rule: {rule_text(system, rule)}" for rule in system.rules),
+        *(f"  rule: {_rule(system, rule)}" for rule in system.rules),
     ]
     return commented([*about, limits(system.offset)], "#") + "\n".join(lines) + "\n"
 
@@ -78,11 +79,18 @@ def _range(variable: Variable, *, locked: bool) -> list[str]:
     ]
 
 
+def _rule(system: System, rule: Rule) -> str:
+    """'if error is VS and rate is VS then gain_minus_1 is L'."""
+    chosen = zip((system.error, system.rate, system.output), rule, strict=True)
+    error, rate, output = (f"{one.name} is {one.terms[term].name}" for one, term in chosen)
+    return f"if {error} and {rate} then {output}"
+
+
 def from_fll(text: str) -> System:
-    """The system of a file's text.
+    """The system that a file's text describes.
 
     Raises:
-        FuzzyError: It is none, or of another structure; says where.
+        FuzzyError: The text is no .fll, or has another structure; says where.
     """
     blocks = list(_blocks(text))
     kinds = [kind for kind, _, _ in blocks]
@@ -91,8 +99,7 @@ def from_fll(text: str) -> System:
         raise FuzzyError(f"has {', '.join(kinds) or 'nothing'}; allowed: {', '.join(wanted)}")
     _, first, second, output, rules = blocks
     inputs = {block[1]: _read_variable(block) for block in (first, second)}
-    if set(inputs) != set(INPUTS):
-        raise FuzzyError(f"inputs: named {', '.join(inputs)}; allowed: {' and '.join(INPUTS)}")
+    check_inputs(inputs)
     error, rate = (inputs[name] for name in INPUTS)
     out = _read_variable(output)
     _check_methods(output, ("aggregation",))
@@ -152,7 +159,7 @@ def _check_methods(block: Block, keys: Sequence[str]) -> None:
 def _no_rule(output: Block, middle: float) -> NoRule | None:
     if _value(output, "lock-previous") == "true":
         return "hold"
-    (default,) = _numbers(_value(output, "default"), 1, f"{output[1]}: default")
+    (default,) = numbers_of(_value(output, "default"), 1, f"{output[1]}: default")
     return "midrange" if default == middle else None
 
 
@@ -160,26 +167,16 @@ def _read_variable(block: Block) -> Variable:
     _, name, pairs = block
     if dict(pairs).get("enabled", "true") != "true":
         raise FuzzyError(f"{name}: not enabled")
-    low, high = _numbers(_value(block, "range"), 2, f"{name}: range")
+    low, high = numbers_of(_value(block, "range"), 2, f"{name}: range")
     terms = []
     for key, value in pairs:
         if key == "term":
             term, kind, *feet = [*value.split(), "", ""]
             if kind != "Triangle":
                 raise FuzzyError(f"{name}: term {term} is a {kind!r}; allowed: 'Triangle'")
-            a, b, c = _numbers(" ".join(feet), 3, f"{name}: term {term}")
+            a, b, c = numbers_of(" ".join(feet), 3, f"{name}: term {term}")
             terms.append(Term(term, (a, b, c)))
     return Variable(name, low, high, tuple(terms))
-
-
-def _numbers(text: str, count: int, where: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise FuzzyError(f"{where}: must be {count} numbers, got {text.strip()!r}")
-    return numbers
 
 
 def _read_rule(text: str, variables: tuple[Variable, ...]) -> Rule:

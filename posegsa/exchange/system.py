@@ -1,9 +1,10 @@
-"""A Mamdani system with names, as the formats write it, and the controller that it is."""
+"""A Mamdani system with names, as the formats write it, to and from a controller."""
 
 import math
 import re
 import textwrap
 from collections import Counter
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,11 +90,11 @@ class System(NamedTuple):
 
 
 def system_of(controller: FuzzyController) -> System:
-    """A controller with names.
+    """The system that a controller is, with names.
 
     Raises:
-        ArgumentError: It is none.
-        FuzzyError: It is a batch of several.
+        ArgumentError: The argument is not a controller.
+        FuzzyError: It is a batch of several controllers.
     """
     check_type("controller", controller, FuzzyController)
     shape = np.shape(controller.input_terms)
@@ -120,7 +121,7 @@ def system_of(controller: FuzzyController) -> System:
 
 
 def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid) -> FuzzyController:
-    """The controller that a system is.
+    """The controller that a system describes.
 
     Args:
         system: As read from a file.
@@ -198,12 +199,22 @@ def commented(lines: list[str], prefix: str) -> str:
     return "".join(f"{prefix} {line}".rstrip() + "\n" for line in short)
 
 
-def clause(variable: Variable, term: int) -> str:
-    """'error is VS', in the words that fcl and fll share."""
-    return f"{variable.name} is {variable.terms[term].name}"
+def check_inputs(names: Collection[str]) -> None:
+    """Raise a FuzzyError unless the inputs of a file have the names that we know."""
+    if set(names) != set(INPUTS):
+        raise FuzzyError(f"inputs: named {', '.join(names)}; allowed: {' and '.join(INPUTS)}")
 
 
-def rule_text(system: System, rule: Rule) -> str:
-    """'if error is VS and rate is VS then gain_minus_1 is L'."""
-    given = f"{clause(system.error, rule.error)} and {clause(system.rate, rule.rate)}"
-    return f"if {given} then {clause(system.output, rule.output)}"
+def numbers_of(text: str, count: int, where: str) -> list[float]:
+    """'0 0.5 1' as so many numbers.
+
+    Raises:
+        FuzzyError: It is not that; says where.
+    """
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise FuzzyError(f"{where}: must be {count} numbers, got {text.strip()!r}")
+    return numbers

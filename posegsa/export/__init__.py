@@ -1,5 +1,5 @@
 """A tuned filter, or its schedule, out of Python, in one of `FORMATS`."""
 
-from posegsa.lazy import attached
+import lazy_loader
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,14 +1,12 @@
-"""The names of this package, and where they are (`posegsa.lazy`)."""
+"""The names of this package, and where they are (`lazy_loader`)."""
 
-from posegsa.export.c import export_c as export_c
-from posegsa.export.c import filter_to_c as filter_to_c
-from posegsa.export.c_gain import export_c_gain as export_c_gain
-from posegsa.export.controllers import export_fcl as export_fcl
-from posegsa.export.controllers import export_fis as export_fis
-from posegsa.export.controllers import export_fll as export_fll
-from posegsa.export.controllers import export_fml as export_fml
-from posegsa.export.formats import FORMATS as FORMATS
-from posegsa.export.formats import export as export
-from posegsa.export.tables import SCHEMA as SCHEMA
-from posegsa.export.tables import export_csv as export_csv
-from posegsa.export.tables import export_json as export_json
+from .c import export_c as export_c
+from .c import filter_to_c as filter_to_c
+from .c_gain import export_c_gain as export_c_gain
+from .controllers import export_fis as export_fis
+from .controllers import export_fll as export_fll
+from .formats import FORMATS as FORMATS
+from .formats import export as export
+from .tables import SCHEMA as SCHEMA
+from .tables import export_csv as export_csv
+from .tables import export_json as export_json

@@ -32,10 +32,11 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
+from posegsa.filters.observer import FilterSettings
 from posegsa.judging.known_sensors import of_scenario
 from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, check_gammas
+from posegsa.model import limits
 from posegsa.model.schedules import FuzzyGain, GainSchedule, KnotGain, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
@@ -120,7 +121,6 @@ def filter_to_c(
     with jax.enable_x64(True):
         check_schedule(schedule)
     check_type("settings", settings, FilterSettings)
-    check_gammas(settings)
     check_type("signal", signal, SignalSettings)
     check_name(name)
     if signal.signal == "pose":
@@ -153,6 +153,8 @@ def filter_to_c(
         "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
         "calls": {key: piece.call for key, piece in step.pieces.items()},
         "initial_gain": repr(initial_gain),
+        "limits": _limits(step),
+        "unit_tolerance": repr(limits.UNIT_TOLERANCE),
         "controller": "",
         "knots": "",
     }
@@ -163,6 +165,28 @@ def filter_to_c(
         template = templates().get_template("controller.c")
         values["controller"] = template.render(linkage="static inline ", **controller)
     return renamed(templates().get_template("filter.h").render(values), name)
+
+
+def _limits(step: Step) -> list[dict[str, str]]:
+    """The limits that apply to a filter, as macros of C."""
+    found = [
+        ("MIN_TIME_STEP", limits.TIME_STEP.low, "[s]"),
+        ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; a longer pause needs a new beginning"),
+        ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "and of its bias [rad/s]"),
+    ]
+    if step.vectors:
+        found += [("MAX_VECTOR", limits.VECTOR.high, "and of its bias, unit of the sensor")]
+    if not step.attitude_only:
+        found += [
+            ("MAX_VELOCITY", limits.VELOCITY.high, "and of its bias [m/s]"),
+            ("MAX_LANDMARK", limits.LANDMARK.high, "as seen from the body [m]"),
+            ("MAX_POSITION", limits.POSITION.high, "of the estimate [m]"),
+        ]
+    found += [("MAX_WEIGHT", limits.WEIGHT.high, "factors on s_i")]
+    return [
+        {"name": f"{NAME.upper()}_{name}", "value": f"{value:g}", "about": about}
+        for name, value, about in found
+    ]
 
 
 def _knots(schedule: KnotGain) -> dict[str, object]:
@@ -193,5 +217,5 @@ def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequenc
         f"From measured {rates}, {' and '.join(filter(None, sensors))} of known "
         f"{'direction' if step.attitude_only else 'direction or place'} it estimates {out}, and "
         f"{biases}. Law: {settings.law}; {counted(settings.substeps, 'sub-step')} a sample. The "
-        f"equations stand in posegsa's posegsa/model/filter.py."
+        f"equations stand in posegsa's posegsa/filters/observer.py."
     )

@@ -16,19 +16,19 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import refuse
 from posegsa.export.scalar_c import Code, Known, literal, written
-from posegsa.model import se3
-from posegsa.model.filter import (
+from posegsa.filters.observer import (
     FilterSettings,
-    FilterState,
-    Seen,
     displacement,
     learnt_biases,
     learnt_vector_biases,
     limited_correction,
     see,
 )
+from posegsa.model import se3
+from posegsa.model.estimate import FilterState
+from posegsa.model.limits import POSITION, VECTOR
 from posegsa.model.measurements import Measurements, finite_array
-from posegsa.model.sample import LandmarkSample, Sample, prepare
+from posegsa.model.sample import LandmarkSample, Sample, Seen, prepare
 from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, KnotGain, ScheduleInputs
 from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, scheduled_gain
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
@@ -81,8 +81,8 @@ def references(
 ) -> References:
     """References as the model prepares them."""
     v, p = (
-        np.zeros((0, 3)) if a is None else finite_array(name, a, (None, 3))
-        for name, a in (("vectors", vectors), ("landmarks", landmarks))
+        np.zeros((0, 3)) if a is None else limit.checked(name, finite_array(name, a, (None, 3)))
+        for name, a, limit in (("vectors", vectors, VECTOR), ("landmarks", landmarks, POSITION))
     )
     if not len(v) + len(p):
         refuse("vectors and landmarks: none", "at least one of either")
@@ -167,9 +167,9 @@ class Step:
     ) -> None:
         self.pieces: dict[str, Piece] = {}
         self.numbers: list[tuple[Known, str]] = []
-        self._vectors, self._landmarks = len(known.vectors), len(known.landmarks)
+        self.vectors, self._landmarks = len(known.vectors), len(known.landmarks)
         self.attitude_only = not self._landmarks
-        self.learns = settings.vector_bias is not None and self._vectors > 0
+        self.learns = settings.vector_bias is not None and self.vectors > 0
         if not self.learns:
             settings = replace(settings, vector_bias=None)
         settings = replace(settings, vectors=replace(settings.vectors, each_agent=True))
@@ -262,7 +262,8 @@ class Step:
 
         def name(path: Any, leaf: Any) -> Known:
             if np.ndim(leaf):
-                refuse(f"{prefix.rstrip('.')} with arrays of numbers", "one made of scalars")
+                of = prefix.rstrip(".") or "settings"
+                refuse(f"{of} with arrays of numbers", "one made of scalars")
             key, bracket, index = jax.tree_util.keystr(path).lstrip(".").partition("[")
             own, about = _NUMBERS.get(prefix + key, ("", ""))
             text = own or (prefix + key).replace(".", "_")
@@ -284,10 +285,10 @@ class Step:
         )
 
     def _each_vector(self, array: str) -> tuple[Any, ...]:
-        return tuple(_vec3(f"{array}[{i}]") for i in range(self._vectors))
+        return tuple(_vec3(f"{array}[{i}]") for i in range(self.vectors))
 
     def _sample(self) -> Sample:
-        n, m = self._vectors, self._landmarks
+        n, m = self.vectors, self._landmarks
         vectors = tuple(
             VectorSample(
                 measured=_vec3(f"seen->vectors[{i}]"),
@@ -318,7 +319,7 @@ class Step:
         )
 
     def _seen(self) -> Seen:
-        some = self._vectors > 0
+        some = self.vectors > 0
         return Seen(
             wahba=Wahba(
                 profile=tuple(_vec3(f"w->profile[{i}]") if some else _NOTHING for i in range(3)),
@@ -326,13 +327,13 @@ class Step:
                 curvature=_scalar("w->curvature" if some else 0.0),
                 scale=_scalar("w->scale" if some else 0.0),
             ),
-            freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self._vectors,
+            freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self.vectors,
             landmark_weights=_numbered("w->landmark_weights", self._landmarks),
         )
 
     def _memory(self, pointer: str) -> SignalMemory:
         return SignalMemory(
-            attitude=_scalar(f"{pointer}->attitude_error" if self._vectors else 0.0),
+            attitude=_scalar(f"{pointer}->attitude_error" if self.vectors else 0.0),
             position=_scalar(f"{pointer}->position_error" if self._landmarks else 0.0),
             error=_scalar(f"{pointer}->error"),
             gain=_scalar(f"{pointer}->gain"),

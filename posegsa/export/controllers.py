@@ -7,10 +7,8 @@ run's scales, and what the schedule is worth.
 from collections.abc import Callable
 
 from posegsa.arguments import check_type
-from posegsa.exchange.fcl import to_fcl
 from posegsa.exchange.fis import to_fis
 from posegsa.exchange.fll import to_fll
-from posegsa.exchange.fml import to_fml
 from posegsa.export.c_gain import signal_in_words
 from posegsa.export.c_text import origin, worth
 from posegsa.judging.recorded import RecordingResult
@@ -33,16 +31,6 @@ def export_fis(source: TuneResult | RecordingResult | FuzzyController) -> str:
 def export_fll(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller for fuzzylite; arguments as `export_fis`."""
     return _written(source, to_fll)
-
-
-def export_fcl(source: TuneResult | RecordingResult | FuzzyController) -> str:
-    """The gain's controller in IEC 61131-7's Fuzzy Control Language; arguments as `export_fis`."""
-    return _written(source, to_fcl)
-
-
-def export_fml(source: TuneResult | RecordingResult | FuzzyController) -> str:
-    """The gain's controller in IEEE 1855's Fuzzy Markup Language; arguments as `export_fis`."""
-    return _written(source, to_fml)
 
 
 def _written(

@@ -36,10 +36,10 @@
  * WHAT IS MISSING AND WHAT IS WRONG
  * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
  * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
- * its last value. Any other number that is NaN or infinite, a negative weight and a dt that is not
- * above 0 are refused with POSEGSA_INVALID_INPUT, and the state stays as it was; so it does where
- * the estimate would overflow, with POSEGSA_NOT_FINITE. A refused sample moves nothing: let the
- * next dt cover its time too. Pointers must be valid.
+ * its last value. Any other number that is NaN, or beyond the limits below, is refused with
+ * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would leave the limits, or whose
+ * quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A refused sample leaves
+ * the state as it was: let the next dt cover its time too. Pointers must be valid.
  *
  * PRECISION, MEMORY, THREADS
  * posegsa_real is double; compile with -DPOSEGSA_REAL=float for single precision. No heap, no
@@ -66,6 +66,16 @@
 
 {% include 'numbers.c' %}
 
+/* ---- Limits ---------------------------------------------------------------------------------- */
+
+/* The largest numbers that are taken and estimated, in each component and of either sign. Beyond
+ * them no sensor measures. Define one before this line, or with -D, to move it. */
+{% for limit in limits %}
+#ifndef {{ limit.name }}
+#define {{ limit.name }} {{ limit.value }} /* {{ limit.about }} */
+#endif
+{% endfor %}
+
 /* ---- Types --------------------------------------------------------------------------------- */
 
 enum {
@@ -81,8 +91,8 @@ enum {
 /* What posegsa_init and posegsa_step return. */
 enum {
     POSEGSA_OK = 0,
-    POSEGSA_INVALID_INPUT = 1, /* NaN, infinite, a negative weight, a dt not above 0 */
-    POSEGSA_NOT_FINITE = 2     /* the estimate would overflow */
+    POSEGSA_INVALID_INPUT = 1, /* NaN, or beyond the limits */
+    POSEGSA_NOT_FINITE = 2     /* the estimate would be none: NaN, or beyond the limits */
 };
 
 /* What the sensors say at one sample. Start from all zeros: then nothing is measured. */
@@ -206,12 +216,12 @@ static inline void posegsa_{{ piece.name }}({{ piece.signature }})
 {% endfor %}
 /* ---- The step -------------------------------------------------------------------------------- */
 
-/* Whether all of n numbers are finite. */
-static inline int posegsa_are_finite(const posegsa_real *x, int n)
+/* Whether all of n numbers are within a limit of either sign; NaN is not. */
+static inline int posegsa_are_within(const posegsa_real *x, int n, posegsa_real limit)
 {
     int i;
     for (i = 0; i < n; ++i) {
-        if (!(x[i] - x[i] == 0)) {
+        if (!(x[i] >= -limit && x[i] <= limit)) {
             return 0;
         }
     }
@@ -223,15 +233,15 @@ static inline int posegsa_are_finite(const posegsa_real *x, int n)
  * direction of no length says nothing, a landmark may be where the body is. */
 static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights_to,
                                     const posegsa_real (*from)[3], const posegsa_real *weights,
-                                    int n, int directions)
+                                    int n, posegsa_real limit, int directions)
 {
     int i, k;
     for (i = 0; i < n; ++i) {
-        if (!(weights[i] >= 0) || !posegsa_are_finite(&weights[i], 1)) {
+        if (!(weights[i] >= 0 && weights[i] <= POSEGSA_C(POSEGSA_MAX_WEIGHT))) {
             return 0;
         }
         weights_to[i] = weights[i];
-        if (weights[i] > 0 && !posegsa_are_finite(from[i], 3)) {
+        if (weights[i] > 0 && !posegsa_are_within(from[i], 3, limit)) {
             return 0;
         }
         if (directions && weights[i] > 0 && from[i][0] == 0 && from[i][1] == 0 && from[i][2] == 0) {
@@ -245,25 +255,29 @@ static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights
 }
 
 {% endif %}
-/* Whether all of an estimate is finite. */
+/* Whether a state is an estimate: a quaternion of length 1, all numbers within their limits. */
 static inline int posegsa_is_estimate(const posegsa_state *state)
 {
+    const posegsa_real *const q = state->attitude;
+    const posegsa_real excess = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1;
 {% if learns %}
     int i;
     for (i = 0; i < POSEGSA_VECTORS; ++i) {
-        if (!posegsa_are_finite(state->vector_bias[i], 3)) {
+        if (!posegsa_are_within(state->vector_bias[i], 3, POSEGSA_C(POSEGSA_MAX_VECTOR))) {
             return 0;
         }
     }
 {% endif %}
-    return posegsa_are_finite(state->attitude, 4) && posegsa_are_finite(state->bias_angular, 3) &&
+    return posegsa_are_within(&excess, 1, POSEGSA_C({{ unit_tolerance }})) &&
+           posegsa_are_within(state->bias_angular, 3, POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY)) &&
 {% if not attitude_only %}
-           posegsa_are_finite(state->position, 3) && posegsa_are_finite(state->bias_linear, 3) &&
+           posegsa_are_within(state->position, 3, POSEGSA_C(POSEGSA_MAX_POSITION)) &&
+           posegsa_are_within(state->bias_linear, 3, POSEGSA_C(POSEGSA_MAX_VELOCITY)) &&
 {% endif %}
 {% if learns %}
-           posegsa_are_finite(state->turning, 3) &&
+           posegsa_are_within(state->turning, 3, POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY)) &&
 {% endif %}
-           posegsa_are_finite(&state->error, 1) && posegsa_are_finite(&state->gain_used, 1);
+           state->error - state->error == 0 && state->gain_used - state->gain_used == 0;
 }
 
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
@@ -272,8 +286,15 @@ static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude
     posegsa_state first;
     posegsa_real largest = 0, square = 0;
     int i{{ ", k" if learns }};
-    if (!posegsa_are_finite(attitude, 4){{ "" if attitude_only else " || !posegsa_are_finite(position, 3)" }}) {
+{% if not attitude_only %}
+    if (!posegsa_are_within(position, 3, POSEGSA_C(POSEGSA_MAX_POSITION))) {
         return POSEGSA_INVALID_INPUT;
+    }
+{% endif %}
+    for (i = 0; i < 4; ++i) {
+        if (!(attitude[i] - attitude[i] == 0)) { /* NaN or infinite */
+            return POSEGSA_INVALID_INPUT;
+        }
     }
     for (i = 0; i < 4; ++i) {
         largest = posegsa_max(largest, posegsa_max(attitude[i], -attitude[i]));
@@ -328,19 +349,22 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
     posegsa_real used = 0;
     int i;
 
-    if (!(dt > 0) || !posegsa_are_finite(&dt, 1) ||
+    if (!(dt >= POSEGSA_C(POSEGSA_MIN_TIME_STEP) && dt <= POSEGSA_C(POSEGSA_MAX_TIME_STEP)) ||
 {% if not attitude_only %}
-        !posegsa_are_finite(measurement->velocity, 3) ||
+        !posegsa_are_within(measurement->velocity, 3, POSEGSA_C(POSEGSA_MAX_VELOCITY)) ||
 {% endif %}
 {% if vectors %}
         !posegsa_copy_seen(seen->vectors, seen->vector_weights, measurement->vectors,
-                           measurement->vector_weights, POSEGSA_VECTORS, 1) ||
+                           measurement->vector_weights, POSEGSA_VECTORS,
+                           POSEGSA_C(POSEGSA_MAX_VECTOR), 1) ||
 {% endif %}
 {% if landmarks %}
         !posegsa_copy_seen(seen->landmarks, seen->landmark_weights, measurement->landmarks,
-                           measurement->landmark_weights, POSEGSA_LANDMARKS, 0) ||
+                           measurement->landmark_weights, POSEGSA_LANDMARKS,
+                           POSEGSA_C(POSEGSA_MAX_LANDMARK), 0) ||
 {% endif %}
-        !posegsa_are_finite(measurement->angular_velocity, 3)) {
+        !posegsa_are_within(measurement->angular_velocity, 3,
+                           POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY))) {
         return POSEGSA_INVALID_INPUT;
     }
     for (i = 0; i < 3; ++i) {

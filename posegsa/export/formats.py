@@ -56,16 +56,6 @@ FORMATS = {
         "the gain's controller for fuzzylite",
         controller=True,
     ),
-    "fcl": Format(
-        "posegsa.export.controllers:export_fcl",
-        "the gain's controller in IEC 61131-7's Fuzzy Control Language",
-        controller=True,
-    ),
-    "fml": Format(
-        "posegsa.export.controllers:export_fml",
-        "the gain's controller in IEEE 1855's Fuzzy Markup Language",
-        controller=True,
-    ),
 }
 """What `export` writes, by name."""
 

@@ -1,4 +1,4 @@
-"""A figure of a result, with the words that go with it."""
+"""Figures of a result, with their titles and captions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Plot = TypeVar("Plot", bound="Callable[..., Figure | None]")
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFigure:
-    """A figure of a result: how it is drawn, and what its reader is told."""
+    """A figure of a result, with its title and caption."""
 
     name: str
     """Name of its file."""
@@ -26,8 +26,8 @@ class ResultFigure:
     caption: str
     """How to read it."""
     plot: Callable[[Any], Figure | None]
-    """Draws the attribute of a `TuneResult` that its argument is named after, if there is anything
-    to see."""
+    """Draws the attribute of a `TuneResult` with the name of its argument; returns None if there is
+    nothing to show."""
 
     def draw(self, result: TuneResult) -> Figure | None:
         """The figure of a result."""
@@ -36,12 +36,12 @@ class ResultFigure:
 
     @property
     def alternative(self) -> str:
-        """What is drawn, for readers who cannot see it."""
+        """A description for readers who cannot see the figure."""
         return (self.plot.__doc__ or self.title).partition("\n")[0]
 
 
 def captioned(figures: list[ResultFigure], **words: str) -> Callable[[Plot], Plot]:
-    """Decorator: gives a plot the common style, and adds it to figures with its name and words."""
+    """Decorator: applies the common style to a plot, and adds it to `figures` with these words."""
 
     def add(plot: Plot) -> Plot:
         drawn = styled(plot)

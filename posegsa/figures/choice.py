@@ -1,4 +1,4 @@
-"""Which of the figures that there are shall be drawn."""
+"""The user's choice of figures."""
 
 from collections.abc import Iterable
 
@@ -6,10 +6,10 @@ from posegsa.arguments import refuse, several
 
 
 def chosen_figures(figures: Iterable[str] | None, known: Iterable[str]) -> list[str]:
-    """Names of figures from a user, checked; None is all that are known.
+    """Checked names of figures from a user; None means all known ones.
 
     Raises:
-        ArgumentError: A name is none of them.
+        ArgumentError: A name is not known.
     """
     names = list(known)
     if figures is None:

@@ -1,4 +1,4 @@
-"""The figure of a comparison of optimisers: how fast each gets how far."""
+"""The figure of a comparison of optimisers: best cost against evaluations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EARLY = 0.05
-"""Share of the budget before which curves may leave the figure at the top."""
+"""Share of the budget during which curves may be above the figure's upper end."""
 TITLE = 40
 """Characters in a line of a panel's title."""
 
@@ -25,9 +25,9 @@ TITLE = 40
 def plot_comparison(*comparisons: OptimiserComparison) -> Figure:
     """Best cost so far against evaluations: median and quartiles over repeats of each optimiser.
 
-    Several comparisons of the same optimisers have a panel each. A cost with its gradient counts as
-    its price. Costs that differ by more than LOG_RATIO are drawn over a logarithmic axis; otherwise
-    the first steps may leave the figure at the top.
+    Several comparisons of the same optimisers get one panel each. An evaluation with gradient
+    counts as several. If costs differ by more than LOG_RATIO the axis is logarithmic; otherwise the
+    first steps may be above its upper end.
     """
     across = min(2, len(comparisons))
     down = -(-len(comparisons) // across)
@@ -50,7 +50,7 @@ def _draw(ax: Axes, comparison: OptimiserComparison) -> None:
     positive = np.nanmin(lower[lower > 0], initial=np.inf)
     logarithmic = low >= 0 and high > style.LOG_RATIO * positive
     for i, (name, (evaluations, quartiles)) in enumerate(bands.items()):
-        # A curve that gets to 0 ends where that cannot be drawn.
+        # A logarithmic axis cannot show a cost of 0: the curve ends there.
         shown = np.where(quartiles > 0, quartiles, np.nan) if logarithmic else quartiles
         look: Style = {**style.CURVES[i % len(style.CURVES)], "linewidth": 1.4 if i else 2.2}
         style.plot_band(ax, evaluations, shown, name, look, steps=True)

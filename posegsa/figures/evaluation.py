@@ -1,4 +1,4 @@
-"""The figures of an evaluation: what schedules cost on unseen scenarios, and when they err."""
+"""The figures of an evaluation: costs on held-out scenarios, errors over time and by start."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 FIGURES: list[ResultFigure] = []
 
 ANGLE_SPREAD = 1.0
-"""Minimum range of initial angles over which cost is worth drawing [deg]."""
+"""Minimum range of initial angles for a figure over them [deg]."""
 
 _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
-"""Colour and line look of each contender, the same in all figures."""
+"""Colour and line style of each contender, the same in all figures."""
 _MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
-"""Of the contenders that are drawn as curves: more would hide each other."""
+"""The contenders that are drawn as curves, with their markers; more would hide each other."""
 _BANDS = (TUNED, CONSTANT)
-"""Of these, those whose spread is drawn as a band: more would mix to one colour."""
+"""Those whose spread is drawn as a band; more would blend into one colour."""
 _APART = 10.0
-"""Of three differences or more, one that is further from 0 than the middle one by this factor makes
-their axis logarithmic on both sides of 0."""
+"""The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
+this factor times the median one."""
 _GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
 
 
 def angles_differ(evaluation: Evaluation) -> bool:
-    """Whether the scenarios start at different attitude errors, by ANGLE_SPREAD at least."""
+    """Whether the initial attitude errors of the scenarios spread by at least ANGLE_SPREAD."""
     angles = _metrics(evaluation, TUNED).initial_angle
     return bool(np.ptp(angles) >= ANGLE_SPREAD)
 
@@ -106,17 +106,17 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     title="Errors and gain over time",
     caption="Lines are medians over scenarios. Bands, of the tuned filter and the best constant "
     "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the time switch and of the "
-    "Kalman filter, which has no such gain. Other schedules are not drawn. On the left, who gets "
-    "out of the initial error first; on the right, who stays lower afterwards. The gain shown is "
-    "the one used, after the gain limit. The position error is that of the cost, "
+    "Kalman filter, which has no such gain. Other schedules are not drawn. The left shows which "
+    "filter reduces the initial error first, the right which one stays lower afterwards. The "
+    "gain shown is that after the gain limit. The position error is that of the cost, "
     "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median, and 5 to 95 % or 95 % alone, of attitude error, position error and gain over time.
 
-    Over the scenarios with a finite cost; of the tuned filter and the best constant gains as bands,
-    of the best time switch and the Kalman filter, whose bands would hide these, as a line. The left
-    column enlarges the start.
+    Only scenarios with a finite cost are included. The tuned filter and the best constant gains
+    have bands; the best time switch and the Kalman filter, whose bands would hide these, have
+    lines. The left column enlarges the start.
     """
     time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
     parts = style.time_parts(time)
@@ -159,7 +159,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
     """Cost against the attitude error at the start [deg]: scenarios, and their running median.
 
     Infinite costs are marked at the upper edge, at their angle, and counted in the legend. None
-    where all scenarios start at the same angle.
+    if all scenarios start at the same angle.
     """
     if not angles_differ(evaluation):
         return None
@@ -173,7 +173,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         alpha = _faint(0.35, len(cost))
         ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=alpha, markersize=3, **points)
         label = f"{name} ({np.count_nonzero(bad)} infinite)" if bad.any() else name
-        order = 4 if name == TUNED else 3  # above the points, the tuned one above all
+        order = 4 if name == TUNED else 3  # above the points; the tuned filter on top
         ax.plot(*_running_median(angle, cost), label=label, linewidth=2, zorder=order, **look)
         if bad.any():
             edge = ax.get_xaxis_transform()
@@ -196,7 +196,7 @@ def _drawn(evaluation: Evaluation) -> list[str]:
 
 
 def _name_rows(ax: Axes, names: list[str], notes: dict[str, str]) -> None:
-    """Names for rows 0, 1, ... from the top, with what is noted below some of them."""
+    """Label the rows 0, 1, ... from the top, some with a note below the name."""
     labels = [textwrap.fill(name, 18) + notes.get(name, "") for name in names]
     ax.set_yticks(range(len(names)), labels)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -205,7 +205,7 @@ def _name_rows(ax: Axes, names: list[str], notes: dict[str, str]) -> None:
 
 
 def _faint(alpha: float, points: int) -> float:
-    """The opacity of points, less where there are many, that what lies over them shows."""
+    """The opacity of points, lower for many points so that curves over them stay visible."""
     return alpha * min(1.0, (100 / max(points, 1)) ** 0.5)
 
 
@@ -224,7 +224,7 @@ def _plot_distribution(ax: Axes, row: int, costs: np.ndarray, colour: str) -> No
 
 
 def _plot_interval(ax: Axes, row: int, mean: float, low: float, high: float) -> None:
-    """A mean and its interval in a row; the mean alone where there is no interval."""
+    """A mean and its interval in a row; only the mean if there is no interval."""
     if np.isfinite(low) and np.isfinite(high):
         ax.plot([low, high], [row, row], color=style.BLACK, marker="|", markersize=11, zorder=3)
     ax.plot(
@@ -233,7 +233,7 @@ def _plot_interval(ax: Axes, row: int, mean: float, low: float, high: float) -> 
 
 
 def _scale_differences(ax: Axes, differences: list[float]) -> None:
-    """An axis on which a difference that is far larger than the others leaves these their room."""
+    """Scale the axis so that a far larger difference does not squeeze the others."""
     away = np.abs(differences)[np.isfinite(differences)]
     middle = float(np.median(away)) if away.size else 0.0
     if 0 < middle * _APART < away.max():
@@ -242,7 +242,7 @@ def _scale_differences(ax: Axes, differences: list[float]) -> None:
 
 
 def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of angle [deg] and of cost over neighbours by angle; NaN where that is infinite."""
+    """Running medians of angle [deg] and cost, ordered by angle; NaN where infinite."""
     order = np.argsort(angle, kind="stable")
     width = min(len(angle), max(5, len(angle) // 10))
     width -= width % 2 == 0  # odd: the median is one of them

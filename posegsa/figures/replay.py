@@ -1,4 +1,4 @@
-"""The figures of a filter on a recording over time: errors, position and gain."""
+"""The figures of a replay: errors, position and gain over time."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST = 4000
-"""Most points of a curve; of more samples the largest of each of so many bins is drawn."""
-
+MAX_POINTS = 4000
+"""Maximum number of points in a curve; with more samples the maximum of each bin is drawn."""
 
 REPLAY_FIGURES = ("attitude_errors", "position", "gain")
 """Names of the figures of a replay."""
 
 
 def draw_replay(replay: Replay, figures: Sequence[str] = REPLAY_FIGURES) -> dict[str, Figure]:
-    """Figures of a replay by name; those that have nothing to show are left out."""
+    """Figures of a replay by name, without those that have nothing to show."""
     plots = (plot_attitude_errors, plot_position, plot_gain)
     drawn = {
         name: plot(replay)
@@ -39,7 +38,7 @@ def draw_replay(replay: Replay, figures: Sequence[str] = REPLAY_FIGURES) -> dict
 def plot_attitude_errors(replay: Replay) -> Figure | None:
     """Total, heading and inclination errors [deg], and the position's [m], over time [s].
 
-    What is not judged is grey. None without a truth.
+    Samples that are not judged are grey. None without a truth.
     """
     errors = replay.errors
     if errors is None:
@@ -66,12 +65,12 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
 
 @styled
 def plot_position(replay: Replay) -> Figure | None:
-    """True and estimated position [m] over time [s]; None where it is not estimated."""
+    """True and estimated position [m] over time [s]; None if it is not estimated."""
     recording, estimates = replay.recording, replay.estimates
     if recording.attitude_only:
         return None
     figure, axes = style.panels(3, 5.2)
-    every = slice(None, None, max(1, recording.samples // MOST))
+    every = slice(None, None, max(1, recording.samples // MAX_POINTS))
     truth = None if recording.truth is None else recording.truth.position
     for i, (ax, axis) in enumerate(zip(axes, "xyz", strict=True)):
         if truth is not None:
@@ -93,8 +92,8 @@ def plot_position(replay: Replay) -> Figure | None:
 def plot_gain(replay: Replay) -> Figure | None:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
 
-    The latter where a vector or landmark is seen: the limit is that of a step towards them. None
-    where the gain is one number all the time, which a line says no better.
+    The latter only where a vector or landmark is measured, because the limit depends on them. None
+    if the gain is constant.
     """
     recording, estimates = replay.recording, replay.estimates
     m = recording.measurements
@@ -120,9 +119,9 @@ def plot_gain(replay: Replay) -> Figure | None:
 
 
 def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
-    """Errors without the smallest hundredth, where they pass through 0, which the axes leave out.
+    """Set the limits of a logarithmic axis without the smallest 1 % of the errors; the others.
 
-    On a logarithmic axis a single sample at 1e-4 would take half of it.
+    Where errors pass through 0, a single sample at 1e-4 would take half of the axis.
     """
     positive = errors[errors > 0]
     if positive.size < 2:
@@ -133,8 +132,8 @@ def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
 
 
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve as the largest values of MOST bins at most; NaN where a bin has none."""
-    size = -(-len(values) // MOST)
+    """A curve as the maxima of at most MAX_POINTS bins; NaN for bins without values."""
+    size = -(-len(values) // MAX_POINTS)
     short = -len(values) % size
     bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
     known = np.isfinite(bins).any(axis=1)

@@ -20,14 +20,14 @@ NAMES = tuple(each.name for each in FIGURES)
 
 
 def draw(result: TuneResult, figures: Iterable[str] | None = None) -> dict[str, Figure]:
-    """The figures of a result by name; those that have nothing to show are left out.
+    """The figures of a result by name, without those that have nothing to show.
 
     Args:
         result: From `tune` or `evaluate`.
-        figures: Names of those to draw; by default all.
+        figures: Names of the figures to draw; by default all.
 
     Raises:
-        ArgumentError: There is no such result, or no figure of such a name.
+        ArgumentError: The result has the wrong type, or there is no figure with such a name.
     """
     check_type("result", result, TuneResult)
     names = chosen_figures(figures, NAMES)

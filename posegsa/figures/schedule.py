@@ -1,4 +1,4 @@
-"""The figures of a tuned schedule: its terms, its control surface and the use of its rules."""
+"""The figures of a tuned schedule: terms, control surface and use of the rules."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style
 from posegsa.judging.trust import Trust
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.stored_programs import stored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +30,7 @@ _SQUARE_ROOT = (
     lambda x: np.copysign(np.sqrt(np.abs(x)), x),
     lambda x: np.copysign(np.square(x), x),
 )
-"""A scale of an axis, and its inverse."""
+"""An axis scale and its inverse."""
 
 
 @captioned(
@@ -45,7 +44,7 @@ _SQUARE_ROOT = (
 def plot_surface(controller: FuzzyController) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
 
-    Where no rule fires the surface is blank; the legend says what the gain is there.
+    Where no rule fires the surface is blank, and the legend states the gain.
     """
     check_type("controller", controller, FuzzyController)
     figure, (ax,) = style.panels(1, 4.3)
@@ -83,8 +82,8 @@ def plot_surface(controller: FuzzyController) -> Figure:
 def plot_rules(trust: Trust) -> Figure:
     """Mean firing strength [-] of each rule over a held-out trajectory, by the terms of its inputs.
 
-    Shades tell small strengths apart better than large ones, because the rules of small errors fire
-    most of the time; a rule that never fires is left blank.
+    Colours distinguish small strengths better than large ones, because the rules of small errors
+    fire most of the time. A rule that never fires is blank.
     """
     from matplotlib.colors import PowerNorm
 
@@ -140,8 +139,8 @@ def plot_output_terms(controller: FuzzyController) -> Figure:
 
 
 def _plot_terms(triangles: Array, universe: tuple[float, float], label: str) -> tuple[Figure, Axes]:
-    """Triangles (n, 3) over their universe, each named above its peak."""
-    figure, (ax,) = style.panels(1, 3.2, above=0.3)  # for the names
+    """Triangles (n, 3) over their universe, with names above the peaks."""
+    figure, (ax,) = style.panels(1, 3.2)
     terms, (low, high) = np.asarray(triangles), universe
     names = _term_names(len(terms))
     order = np.argsort(terms[:, 1], kind="stable")
@@ -165,19 +164,19 @@ def _plot_terms(triangles: Array, universe: tuple[float, float], label: str) -> 
 
 
 def _term_names(count: int) -> list[str]:
-    """Names of so many terms of a fuzzy variable: VS to VL, or numbers where they are not five."""
+    """Names of the terms of a fuzzy variable: VS to VL, or numbers if there are not five."""
     return list(TERMS) if count == len(TERMS) else [str(i + 1) for i in range(count)]
 
 
 def _apart(places: np.ndarray, distance: float) -> np.ndarray:
-    """Ascending places moved as little and as evenly as needed to be at least `distance` apart."""
+    """Ascending places, moved as little as needed to be at least `distance` apart."""
     steps = distance * np.arange(len(places))
     right = np.maximum.accumulate(places - steps) + steps
     left = np.minimum.accumulate((places - steps)[::-1])[::-1] + steps
     return 0.5 * (right + left)
 
 
-@stored
+@jax.jit
 def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
     """Gains (rate, error) [1/s]; compiled, so that a sampled centroid's samples take no memory."""
     over_error = jax.vmap(controller, in_axes=(0, None))
@@ -187,7 +186,7 @@ def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
 def _gaps(controller: FuzzyController) -> list[tuple[float, float]]:
     """Intervals of [0, 1] that no input term covers.
 
-    Every pair of input terms has a rule: none fires just where the error or the rate is in a gap.
+    Every pair of input terms has a rule, so no rule fires exactly where error or rate is in a gap.
     """
     terms = np.clip(np.asarray(controller.input_terms, np.float64), 0, 1)
     gaps, covered = [], 0.0
@@ -207,7 +206,7 @@ def _hatch(
     controller: FuzzyController,
     label: str,
 ) -> None:
-    """Hatch intervals where no rule fires across the axes, and say so in a legend."""
+    """Hatch the intervals where no rule fires, and explain them in a legend."""
     look: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "////", "linewidth": 0.6}
     gaps = _gaps(controller)
     for start, end in gaps:
@@ -218,9 +217,9 @@ def _hatch(
 
 
 def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray, bar: Colorbar) -> None:
-    """Contour lines of a surface (y, x); their levels are the ticks and lines of its colour bar.
+    """Contour lines of a surface (y, x), with their levels as ticks and lines of the colour bar.
 
-    Labels on the lines would hide them: where a rule takes over from another, many are close.
+    Labels on the lines would hide them, because many are close together between two rules.
     """
     low, high = gain.min(), gain.max()
     levels = [level for level in style.ticks(7).tick_values(low, high) if low < level < high]

@@ -1,4 +1,4 @@
-"""The figure of a search: how its costs fell."""
+"""The figure of a search: its costs by iteration."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FIGURES: list[ResultFigure] = []
 def plot_convergence(history: History) -> Figure:
     """Best cost so far, mean and worst training cost [-] of each iteration of the search.
 
-    Costs that are not finite are left out of the curves; a second panel counts them, if any.
+    The curves leave out costs that are not finite; a second panel counts them, if there are any.
     """
     failures = np.asarray(history.non_finite)
     iteration = np.arange(1, len(failures) + 1)
@@ -46,7 +46,7 @@ def plot_convergence(history: History) -> Figure:
     costs = np.concatenate([values for _, values, _ in curves])
     style.scale_costs(ax, "y", costs[np.isfinite(costs)])
     mean = finite(history.mean)
-    if np.isfinite(mean).any():  # the worst of some iterations would flatten all else
+    if np.isfinite(mean).any():  # otherwise a few worst costs would flatten the rest
         ax.set_ylim(top=1.1 * np.nanmax(mean))
     ax.set_ylabel("Cost [-]")
     for panel in below:

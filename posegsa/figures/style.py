@@ -1,9 +1,9 @@
-"""The look that all figures share, for print and screen.
+"""The common style of all figures, for print and screen.
 
-Figures are made without pyplot and without a trace in the process, and their look does not depend
-on the user's settings. Curves differ in colour (after Okabe and Ito's palette) and in line style or
-weight, to be told apart in grey print and by colour-blind readers. Quantities without a unit are
-marked [-].
+Figures are made without pyplot and without changing global state, and do not depend on the user's
+matplotlib settings. Curves differ in colour (based on the palette of Okabe and Ito) and in line
+style or width, so that they can be distinguished in greyscale and by colour-blind readers.
+Quantities without a unit are marked [-].
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from posegsa.judging.evaluation import EARLY
 DPI = 200
 """Resolution for print [dots per inch]."""
 WIDTH = 6.5
-"""Width of a figure [in]: one column of a page, or both of a two-column one."""
+"""Width of a figure [in]: a page with one column, or both columns of two."""
 START = EARLY
-"""Length of the start of a run that figures show enlarged [s]."""
+"""Duration of the start of a run that figures show enlarged [s]."""
 LOG_RATIO = 30.0
-"""Costs that differ by more than this factor are drawn over a logarithmic axis."""
+"""Costs that differ by more than this factor are drawn on a logarithmic axis."""
 ATTITUDE_ERROR, POSITION_ERROR = "Attitude error [deg]", "Position error [m]"
 
 BLACK, BLUE, GREEN, VERMILION = "#000000", "#0072B2", "#009E73", "#D55E00"
 PURPLE, SKY, ORANGE, BROWN = "#AA4499", "#56B4E9", "#E69F00", "#661100"
 Style = dict[str, Any]
-"""Keywords of what draws a curve or a patch."""
+"""Keyword arguments for a curve or a patch."""
 CURVES: tuple[Style, ...] = (
     {"color": BLUE, "linestyle": "-"},
     {"color": BLACK, "linestyle": (0, (1, 1))},
@@ -52,10 +52,10 @@ CURVES: tuple[Style, ...] = (
     {"color": BROWN, "linestyle": (0, (2, 2))},
     {"color": BLUE, "linestyle": (0, (1, 2))},
 )
-"""Curves that can be told apart, the clearest first."""
+"""Distinguishable curves, the clearest first."""
 
 FONT_SIZE, TICK_SIZE = 11, 10
-_LEGEND, _HANDLE = 85, 8  # characters in a line of a legend, and those that a curve's sample takes
+_LEGEND, _HANDLE = 85, 8  # characters in a line of a legend, and in its sample of a curve
 _STYLE = {
     "font.size": FONT_SIZE,
     "axes.labelsize": FONT_SIZE,
@@ -72,28 +72,21 @@ _STYLE = {
 
 @contextmanager
 def _look() -> Iterator[None]:
-    import matplotlib.style  # here and in other functions, as long as it takes: when one draws
+    import matplotlib.style  # slow to import, so only when a figure is drawn
 
     with matplotlib.style.context(["default", _STYLE]):
         yield
 
 
 styled = _look()
-"""Decorator: matplotlib's own defaults and the style above, while a figure is built."""
+"""Decorator: matplotlib's defaults with the style above, while a figure is built."""
 
 
-def grid(
-    rows: int, columns: int, height: float, *, above: float = 0.0, **keywords: Any
-) -> tuple[Figure, np.ndarray]:
-    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`.
-
-    `above` is the height of what stands above the first row beside titles and legend [in].
-    """
+def grid(rows: int, columns: int, height: float, **keywords: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of this height [in] and its panels (rows, columns); keywords as of `subplots`."""
     from matplotlib.figure import Figure
 
-    from posegsa.figures.room import Room
-
-    figure = Figure(figsize=(WIDTH, height), layout=Room(above))
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **keywords)
     for ax in axes.flat:
         style_ticks(ax)
@@ -102,35 +95,35 @@ def grid(
 
 
 def panels(count: int, height: float, **keywords: Any) -> tuple[Figure, list[Axes]]:
-    """A figure of panels below each other that share the x axis, unless told otherwise."""
+    """A figure of panels in a column, by default with a shared x axis."""
     figure, axes = grid(count, 1, height, **{"sharex": True, **keywords})
     return figure, list(axes[:, 0])
 
 
 def style_ticks(ax: Axes) -> None:
-    """Set the look of ticks, which are made when the figure is drawn, after the style has gone."""
+    """Style ticks explicitly: matplotlib creates them when it draws, without the style above."""
     ax.tick_params(labelsize=TICK_SIZE, color="0.3", length=3.5, width=0.8)
     ax.tick_params(which="minor", color="0.3", length=2, width=0.6)
 
 
 def ticks(intervals: int, **keywords: Any) -> MaxNLocator:
-    """Places for ticks at round numbers, at most so many intervals; keywords as of its class."""
+    """A locator of ticks at round numbers; arguments as of `MaxNLocator`."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(intervals, **keywords)
 
 
 def legend_above(figure: Figure, ax: Axes) -> None:
-    """A legend above all panels, where it hides nothing; entries of the same name are one."""
+    """A legend above all panels; entries with the same name are merged."""
     handles, labels = ax.get_legend_handles_labels()
     entries = dict(zip(labels, handles, strict=True))
     widths = [len(label) + _HANDLE for label in entries]
     columns = len(widths) if sum(widths) <= _LEGEND else max(1, _LEGEND // max(widths))
-    figure.legend(entries.values(), entries.keys(), loc="upper center", ncols=columns)
+    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
-    """The scale of a panel's colours, beside it."""
+    """A colour bar beside a panel."""
     bar = figure.colorbar(drawn, ax=ax, pad=0.025, fraction=0.03, aspect=30)
     bar.set_label(label)
     style_ticks(bar.ax)
@@ -148,7 +141,7 @@ def plot_band(
 
 
 def time_parts(time: np.ndarray) -> list[np.ndarray]:
-    """Which samples (N,) panels show: the first START, enlarged, and all; of a short run all."""
+    """The samples (N,) of each panel: the first START and all; only all for a short run."""
     start, whole = time <= time[0] + START, np.full(len(time), True)
     enlarge = time[-1] - time[0] >= 2 * START and np.count_nonzero(start) > 2
     return [start, whole] if enlarge else [whole]
@@ -164,7 +157,7 @@ def scale_costs(ax: Axes, axis: str, costs: np.ndarray) -> None:
 def plain_numbers(axis: Axis, values: np.ndarray) -> None:
     """Plain numbers on a logarithmic axis, 0.1 and not 10^-1, for values above 0.
 
-    Between powers of ten too where few of these are shown, at 3 where numbers stand side by side.
+    If few powers of ten are shown there are numbers between them, fewer on a horizontal axis.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator
 
@@ -176,7 +169,7 @@ def plain_numbers(axis: Axis, values: np.ndarray) -> None:
 
 
 def plain_both_sides(axis: Axis) -> None:
-    """Plain numbers, -10 and not -10^1, at few places of an axis logarithmic on both sides of 0."""
+    """Few plain numbers, -10 and not -10^1, on an axis that is logarithmic on both sides of 0."""
     from matplotlib.ticker import FuncFormatter, NullLocator, SymmetricalLogLocator
 
     places = axis.get_major_locator()
@@ -194,7 +187,7 @@ def scale_errors(ax: Axes, errors: np.ndarray) -> None:
 
 
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:
-    """The time axis below the last of some panels, with room for what happens at once."""
+    """Label the time axis of the last panel, with a margin to show what happens at the start."""
     axes[-1].set_xlabel("Time [s]")
     margin = 0.01 * (time[-1] - time[0])
     if margin > 0:
@@ -202,24 +195,14 @@ def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:
 
 
 def finite(values: ArrayLike) -> np.ndarray:
-    """Values as an array with NaN, which breaks a line, for those that are not finite."""
+    """Values as an array with NaN, which interrupts a line, where they are not finite."""
     numbers = np.asarray(values, np.float64)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a PNG file at the resolution for print.
-
-    The layout is made here, and put aside meanwhile: `savefig` draws a figure that has one twice.
-    """
-    file, layout = io.BytesIO(), figure.get_layout_engine()
-    figure.set_dpi(DPI)
-    if layout is not None:
-        layout.execute(figure)
-    with _look():  # in which no layout is the default
-        figure.set_layout_engine(None)
-    try:
+    """A figure as a PNG file at the resolution for print."""
+    file = io.BytesIO()
+    with _look():  # `savefig` reads the settings too
         figure.savefig(file, format="png", dpi=DPI)
-    finally:
-        figure.set_layout_engine(layout)
     return file.getvalue()

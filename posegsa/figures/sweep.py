@@ -1,4 +1,4 @@
-"""The figures of a sweep: what a key that was varied does to the cost."""
+"""The figures of a sweep: cost against the values of a varied key."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_CURVES = 6
-"""Settings of the other keys that are drawn as curves of their own; more are drawn as one."""
+"""Maximum number of curves, one for each setting of the other keys; more are merged into one."""
 FEW = 6
-"""So many values at most have a number each on an axis that is not logarithmic."""
+"""Up to this many values, each gets a number on a linear axis."""
 LOGARITHMIC = 10.0
-"""Ratio of the largest to the least value from which the axis of a key is logarithmic."""
+"""Ratio of largest to smallest value from which the axis of a key is logarithmic."""
 
 
 @style.styled
 def plot_sweep(sweep: Sweep, key: str) -> Figure:
     """Held-out and training cost over the values of one key: means, and ranges over seeds.
 
-    The settings of the other keys have a curve each or, if they are many, one together.
+    Each setting of the other keys has a curve; many settings are merged into one.
     """
     check_type("sweep", sweep, Sweep)
     if key not in sweep.keys:
@@ -46,7 +46,7 @@ def plot_sweep(sweep: Sweep, key: str) -> Figure:
             aside = 0.0 if numeric else 0.12 * (i - 0.5 * (len(curves) - 1))
             x = np.array([at[text] for text in each], np.float64) + aside
             _draw(ax, x, found, name, i, joined=numeric)
-        ax.set_ylabel(f"{label} cost [-]\nmean, least and most")
+        ax.set_ylabel(f"{label} cost [-]\nmean, minimum and maximum")
     _scale(axes[-1], key, values, numeric=numeric)
     if list(curves) != [""]:
         style.legend_above(figure, axes[0])
@@ -61,7 +61,7 @@ class _Costs(NamedTuple):
 
 
 def _curves(sweep: Sweep, key: str) -> dict[str, dict[str, _Costs]]:
-    """By the settings of the other keys in words, and by the value of this one as JSON."""
+    """Costs by the settings of the other keys (in words), then by the value of this key (JSON)."""
     named: dict[str, dict[str, list]] = {}
     others = {_others(run.values, key) for run in sweep.runs}
     for run in sweep.runs:
@@ -85,7 +85,7 @@ def _others(values: Values, key: str) -> str:
 
 
 def _draw(ax: Axes, x: np.ndarray, costs: list[Spread], name: str, i: int, *, joined: bool) -> None:
-    """Means with bars from the least to the most."""
+    """Means with bars from minimum to maximum."""
     mean, least, most = (
         style.finite(np.array([getattr(one, field) for one in costs]))
         for field in ("mean", "least", "most")
@@ -98,7 +98,7 @@ def _draw(ax: Axes, x: np.ndarray, costs: list[Spread], name: str, i: int, *, jo
 
 
 def _scale(ax: Axes, key: str, values: list, *, numeric: bool) -> None:
-    """The axis of the key, a place for each word or a scale for numbers."""
+    """The axis of the key: one place per word, or a scale for numbers."""
     ax.set_xlabel(key)
     if not numeric:
         ax.set_xticks(range(len(values)), [shown_value(value) for value in values])

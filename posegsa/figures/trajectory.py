@@ -1,4 +1,4 @@
-"""The figures of one simulated run over time: pose, errors and gain."""
+"""The figures of one simulation: pose, errors and gain over time."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ if TYPE_CHECKING:
 
 FIGURES: list[ResultFigure] = []
 _BIASES = (
-    "What is left between the curves after the first second comes from the sensors' noise and "
-    "biases."
+    "The difference of the curves after the first second is due to noise and biases of the sensors."
 )
 
 _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
 _EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
 """Colours of vectors."""
 ASKED: Style = {"color": style.SKY, "linewidth": 3.4}
-"""The gain that a schedule asked for: wide, so that it shows on both sides of the one used."""
+"""The gain that a schedule asked for: wide, so that it is visible behind the gain used."""
 USED: Style = {"color": style.BLACK, "linewidth": 0.9}
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
 
@@ -106,7 +105,7 @@ def plot_position(trajectory: Trajectory) -> Figure:
     "then stays at what the noise of the vectors leaves.",
 )
 def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
-    """Errors of the vectors' estimated biases over time [s]; None where none are estimated."""
+    """Errors of the estimated biases of the vectors over time [s]; None if none are estimated."""
     errors = trajectory.vector_bias_error
     if errors.shape[1] == 0:
         return None
@@ -129,7 +128,7 @@ def _true_and_estimated(
     ticks: Sequence[float],
     curve: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] = lambda t, y: (t, y),
 ) -> Figure:
-    """Components of a pose, true and estimated (N, 3), in a panel each, as `curve` has (x, y)."""
+    """True and estimated components (N, 3), one panel each; `curve` maps (t, y) to a line."""
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
         for values, look in zip(pair, (_TRUE, _ESTIMATED), strict=True):
@@ -144,8 +143,8 @@ def _true_and_estimated(
 def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A curve of angles [deg] that leaves at +-180 and comes back on the other side.
 
-    Where neighbours differ by more than 180 the way round is the shorter one. Three points are put
-    between them, all at the time of the crossing: the end of the range, NaN, and its other end.
+    If neighbours differ by more than 180, the angle has wrapped. Three points are inserted between
+    them, all at the time of the crossing: the end of the range, NaN, and its other end.
     """
     before = np.flatnonzero(np.abs(np.diff(angle)) > 180)
     after = before + 1

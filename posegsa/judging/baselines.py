@@ -210,7 +210,7 @@ def _at(end: float) -> Callable[[Array], GainSchedule]:
 
 def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
     """The best schedule of a kind, with all that is tuned beside it, on training scenarios."""
-    experiment = _searched(problem.experiment)
+    experiment = searchable(problem.experiment)
     one = problem._replace(
         experiment=experiment,
         space=search_space(experiment, schedule_space(kind, experiment)),
@@ -220,7 +220,7 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
     return one.space.candidate(found.search.best_position)
 
 
-def _searched(experiment: config.Experiment) -> config.Experiment:
+def searchable(experiment: config.Experiment) -> config.Experiment:
     """The experiment with an optimiser that searches any schedule in a compiled loop."""
     own: Optimiser = experiment.search
     if own.on_host or any(phase.wants_gradients for phase in own.phases):

@@ -107,7 +107,7 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
 
     def errors(candidate: Candidate) -> dict[str, np.ndarray]:
         tracks = error_tracks(candidate, batch)
-        half = np.sqrt(np.clip(np.asarray(tracks.attitude, np.float64), 0, 1))
+        half = np.sqrt(np.asarray(tracks.attitude, np.float64))
         each = {
             "attitude": np.degrees(2 * np.arcsin(half)),
             "position": np.asarray(tracks.position, np.float64),

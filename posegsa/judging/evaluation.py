@@ -12,9 +12,9 @@ from pydantic import AfterValidator, Field
 
 from posegsa.arguments import MAX_INTEGER
 from posegsa.config import PARAMETERS
+from posegsa.filters.kalman import KalmanNoise
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
-from posegsa.model.ekf import EkfNoise
-from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
@@ -87,7 +87,7 @@ def _of_its_kind(found: Description) -> Description:
             same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))
             fits, allowed = same and bool(np.all(np.diff(time) > 0)), "ascending time, and log_gain"
         case "Kalman":
-            fits = bool(lengths) and lengths.keys() <= set(EkfNoise._fields)
+            fits = bool(lengths) and lengths.keys() <= set(KalmanNoise._fields)
             fits, allowed = fits and set(lengths.values()) == {1}, "noises, one number each"
         case kind:
             names = [field.name for field in fields(SCHEDULES[kind])]

@@ -10,7 +10,7 @@ from jax import Array
 from pydantic import AfterValidator
 
 from posegsa.config import Experiment
-from posegsa.model.filter import FilterSettings
+from posegsa.filters.observer import FilterSettings
 from posegsa.model.measurements import Measurements
 from posegsa.recordings.recording import Recording
 from posegsa.settings.fields import NonNegative

@@ -5,25 +5,21 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import ClosedLoop, ErrorTrack, Samples, begin, errors_onward
-from posegsa.model.signal import SignalSettings
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
+from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
-from posegsa.search.equal_pieces import piece
+from posegsa.search.groups import in_groups, padded
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
-from posegsa.stored_programs import stored
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
 """Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
 makes errors of 8 deg RMS."""
 DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
 """Mean errors [deg], [m] over the last second above which a run counts as diverged."""
-SCENARIOS, SAMPLES = 32, 1024
-"""Scenarios and samples that one call simulates, whatever there are, filled up with some that do
-not count: so all that is judged runs as one program, training, held-out and longer scenarios."""
-
 POSITION_WORDS = (
     "P_err is the cost's position error, |P_est - R_err P|; distance is |P_est - P|, how far the "
     "estimate is from the body."
@@ -76,46 +72,27 @@ class Bands(NamedTuple):
 
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
-    there, samples = batch.samples.time.shape
+    count, samples = batch.samples.time.shape
     # All of it, as a program is compiled anew for what lies on other devices.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
-    parts = []
-    for first in range(0, there, SCENARIOS):
-        initial = jax.tree.map(lambda a, first=first: piece(a, first, SCENARIOS), batch.initial)
-        some = jax.tree.map(lambda a, first=first: a[first : first + SCENARIOS], batch.samples)
-        loop, pieces = _begin(candidate, initial), []
-        for start in range(0, samples, SAMPLES):
-            now = jax.tree.map(
-                lambda a, start=start: piece(piece(a, start, SAMPLES, axis=1), 0, SCENARIOS), some
-            )
-            count = np.int32(min(SAMPLES, samples - start))
-            loop, errors = _onward(candidate, now, loop, batch.settings, batch.signal, count)
-            pieces.append(jax.device_get(errors))
-        over_time = (
-            np.concatenate(each, axis=1)[:, :samples]
-            for each in zip(*(errors[:4] for errors in pieces), strict=True)
+    length = padded(samples)
+
+    def some(index: np.ndarray) -> ErrorTrack:
+        chosen = batch.select(index)
+        longer = jax.tree.map(
+            lambda a: np.pad(a, [(0, 0), (0, length - samples)], mode="edge"), chosen.samples
         )
-        over_all = dict(zip(("attitude", "position", "gain", "distance"), over_time, strict=True))
-        parts.append(pieces[-1]._replace(**over_all))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:there], *parts)
+        track = _tracks(candidate, batch.filter, longer, chosen.initial, np.int32(samples))
+        return track.until(samples)
+
+    return in_groups(some, count, length)
 
 
-@stored
-def _begin(candidate: Candidate, initial: FilterState) -> ClosedLoop:
-    return jax.vmap(lambda one: begin(candidate.schedule, one))(initial)
-
-
-@stored
-def _onward(
-    candidate: Candidate,
-    samples: Samples,
-    loop: ClosedLoop,
-    settings: FilterSettings,
-    signal: SignalSettings,
-    count: np.int32,
-) -> tuple[ClosedLoop, ErrorTrack]:
-    own = candidate.applied(settings, signal)
-    return errors_onward(candidate.schedule, samples, loop, *own, jnp.asarray(count))
+@jax.jit
+def _tracks(
+    candidate: Candidate, shared: Filter, samples: Samples, initial: FilterState, count: Array
+) -> ErrorTrack:
+    return simulate_errors_together(candidate.applied(shared), samples, initial, count)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such
@@ -129,7 +106,7 @@ def metrics_of(
     """
     time = np.asarray(batch.samples.time[0], np.float64)
     attitude, position, gain, distance, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
-    angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(attitude, 0, 1))))  # NaN stays
+    angle = np.degrees(2 * np.arcsin(np.sqrt(attitude)))
     error = attitude + float(batch.weights.position) * position
     end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
     counts = np.broadcast_to(time < end, error.shape)

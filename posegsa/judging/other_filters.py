@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from posegsa.errors import ArgumentError, RecordingError
-from posegsa.model.rollout import Estimates
+from posegsa.filters.rollout import Estimates
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import matrices, quaternions
 

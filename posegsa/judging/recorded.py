@@ -1,7 +1,7 @@
 """What a search on recordings found, and what it is worth on recordings that it has not seen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
@@ -14,6 +14,8 @@ from posegsa import steps
 from posegsa.arguments import check_type, refuse
 from posegsa.config import SEARCHED, Experiment, override
 from posegsa.errors import FuzzyError, RecordingError
+from posegsa.filters.observer import Observer
+from posegsa.filters.rollout import Estimates
 from posegsa.judging.baselines import candidate_of, describe, rules_text, tuned_experiment
 from posegsa.judging.evaluation import CONSTANT, SCHEDULES, TUNED, Description, StoredFilter
 from posegsa.judging.known_sensors import (
@@ -24,11 +26,8 @@ from posegsa.judging.known_sensors import (
 )
 from posegsa.judging.replay import HEADS, error_rows, replayed_on
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain, GainSchedule
-from posegsa.model.signal import SignalSettings
 from posegsa.recordings.accuracy import AnyNumber, Rmse
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.recording import Recording
@@ -144,7 +143,9 @@ class RecordingResult:
     @property
     def schedule(self) -> GainSchedule:
         """The tuned gain schedule, ready for `run_filter`."""
-        return self.candidate.schedule
+        schedule = self.candidate.schedule
+        assert schedule is not None  # every kind that is stored has one
+        return schedule
 
     @property
     def tuned(self) -> Experiment:
@@ -175,27 +176,32 @@ class RecordingResult:
         if self.tuned_on != "scenarios" and (self.training or self.held_out):
             refuse(
                 "a filter of recordings whose references differ, or move",
-                "in Python, filter_to_c or PoseFilter with result.schedule, "
-                "*result.settings(recording) and references of your own",
+                "in Python, filter_to_c or PoseFilter with result.filter_on(recording) and "
+                "references of your own",
             )
         return of_scenario(self.experiment)
 
-    def settings_for(self, vectors: int, landmarks: int) -> FilterSettings:
-        """The tuned filter's settings for so many sensors, each seen with the factor 1.
+    def filter_for(self, vectors: int, landmarks: int) -> Observer:
+        """The tuned filter for so many sensors, each seen with the factor 1.
 
         If there are as many as in `known_sensors`, the weights that these have in the recordings
-        are in the settings.
+        are in its settings.
         """
-        settings, known = settings_on(self.tuned, vectors, landmarks), self.sensors
+        observer, known = self._observer(vectors, landmarks), self.sensors
         if known and (len(known.vectors), len(known.landmarks)) == (vectors, landmarks):
-            return known.weighted(settings)
-        return settings
+            return replace(observer, settings=known.weighted(observer.settings))
+        return observer
 
-    def settings(self, recording: Recording) -> tuple[FilterSettings, SignalSettings]:
-        """The tuned filter and its error signal for a recording's sensors."""
-        dtype = self.experiment.run.dtype
-        sensors = _sensors(recording)
-        return settings_on(self.tuned, *sensors), signal_settings(self.tuned.gain, dtype)
+    def filter_on(self, recording: Recording) -> Observer:
+        """The tuned filter for a recording, whose own weights are factors on the filter's."""
+        return self._observer(*_sensors(recording))
+
+    def _observer(self, vectors: int, landmarks: int) -> Observer:
+        return Observer(
+            self.schedule,
+            settings_on(self.tuned, vectors, landmarks),
+            signal_settings(self.tuned.gain, self.experiment.run.dtype),
+        )
 
     def estimate(self, recording: Recording) -> Estimates:
         """Run the tuned filter over a recording.
@@ -206,10 +212,7 @@ class RecordingResult:
         """
         check_type("recording", recording, Recording)
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
-            settings, signal = self.settings(recording)
-            learnt = 0 if settings.vector_bias is None else _sensors(recording)[0]
-            start = state_of(recording.initial(), learnt)
-            return run_filter(self.schedule, recording, start, settings, signal)
+            return run_filter(self.filter_on(recording), recording, state_of(recording.initial()))
 
     def __repr__(self) -> str:
         return f"<RecordingResult: a {self.filter.kind} gain; see summary()>"

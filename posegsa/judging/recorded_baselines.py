@@ -3,7 +3,7 @@
 All that is tuned has seen what the filter was tuned on: recordings, or a run's own scenarios.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -27,7 +27,6 @@ from posegsa.search.population import TrackCost
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import run_search, tell_share
 
-Say = Callable[[str], object]
 Scores = dict[str, list[RecordingScore]]
 """Of each filter, by name, on each recording."""
 
@@ -37,7 +36,6 @@ def judged_beside_baselines(
     recordings: Sequence[Recording],
     training: Sequence[Recording],
     others: Sequence[str],
-    say: Say,
 ) -> RecordingResult:
     """A result on recordings, beside other filters on the same ones.
 
@@ -47,19 +45,18 @@ def judged_beside_baselines(
         training: On which constant gains and the Kalman filter are tuned; without any they are left
             out.
         others: Of `OTHER_FILTERS`, those that are tried.
-        say: Told in words what is done next.
     """
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         own = _scores(result, recordings)
         baselines: Scores = {}
         if training:
             if result.filter.kind != "constant":
-                _begin("searching", CONSTANT, say)
+                steps.begin("searching", about=CONSTANT)
                 baselines[CONSTANT] = _constant(result, recordings, training)
-            _begin("searching", EKF, say)
+            steps.begin("searching", about=EKF)
             noises = tune_recorded_kalman(result.experiment, training, result.position_weight)
             baselines[EKF] = _kalman_scores(noises, result, recordings)
-        baselines |= _other_scores(others, recordings, say)
+        baselines |= _other_scores(others, recordings)
     return replace(result, held_out=own, baselines=baselines)
 
 
@@ -67,7 +64,6 @@ def run_beside_baselines(
     run: TuneResult,
     recordings: Sequence[Recording],
     others: Sequence[str],
-    say: Say,
     cost: TrackCost | None = None,
 ) -> RecordingResult:
     """A run on simulated scenarios, on recordings, beside filters tuned on the same scenarios.
@@ -76,7 +72,6 @@ def run_beside_baselines(
         run: What is judged; its best constant gains are, too.
         recordings: That judge.
         others: Of `OTHER_FILTERS`, those that are tried.
-        say: Told in words what is done next.
         cost: The user's own cost that the run was tuned with, if it was.
     """
     experiment = run.experiment
@@ -86,29 +81,23 @@ def run_beside_baselines(
         own = _scores(result, recordings)
         baselines: Scores = {CONSTANT: _scores(constant, recordings)}
         if EKF not in known:
-            _begin("searching", EKF, say)
+            steps.begin("searching", about=EKF)
             known[EKF] = tune_kalman(
                 experiment, scenario(experiment), vector_biases=False, cost=cost
             )
         baselines[EKF] = _kalman_scores(known[EKF], result, recordings)
-        baselines |= _other_scores(others, recordings, say)
+        baselines |= _other_scores(others, recordings)
     return replace(result, held_out=own, baselines=baselines)
-
-
-def _begin(step: str, name: str, say: Say) -> None:
-    """Say that a filter is searched or judged now."""
-    steps.begin(step, about=name)
-    say(f"{step}: {name}")
 
 
 def _scores(result: RecordingResult, recordings: Sequence[Recording]) -> list[RecordingScore]:
     return [score(one, result.estimate(one)) for one in recordings]
 
 
-def _other_scores(names: Sequence[str], recordings: Sequence[Recording], say: Say) -> Scores:
+def _other_scores(names: Sequence[str], recordings: Sequence[Recording]) -> Scores:
     found: Scores = {}
     for name in names:
-        _begin("judging", name, say)
+        steps.begin("judging", about=name)
         found[name] = [score(one, other_filter(name, one)) for one in recordings]
     return found
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from posegsa.model.rollout import Estimates
+from posegsa.filters.rollout import Estimates
 from posegsa.recordings.accuracy import RecordingErrors, Rmse, recording_errors
 from posegsa.recordings.recording import Recording
 from posegsa.words import text_table

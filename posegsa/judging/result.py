@@ -14,15 +14,16 @@ from pydantic import Field
 from posegsa.arguments import check_type, refuse
 from posegsa.config import PARAMETERS, SEARCHED, Experiment, with_tuned
 from posegsa.errors import PosegsaWarning
+from posegsa.filters.observer import Observer
+from posegsa.filters.rollout import Estimates
 from posegsa.judging.baselines import rules_text, tuned_experiment
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
-from posegsa.model.filter import FilterSettings, checked_state
+from posegsa.model.estimate import checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import History
 from posegsa.recordings.recording import Recording
@@ -113,7 +114,7 @@ class TuneResult:
 
         Args:
             measurements: N samples (`Measurements.from_arrays`), or a recording, brought to its
-                precision. Their vectors and landmarks have weights as `settings_for` says.
+                precision. Their vectors and landmarks have weights as `filter_for` says.
             rotation: (3, 3) R_est at the first sample, body to inertial; by default that of the
                 recording, with its position and bias.
             position: (3,) P_est there [m], inertial frame.
@@ -126,22 +127,19 @@ class TuneResult:
         """
         check_type("measurements", measurements, Measurements, Recording)
         recorded = isinstance(measurements, Recording)
-        sensed = measurements.measurements if recorded else measurements
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
+            sensed = measurements.measurements if recorded else measurements.at_least(dtype)
             vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
-            settings = self.settings_for(vectors, landmarks)
-            signal = signal_settings(self.tuned.gain, dtype)
-            learnt = 0 if settings.vector_bias is None else vectors
             if recorded and rotation is None and position is None and bias is None:
-                start = state_of(measurements.initial(), learnt_vectors=learnt)
+                start = state_of(measurements.initial())
             elif rotation is None or position is None:
                 refuse("rotation, position: not both given", "both, or neither with a Recording")
             else:
-                start = checked_state(rotation, position, bias, dtype, learnt_vectors=learnt)
+                start = checked_state(rotation, position, bias, dtype)
             if not recorded:
                 measurements = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), sensed)
-            estimates = run_filter(self.schedule, measurements, start, settings, signal)
+            estimates = run_filter(self.filter_for(vectors, landmarks), measurements, start)
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
         if used < 0.1 * asked:
             warnings.warn(
@@ -153,14 +151,18 @@ class TuneResult:
             )
         return estimates
 
-    def settings_for(self, vectors: int, landmarks: int) -> FilterSettings:
-        """The tuned filter's settings for so many sensors.
+    def filter_for(self, vectors: int, landmarks: int) -> Observer:
+        """The tuned filter, for so many sensors.
 
         Weights go in order: the first vector has that of the experiment's first, and so on;
         further ones have 1, and so have landmarks. The weights that a recording or measurements
         have of their own are factors on these.
         """
-        return settings_on(self.tuned, vectors, landmarks)
+        return Observer(
+            self.schedule,
+            settings_on(self.tuned, vectors, landmarks),
+            signal_settings(self.tuned.gain, np.dtype(self.experiment.run.dtype)),
+        )
 
     def __repr__(self) -> str:
         return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"

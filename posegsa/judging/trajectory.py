@@ -10,10 +10,12 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import Estimates, Samples, simulate
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.rollout import Estimates, simulate
+from posegsa.model.estimate import FilterState
 from posegsa.model.se3 import (
     attitude_distance,
+    clip_distance,
     euler_angles,
     quaternion,
     rotation_angle,
@@ -21,12 +23,10 @@ from posegsa.model.se3 import (
     stack,
     unstack,
 )
-from posegsa.model.signal import SignalSettings
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
 from posegsa.settings.plain import decimal
-from posegsa.stored_programs import stored
 
 _column = partial(Columns, allow="any")
 """Columns of a filter that may have diverged."""
@@ -97,7 +97,7 @@ def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Tra
     samples, initial, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
     )
-    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.settings, batch.signal))
+    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.filter))
 
 
 def _in_float64(values: dict[str, Array]) -> Trajectory:
@@ -106,16 +106,15 @@ def _in_float64(values: dict[str, Array]) -> Trajectory:
     )
 
 
-@stored
+@jax.jit
 def _run(
     candidate: Candidate,
     samples: Samples,
     initial: FilterState,
     vector_bias: Array,
-    settings: FilterSettings,
-    signal: SignalSettings,
+    shared: Filter,
 ) -> dict[str, Array]:
-    estimates = simulate(candidate.schedule, samples, initial, *candidate.applied(settings, signal))
+    estimates = simulate(candidate.applied(shared), samples, initial)
     assert samples.truth is not None
     R = rotation_matrix(stack(samples.truth.attitude))
     # The loop reads P as the inertial origin in the body frame, R^T P.
@@ -123,7 +122,7 @@ def _run(
     return _values(R, P, estimates, vector_bias)
 
 
-@stored
+@jax.jit
 def _values(
     rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike
 ) -> dict[str, Array]:
@@ -146,7 +145,7 @@ def _values(
         "position_est": estimates.position,
         "bias_est": estimates.bias,
         "attitude_error": jnp.degrees(rotation_angle(distance)),
-        "attitude_distance": distance,
+        "attitude_distance": clip_distance(distance),
         "position_error": jnp.linalg.norm(P_err, axis=-1),
         "distance": jnp.linalg.norm(estimates.position - P, axis=-1),
         "gain": estimates.gain,

@@ -9,16 +9,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from pydantic import Field
 
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import Trajectory
-from posegsa.model.filter import FilterState
+from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
-from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import FuzzyGain
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
-from posegsa.stored_programs import stored
 
 PERTURBATION = 1e-6
 """Change of the initial estimate: about this much of each quaternion component, and [m]."""
@@ -125,7 +124,7 @@ def rule_weights(controller: FuzzyController, error: np.ndarray, rate: np.ndarra
     return np.mean(np.minimum(of_rate[:, None], of_error[None]), axis=-1)
 
 
-@stored
+@jax.jit
 def _memberships(controller: FuzzyController, inputs: ArrayLike) -> jax.Array:
     """Memberships (5, N) of inputs (N,) in the input terms."""
     x = jnp.asarray(inputs)

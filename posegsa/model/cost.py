@@ -1,4 +1,4 @@
-"""Costs of a simulation: the paper's (Eq. 17), as sums over samples, and that on recordings."""
+"""The cost of a simulation (Eq. 17 of the paper), and the cost on a recording."""
 
 from typing import NamedTuple, Self
 
@@ -9,19 +9,19 @@ from posegsa.model.se3 import safe_sqrt
 
 
 class CostWeights(NamedTuple):
-    """The cost as a weighted sum over samples, so that it can be run up inside the simulation."""
+    """The cost as a weighted sum over samples, so that the simulation can accumulate it."""
 
     transient: Array
     """(N,) 0.3 inside the transient window, else 0 (0.3 as configured)."""
     steady: Array
     """(N,) 1 inside the steady-state window, else 0 (1 as configured)."""
     window: Array
-    """(N,) whether a sample lies inside the steady-state window, also where that has no weight."""
+    """(N,) True inside the steady-state window, even if its weight is 0."""
     position: Array
     """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
 
     def until(self, time: Array, end: Array | None) -> Self:
-        """The weights at times (N,) [s], where nothing counts from `end` [s] on; None is never."""
+        """The weights for samples at `time` (N,) [s], 0 from `end` [s] on; None changes nothing."""
         if end is None:
             return self
         counts = time < end
@@ -37,49 +37,32 @@ class CostParts(NamedTuple):
 
     @property
     def total(self) -> Array:
-        """C."""
+        """The cost C."""
         return self.transient + self.steady
 
 
 def sample_error(attitude: Array, position: Array, weights: CostWeights) -> Array:
-    """||R_err||_I + 0.2 ||P_err||, the summand of both parts."""
+    """||R_err||_I + 0.2 ||P_err||, the term that both parts sum."""
     return attitude + weights.position * position
 
 
-def trajectory_cost(attitude: Array, position: Array, weights: CostWeights) -> CostParts:
-    """Cost of errors over time.
-
-    Args:
-        attitude: (..., N) ||R_err||_I in [0, 1].
-        position: (..., N) ||P_err|| [m].
-        weights: for N samples.
-    """
-    error = sample_error(attitude, position, weights)
-
-    def total(weight: Array) -> Array:
-        return jnp.einsum("...n,n->...", error, weight, precision="highest")
-
-    return CostParts(total(weights.transient), total(weights.steady))
-
-
 class RecordedCost(NamedTuple):
-    """The cost on a recording: root mean squares of attitude and position over what is judged.
+    """The cost on a recording: root mean square errors over the judged samples.
 
-    C = RMSE of the attitude [deg] + weight x RMSE of the position [m]. The attitude's error is
-    taken as its chord, 2 sin(angle / 2), which is the angle but for 1 % at 28 deg; the position's
-    is |P_est - P|.
+    C = RMSE of the attitude [deg] + weight x RMSE of the position [m]. The attitude error is the
+    chord 2 sin(angle / 2), 1 % below the angle at 28 deg. The position error is |P_est - P|.
     """
 
     weight: Array
-    """(N,) share of each sample, 0 where it is not judged; they sum up to 1."""
+    """(N,) share of each sample, 0 where it is not judged; they sum to 1."""
     position: tuple[Array, Array, Array]
-    """True P, each (N,) [m]; anything where it is not judged."""
+    """True P, each (N,) [m]; arbitrary where it is not judged."""
     position_weight: Array
     """[deg/m], 0 where the position is not judged."""
 
 
 class SquaredErrors(NamedTuple):
-    """Mean squares, run up sample by sample."""
+    """Mean squared errors, accumulated sample by sample."""
 
     attitude: Array
     """sin^2(angle / 2)."""
@@ -87,8 +70,9 @@ class SquaredErrors(NamedTuple):
     """[m^2]."""
 
     def cost(self, position_weight: Array) -> Array:
-        """C [deg]; infinite where the filter diverged: `safe_sqrt` makes 0 of NaN."""
+        """The cost C [deg], infinite where the filter diverged."""
         attitude = jnp.degrees(2 * safe_sqrt(self.attitude))
         cost = attitude + position_weight * safe_sqrt(self.position)
+        # `safe_sqrt` turns NaN into 0, which would be the best cost of all.
         known = jnp.isfinite(self.attitude) & jnp.isfinite(self.position)
         return jnp.where(known, cost, jnp.inf)

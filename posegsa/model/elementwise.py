@@ -1,9 +1,9 @@
-"""Elementwise operations of the hot loop, each as few vector instructions as it can be.
+"""Elementwise operations of the hot loop, each with as few vector instructions as possible.
 
-`minimum` and `maximum` differ from their namesakes in `jax.numpy` at NaN and in the derivative at
-ties: `jnp.minimum` passes every NaN on, which takes three instructions, and halves the derivative
-between equals. All three are one operation of XLA, where `jnp.where` is a call that JAX traces each
-time.
+`minimum` and `maximum` differ from their namesakes in `jax.numpy` at NaN and at ties:
+`jnp.minimum` propagates NaN, which takes three instructions, and splits the derivative between
+equal arguments. All three functions are single XLA operations, whereas `jnp.where` is a function
+that JAX traces at each call.
 """
 
 import jax.numpy as jnp
@@ -13,19 +13,19 @@ from jax.typing import ArrayLike, DTypeLike
 
 
 def choose(condition: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
-    """`a` where the condition holds, else `b`; of one dtype, or Python's numbers."""
+    """`a` where the condition holds, else `b`: arrays of one dtype, or Python numbers."""
     dtype = next((x.dtype for x in (a, b) if isinstance(x, Array)), jnp.result_type(a, b))
     shape = np.broadcast_shapes(np.shape(condition), np.shape(a), np.shape(b))
     return lax.select(_to(condition, shape, bool), _to(a, shape, dtype), _to(b, shape, dtype))
 
 
 def minimum(a: Array | float, b: Array | float) -> Array:
-    """The smaller of a and b, one instruction; b, and its derivative, where equal or a is NaN."""
+    """The smaller of a and b, in one instruction; b and its derivative if equal or if a is NaN."""
     return choose(a < b, a, b)
 
 
 def maximum(a: Array, b: ArrayLike) -> Array:
-    """The larger of a and b, one instruction; b, and its derivative, where equal or a is NaN."""
+    """The larger of a and b, in one instruction; b and its derivative if equal or if a is NaN."""
     return choose(a > b, a, b)
 
 

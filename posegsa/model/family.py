@@ -16,21 +16,21 @@ Sensors = Literal["all", "vectors", "landmarks"]
 
 
 class Occasions(NamedTuple):
-    """Something that happens now and then: when it is over, the next is a random time away."""
+    """An event that recurs: when one is over, the next begins after a random time."""
 
     rate: Array
-    """How often it begins while it is not there [1/s]."""
+    """How often one begins while none is going on [1/s]."""
     duration: Array
-    """(2,) least and largest duration [s]."""
+    """(2,) minimum and maximum duration [s]."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Family:
-    """Ranges that scenarios are drawn from; the numbers are traced, which ones there are is not.
+    """The ranges that scenarios are drawn from; numbers are traced, which are None is static.
 
-    A range is (2,), its least and largest value, drawn uniformly between them; None leaves what it
-    is about as the scenario has it.
+    A range is (2,), minimum and maximum; values are drawn uniformly between them. None keeps the
+    scenario's own value.
     """
 
     attitude_error: Array | None
@@ -42,7 +42,7 @@ class Family:
     noise_scale: Array | None
     """Factor on all noise levels."""
     landmark_spread: Array
-    """Half the width of the cube about each landmark that it is drawn from [m]."""
+    """Each landmark is drawn from a cube around it; half the width of that cube [m]."""
     motion_scale: Array | None
     """Factor on the velocities' amplitudes."""
     vector_bias: Array | None
@@ -50,34 +50,34 @@ class Family:
     landmark_bias: Array | None
     """Standard deviation of each component of each landmark's bias [m]."""
     angular_drift: Array | None
-    """Range of the intensity of the angular velocity bias' random walk [rad/s/sqrt(s)]."""
+    """Intensity of the random walk of the angular velocity's bias [rad/s/sqrt(s)]."""
     linear_drift: Array | None
-    """Range of that of the linear velocity's [m/s/sqrt(s)]."""
+    """Intensity of the random walk of the linear velocity's bias [m/s/sqrt(s)]."""
     outages: Occasions | None
     """Times without measurements of the sensors `outage_of`."""
     bursts: Occasions | None
-    """Times in which one of the vectors, drawn at random, is disturbed."""
+    """Times during which one of the vectors, drawn at random, is disturbed."""
     burst_size: Array
-    """Length of what is then added to it in a random direction, in the vector's unit."""
+    """Length of the disturbance, which has a random direction, in the vector's unit."""
     landmark_interval: Array | None
-    """Range of the time between two measurements of the landmarks [s]."""
+    """Time between two measurements of the landmarks [s]."""
     rest: Array | None
-    """Range of the time at rest at the start [s], for those that begin at rest."""
+    """Time at rest at the start [s], in scenarios that begin at rest."""
     rest_share: Array
     """Share of the scenarios that begin at rest."""
     duration: Array | None
-    """Range of the time after which nothing counts any more [s]."""
+    """Time after which samples no longer count [s]."""
     random_phase: bool = field(metadata={"static": True})
     outage_of: Sensors = field(metadata={"static": True})
     most_windows: int = field(metadata={"static": True})
-    """Most outages and bursts in a scenario; those beyond are left out."""
+    """Maximum number of outages, and of bursts, in a scenario; later ones are left out."""
 
 
 def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     """One scenario of a family (pure, jittable; vmap it over keys).
 
-    What the family does not vary is the given scenario's, bit for bit. Each quantity has a key of
-    its own, so that varying one does not change what is drawn of another.
+    What the family does not vary is copied from the given scenario bit for bit. Each quantity has
+    its own key, so that varying one does not change another.
     """
     first = ("attitude", "axis", "position", "direction", "bias", "noise", "landmarks", "motion")
     names = (*first, "phase")
@@ -98,7 +98,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     def between(ends: Array, key: Array) -> Array:
         return ends[0] + (ends[1] - ends[0]) * unit(key)
 
-    # As precise on a GPU, whose products are coarser by default.
+    # By default GPUs compute products at a lower precision.
     matmul = partial(jnp.matmul, precision="highest")
     R_err = matmul(scenario.rotation_estimate, scenario.rotation.T)
     P_err = scenario.position_estimate - matmul(R_err, scenario.position)
@@ -168,7 +168,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
 
 
 def _windows(occasions: Occasions, count: int, key: Array) -> Array:
-    """Beginnings and ends (count, 2) [s] of occasions one after the other."""
+    """Start and end times (count, 2) [s] of recurring events."""
     of_gap, of_duration = random.split(key)
     dtype = occasions.rate.dtype
     gaps = random.exponential(of_gap, (count,), jnp.float32).astype(dtype) / occasions.rate
@@ -178,14 +178,9 @@ def _windows(occasions: Occasions, count: int, key: Array) -> Array:
     return jnp.stack([ends - lengths, ends], axis=-1)
 
 
-def draw_with_noise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Array]:
-    """One scenario of a family, and the key of its measurements' noise (pure, jittable)."""
-    of_family, of_noise = random.split(key)
-    return draw_scenario(scenario, family, of_family), of_noise
-
-
 def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
     """One scenario of a family with its true motion and its measurements (pure, jittable)."""
-    drawn, of_noise = draw_with_noise(scenario, family, key)
+    of_family, of_noise = random.split(key)
+    drawn = draw_scenario(scenario, family, of_family)
     truth = integrate(drawn)
     return drawn, truth, measure(drawn, truth, of_noise)

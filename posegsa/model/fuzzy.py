@@ -1,7 +1,7 @@
 """Mamdani fuzzy inference: triangular terms, rule base, centroid.
 
 Two inputs, the error and its rate, share one set of terms; min is the AND and the implication, max
-the aggregation, the centroid the defuzzification. A `FuzzyController` stands by itself:
+the aggregation, the centroid the defuzzification. A `FuzzyController` works on its own:
 
     controller = FuzzyController(input_terms, output_terms, rules)
     gain = controller(error, rate)
@@ -34,7 +34,7 @@ Heights = tuple[Array, ...]
 
 
 class Slopes(NamedTuple):
-    """A triangular term as its membership is evaluated."""
+    """A triangular term in the form that `membership` evaluates."""
 
     peak: Array
     rise: Array
@@ -57,15 +57,15 @@ class Overlap(NamedTuple):
 
 
 class PreparedController(NamedTuple):
-    """What the terms alone decide, computed once per controller and not once per evaluation."""
+    """What depends on the terms alone, computed once per controller, not at each evaluation."""
 
     inputs: tuple[Slopes, ...]
     overlaps: tuple[tuple[Overlap, ...], ...]
-    """[i][j - i] for i <= j <= i + reach; the exact centroid's."""
+    """[i][j - i] for i <= j <= i + reach; for the exact centroid."""
     middles: tuple[Array, ...]
     """(a_i + c_i)/2 of the output terms."""
     grid: tuple[Array, Array, Array] | None
-    """Sample points (P,), their weights (P,) and the output terms' memberships there (n, P)."""
+    """Of the sampled centroid: points (P,), weights (P,), output terms' memberships (n, P)."""
     midrange: Array
     """Middle of the output range."""
 
@@ -73,8 +73,8 @@ class PreparedController(NamedTuple):
 def membership(x: Array, term: Slopes) -> Array:
     """Degree in [0, 1] to which x belongs to a triangular term.
 
-    Both edges are measured from the peak, so that a vertical edge (slope huge, not infinite) gives
-    1 at the peak and 0 beyond it without a special case; the derivative at the peak is 0.
+    Both edges are measured from the peak, so a vertical edge (a huge but finite slope) gives 1 at
+    the peak and 0 beyond it without a special case. The derivative at the peak is 0.
     """
     beyond = x - term.peak
     return maximum(1 - jnp.abs(beyond) * choose(beyond > 0, term.fall, term.rise), 0.0)
@@ -84,7 +84,7 @@ def slopes(a: Array, b: Array, c: Array) -> Slopes:
     """A term from its feet a, c and its peak b."""
     huge = 1 / jnp.finfo(b.dtype).tiny
     rise, fall = b - a, c - b
-    # The larger of a width and tiny would still let the derivative through the width pass.
+    # maximum(width, tiny) would still have a derivative by the width.
     return Slopes(
         b,
         choose(rise > 0, 1 / choose(rise > 0, rise, 1.0), huge),
@@ -95,13 +95,13 @@ def slopes(a: Array, b: Array, c: Array) -> Slopes:
 def firing_heights(
     error: tuple[Array, ...], rate: tuple[Array, ...], rules: Rules, outputs: int
 ) -> Heights:
-    """Height of each output term: the max over its rules of min(rate's and error's membership)."""
+    """Height of each output term: the max over its rules of min(rate, error) memberships."""
     heights = []
     for output in range(outputs):
         fired = []
         for r, row in enumerate(rules):
-            # min distributes over max: of a row, the error terms that lead to this output are
-            # joined first.
+            # min distributes over max, so the error terms of a row that lead to this output are
+            # combined first.
             errors = [error[e] for e, target in enumerate(row) if target == output]
             if errors:
                 fired.append(minimum(rate[r], reduce(maximum, errors)))
@@ -112,15 +112,15 @@ def firing_heights(
 def searched_heights(
     error: tuple[Array, ...], rate: tuple[Array, ...], targets: tuple[tuple[Array, ...], ...]
 ) -> Heights:
-    """The same heights where the rules' output terms are numbers that a search chooses.
+    """`firing_heights` for a rule table that is traced, because a search chooses it.
 
-    Minima and maxima choose among the same numbers, so that nothing is rounded: the heights are
-    bit for bit those of `firing_heights`, at the price of comparing every rule with every term.
+    The results are the same bit for bit, since minima and maxima round nothing. It is slower: every
+    rule is compared with every term.
 
     Args:
         error: memberships of the error in the n input terms.
-        rate: those of the rate.
-        targets: [rate][error] number of the output term, whole numbers from 0 to n - 1.
+        rate: memberships of the rate.
+        targets: [rate][error] index of the output term, whole numbers from 0 to n - 1.
     """
     fired = [
         (target, minimum(of_rate, of_error))
@@ -137,8 +137,8 @@ def searched_heights(
 def _overlap(bi: Array, ci: Array, aj: Array, bj: Array) -> Overlap:
     """The coefficients for terms i <= j, from the falling edge of i and the rising edge of j.
 
-    At a height y both reach from aj + y u to ci - y v: the area up to h is the integral of that
-    width over y, the first moment that of the width times its middle.
+    At a height y their intersection reaches from aj + y u to ci - y v. The area up to h is the
+    integral of that width over y, the first moment the integral of width times midpoint.
     """
     u, v, width = bj - aj, ci - bi, ci - aj
     slope = u + v
@@ -152,7 +152,7 @@ def _overlap(bi: Array, ci: Array, aj: Array, bj: Array) -> Overlap:
 
 
 def _integrals(overlap: Overlap, h: Array) -> tuple[Array, Array]:
-    """Area and first moment under both terms, clipped at a height h up to `overlap.cap`."""
+    """Area and first moment of the intersection, clipped at a height h up to `overlap.cap`."""
     (f1, f2), (m1, m2, m3) = overlap.area, overlap.moment
     return h * (f1 - h * f2), h * (m1 - h * (m2 - h * m3))
 
@@ -169,8 +169,8 @@ def exact_integrals(
     area = jnp.zeros_like(heights[0])
     moment = jnp.zeros_like(heights[0])
     for i, (alone, *pairs) in enumerate(overlaps):
-        # Alone, a term reaches up to 1 (or has no width, and no coefficients), so that its cap
-        # changes no value; at the top of a vertical edge it stops the derivative.
+        # A single term reaches 1 (or has no width, and coefficients of 0), so the minimum changes
+        # no value; at the top of a vertical edge it stops the derivative.
         f, m = _integrals(alone, minimum(heights[i], 1.0))
         area, moment = area + f, moment + m
         between = None
@@ -187,7 +187,7 @@ def exact_integrals(
 
 def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """Area and first moment of the aggregated membership by sums over sample points."""
-    # The sample points become the last axis beside the inputs' own.
+    # Sample points are appended as the last axis.
     ranks = (1,) * heights[0].ndim
     points, weights = (jnp.reshape(a, (*ranks, -1)) for a in grid[:2])
     memberships = [jnp.reshape(m, (*ranks, -1)) for m in grid[2]]
@@ -201,16 +201,16 @@ def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tup
 class FuzzyController:
     """A Mamdani controller: gain K = offset + centroid from an error and its rate, both in [0, 1].
 
-    An output term of no width (k12 = 0) has no area. Where only such terms fire, the gain is their
-    limit; beside any other term that fires, however weakly, they do not count: the gain jumps. At
-    the foot of an input term, where its membership is 0, a compiler that fuses product and
-    difference may leave 1e-17 of it. So exactly there (a foot at 0, k2 = 0, and a rate of 0) a
-    compiled program may take the other term's gain, and the exported C, or the operations one by
-    one, the limit. With output terms of some width both are the same to rounding.
+    An output term without width (k12 = 0) has no area. If only such terms fire, the gain is their
+    limit; as soon as any other term fires, however weakly, they do not count, and the gain jumps.
+    This makes one point sensitive to rounding: at the foot of an input term the membership is 0,
+    but a fused multiply-add may leave 1e-17. There (a foot at 0, k2 = 0, and a rate of 0) a
+    compiled program may return the other term's gain, and the exported C the limit. If all output
+    terms have some width, both agree to rounding.
 
     Args:
         input_terms: (n, 3) feet and peak [a, b, c] of the input terms, shared by error and rate.
-        output_terms: (m, 3) the same of the output terms, in units of the gain [1/s].
+        output_terms: (m, 3) the same for the output terms [1/s].
         rules: n rows (rate) of n output term indices (error), both from small to large.
         output_range: ends of the output universe [1/s], for the sampled centroid's grid and for
             the mid-range.
@@ -219,14 +219,13 @@ class FuzzyController:
         sampled_rule: "sum" (MATLAB's) or "trapezoid".
         no_rule: gain where no rule fires, "hold" the last one or "midrange" of the output
             (MATLAB's).
-        reach: how far apart in their order output terms may overlap, if that is known: 2 says that
-            term i and term i + 3 never do. The exact centroid then leaves such pairs out, which
-            changes nothing but its price.
-        offset: what is added to the centroid [1/s], at least 0; 1 in the paper.
+        reach: output terms i and j overlap only if |i - j| <= reach, if that is known. The exact
+            centroid then skips the other pairs, which makes it faster and changes no result.
+        offset: added to the centroid [1/s], at least 0; 1 in the paper.
 
     Raises:
-        FuzzyError: shapes, order, rules or reach do not fit. Checked when made outside jit only;
-            inside, the mapping from a search vector (`search.parameters`) sees to it.
+        FuzzyError: shapes, order, rules or reach do not fit. Checked outside jit only; inside, the
+            mapping from a search vector (`search.parameters`) ensures it.
     """
 
     input_terms: Array
@@ -254,7 +253,7 @@ class FuzzyController:
         _check(self)
 
     def prepare(self) -> PreparedController:
-        """What does not depend on the inputs, for use in a loop."""
+        """All that does not depend on the inputs, computed before a loop."""
         a, b, c = (self.input_terms[..., i] for i in range(3))
         inputs = tuple(slopes(a[..., i], b[..., i], c[..., i]) for i in range(a.shape[-1]))
         out = self.output_terms
@@ -285,7 +284,7 @@ class FuzzyController:
     def heights(
         self, error: Array, rate: Array, prepared: PreparedController | None = None
     ) -> Heights:
-        """Firing height of each output term, each of the inputs' shape."""
+        """Firing height of each output term, in the shape of the inputs."""
         prepared = self.prepare() if prepared is None else prepared
         of_error = tuple(membership(error, term) for term in prepared.inputs)
         of_rate = tuple(membership(rate, term) for term in prepared.inputs)
@@ -297,21 +296,20 @@ class FuzzyController:
         Args:
             heights: one array for each output term.
             prepared: from `prepare`.
-            last: the last gain [1/s], kept where no rule fires under "hold".
+            last: the last gain [1/s], returned where no rule fires if `no_rule` is "hold".
         """
         tallest = reduce(maximum, heights)
         fires = tallest > 0
         safe = choose(fires, tallest, 1.0)
-        # So low that areas might underflow, and derivatives round off, heights count relative to
-        # each other only.
+        # Heights so low that areas would underflow are scaled up: only their ratios matter then.
         lift = maximum(0.1 * jnp.finfo(tallest.dtype).eps / safe, 1.0)
         heights = tuple(lift * h for h in heights)
         if prepared.grid is None:
             area, moment = exact_integrals(heights, prepared.overlaps)
         else:
             area, moment = sampled_integrals(heights, prepared.grid)
-        # Rules fire but under no area: only terms of zero width do. The limit is that of equally
-        # narrow terms, each with the area h (2 - h)/2 in units of its width.
+        # If rules fire but the area is 0, all firing terms have zero width. The limit is that of
+        # equally narrow terms, each with the area h (2 - h)/2 in units of its width.
         regular = area > jnp.finfo(area.dtype).tiny
         spikes = [h * (2 - h) for h in heights]
         spike_area = sum(spikes)
@@ -323,25 +321,26 @@ class FuzzyController:
 
     @property
     def middle_gain(self) -> float:
-        """The gain in the middle of the output's range [1/s], at double precision."""
+        """The gain in the middle of the output range [1/s], in double precision."""
         low, high = map(float, self.output_range)
         return self.offset + 0.5 * (low + high)
 
     def initial_gain(self) -> Array:
-        """The gain held before any rule has fired: the mid-range of the output [1/s]."""
+        """The gain before any rule has fired: that in the middle of the output range [1/s]."""
         return jnp.asarray(self.middle_gain, self.output_terms.dtype)
 
     def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
-        """Gain K [1/s] of errors and rates.
+        """The gain K [1/s] for errors and rates.
 
         Args:
             error: scaled error, any shape; clipped to [0, 1].
             rate: scaled rate of the error per sample, same shape; clipped to [0, 1].
-            last: last gain [1/s], used where no rule fires under "hold"; default mid-range.
+            last: last gain [1/s], returned where no rule fires if `no_rule` is "hold"; by default
+                the middle of the range.
 
         Returns:
-            The gains; NaN where an input is NaN (inside jit the one of no rule that fires: there
-            the filter's estimate, of which the inputs are made, is NaN already).
+            The gains. Where an input is NaN the gain is NaN; inside jit it is that of no rule
+            firing, because there a NaN input means that the estimate is NaN already.
         """
         with fitting("FuzzyController: error, rate, last"):
             if any(isinstance(a, Tracer) for a in (*jax.tree.leaves(self), error, rate, last)):
@@ -353,7 +352,7 @@ class FuzzyController:
             return _compiled_gain(self, *given)
 
     def _gain(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None) -> Array:
-        """`__call__`, traced."""
+        """The gains, in operations that can be traced."""
         dtype = self.output_terms.dtype
         e, r = (jnp.clip(jnp.asarray(x, dtype), 0.0, 1.0) for x in (error, rate))
         e, r = jnp.broadcast_arrays(e, r)
@@ -366,7 +365,7 @@ class FuzzyController:
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
         axis = jnp.linspace(0.0, 1.0, resolution, dtype=self.output_terms.dtype)
-        # Row by row, because the sampled centroid holds all its points for each input.
+        # Row by row, because the sampled centroid needs all its points in memory for each input.
         gains = jax.lax.map(lambda rate: self(axis, jnp.full_like(axis, rate)), axis)
         return axis, axis, gains
 
@@ -375,7 +374,7 @@ class FuzzyController:
 def _compiled_gain(
     controller: FuzzyController, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None
 ) -> Array:
-    """A call from outside a compiled program: operation by operation it would take 35 ms."""
+    """The gains for a call from outside jit, which without compilation would take 35 ms."""
     gain = controller._gain(error, rate, last)
     unknown = jnp.isnan(jnp.asarray(error)) | jnp.isnan(jnp.asarray(rate))
     return jnp.where(unknown, jnp.asarray(jnp.nan, gain.dtype), gain)
@@ -386,13 +385,13 @@ def _is_concrete(a: object) -> bool:
 
 
 def _float64(values: tuple) -> np.ndarray:
-    """Numbers; NaN where there is something else."""
+    """The values as an array, NaN for those that are not numbers."""
     numbers = [v if isinstance(v, Real) and not isinstance(v, bool) else np.nan for v in values]
     return np.array(numbers, np.float64)
 
 
 def _check(controller: FuzzyController) -> None:
-    """Raise FuzzyError for what can't be evaluated."""
+    """Raise FuzzyError if the controller cannot be evaluated."""
     for name in ("input_terms", "output_terms"):
         terms = np.asarray(getattr(controller, name))
         if terms.ndim < 2 or terms.shape[-1] != 3 or terms.shape[-2] < 1:
@@ -439,7 +438,7 @@ def _check(controller: FuzzyController) -> None:
 
 
 def _check_reach(controller: FuzzyController) -> None:
-    """Raise FuzzyError for a reach that would leave out an overlap."""
+    """Raise FuzzyError if the reach is less than that of the overlaps."""
     reach = controller.reach
     if reach is None:
         return

@@ -1,4 +1,4 @@
-"""`lax.scan` over time, at a price for each step that does not grow with the number of steps."""
+"""`lax.scan` over time whose cost per step does not grow with the number of steps."""
 
 import math
 from collections.abc import Callable
@@ -11,18 +11,18 @@ from jax import Array, lax
 from posegsa.model.elementwise import choose
 
 LONGEST_LOOP = 256
-"""Steps of a loop that stores something, at most; more are several loops inside each other."""
+"""Maximum number of steps in a loop that stores something; longer loops are nested."""
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
-"""Maps what is carried and a step's input to what is carried on and what is stored."""
+"""Maps the carry and a step's input to the new carry and what is stored, as in `lax.scan`."""
 
 
 def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
-    """`scan` over inputs with leaves (N, ...), all of one shape, which travel as one array.
+    """`scan` over inputs with leaves (N, ...), all of one shape, packed into one array.
 
-    A step then takes its numbers by one slice. Were they some fifty arrays, XLA would fuse a slice
-    of each into the loops over agents, and LLVM does not vectorise a loop that looks up its own
-    index: 2.3 times slower on CPUs.
+    Each step then reads its numbers with one slice. With some fifty separate arrays XLA fuses one
+    slice per array into the loops over agents, and LLVM does not vectorise those: 2.3 times slower
+    on CPUs.
     """
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack(leaves, axis=-1)
@@ -36,12 +36,12 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
 def scan_together(
     step: Step, start: Any, inputs: Any, count: Array | None = None
 ) -> tuple[Any, Any]:
-    """`scan_rows` of S simulations at once: inputs have leaves (S, N), what is carried (S, ...).
+    """`scan_rows` of S simulations at once: inputs have leaves (S, N), the carry (S, ...).
 
-    The step is one simulation's; it stores at least one number, all of one dtype, and what is
-    stored of all has leaves (S, N). `vmap` of `scan_rows` gives the same, but there the n numbers
-    of a step lie in memory as (S, n), where one number of all simulations is no vector, and each
-    number is stored by itself: three times slower on CPUs. Here they lie as (n, S).
+    `step` handles one simulation and stores at least one number, all of one dtype; the stored
+    leaves are (S, N). `vmap` of `scan_rows` gives the same results three times slower on CPUs: it
+    lays the n numbers of a step out as (S, n), so that one number of all simulations is not
+    contiguous. Here the layout is (n, S).
     """
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
@@ -60,12 +60,11 @@ def scan_together(
 
 
 def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
-    """`lax.scan` over inputs with leaves (N, ...), cut into loops where steps store something.
+    """`lax.scan` over inputs with leaves (N, ...), as nested loops if steps store something.
 
-    XLA:CPU with the fast path's options (`runtime`) copies all that a loop stores at every step. So
-    the loop is cut into a few loops inside each other, each of so few steps that this does not
-    matter. Inputs are added to fill the last one up; they change nothing, and neither do those
-    from `count` on, if it is given.
+    With the fast path's options (`runtime`) XLA:CPU copies everything that a loop stores at every
+    step. Nested loops of few steps each keep those copies small. The last loop is padded; the
+    padding changes nothing, and neither do the inputs from `count` on, if it is given.
     """
     first = jax.tree.map(lambda a: a[0], inputs)
     _, (_, stored) = jax.eval_shape(lambda: (None, step(start, first)))
@@ -97,7 +96,7 @@ def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tup
 
 
 def _loop_lengths(count: int) -> list[int]:
-    """Lengths of as few loops inside each other as keep to LONGEST_LOOP, for `count` steps."""
+    """Lengths of nested loops for `count` steps, as few loops as LONGEST_LOOP allows."""
     depth = 1
     while LONGEST_LOOP**depth < count:
         depth += 1

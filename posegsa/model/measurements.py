@@ -1,11 +1,12 @@
-"""What the sensors say, as arrays.
+"""Measurements of the sensors, as arrays.
 
 A sequence of N samples is one `Measurements`, time-major. Time steps and weights are per sample:
-uneven sampling is a time step that changes, a missing vector or landmark is a weight of 0 (its
-value may then be anything, NaN included). Vectors are as their sensor has them: whether they are
-normalised, and joined by their cross product, is for the filter to say (`vectors`).
+under uneven sampling the time step varies, and a missing vector or landmark has weight 0 (its value
+is then arbitrary and may be NaN). Vectors are stored as measured; the filter decides whether they
+are normalised and whether their cross product is added (`vectors`).
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_dtype
-from posegsa.errors import MeasurementError
+from posegsa.errors import MeasurementError, PosegsaWarning
 
 
 class Measurements(NamedTuple):
@@ -47,11 +48,11 @@ class Measurements(NamedTuple):
     def at(self, k: int | slice) -> "Measurements":
         """Sample k, without the time axis, or a range of samples with it.
 
-        Outside of a compiled program its arrays are NumPy's, views of these: indexing JAX's takes
-        some forty times as long.
+        Outside of jit the arrays of the result are NumPy views: indexing JAX arrays takes some
+        forty times as long.
 
         Raises:
-            IndexError: There is no sample k, outside of a compiled program.
+            IndexError: There is no sample k (outside of jit).
         """
         if any(isinstance(a, Tracer) for a in (*self, k)):
             return jax.tree.map(lambda a: a[k], self)
@@ -73,25 +74,25 @@ class Measurements(NamedTuple):
         landmark_weights: ArrayLike | None = None,
         dtype: np.dtype | type = np.float32,
     ) -> "Measurements":
-        """Checked measurements from a user's own arrays (on the host, not inside jit).
+        """Checked measurements from a user's arrays (on the host, not inside jit).
 
         Args:
             time_step: scalar or (N,), time to the next sample [s], positive.
             angular_velocity: (N, 3) gyroscope, body frame [rad/s].
             velocity: (N, 3) linear velocity, body frame [m/s].
             vectors: (N, n, 3) body-frame vectors; NaN marks a missing one.
-            vector_references: (n, 3) or (N, n, 3), the same vectors in the inertial frame.
+            vector_references: (n, 3) or (N, n, 3) the same vectors in the inertial frame.
             vector_weights: scalar, (n,) or (N, n), factors on the filter's weights s_i^R, not
                 negative; default 1.
             landmarks: (N, m, 3) landmark positions in the body frame [m]; NaN marks a missing one.
             landmark_references: (m, 3) or (N, m, 3), their inertial positions [m].
             landmark_weights: scalar, (m,) or (N, m), factors on the filter's weights s_i^L, not
-                negative; default 1, which is for landmarks within a few metres: about
-                1 / (distance in m)^2 for those farther away.
+                negative. The default, 1, suits landmarks within a few metres; for those farther
+                away give about 1 / (distance in m)^2.
             dtype: floating type of the result.
 
         Returns:
-            Measurements with all arrays at full shape; what was NaN has weight 0.
+            Measurements with all arrays in full shape; where a value was NaN the weight is 0.
 
         Raises:
             MeasurementError: an array has the wrong shape, holds NaN or infinity where it may not,
@@ -112,15 +113,39 @@ class Measurements(NamedTuple):
         return cls(**{name: jnp.asarray(a, dtype) for name, a in values.items()})
 
     def checked(self) -> "Measurements":
-        """The same, refused where `from_arrays` would refuse it; traced ones pass.
+        """The same measurements, checked as by `from_arrays`; traced ones are not checked.
 
         Raises:
-            MeasurementError: an array has the wrong shape or holds what it may not; names it.
+            MeasurementError: an array has the wrong shape or forbidden values; names it.
         """
         if any(isinstance(a, Tracer) for a in self):
             return self
         dtype = jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(np.asarray, self)))
         return Measurements.from_arrays(**self._asdict(), dtype=dtype)
+
+    def at_least(self, dtype: np.dtype) -> "Measurements":
+        """The same with fields of lower precision than the filter's converted, and a warning.
+
+        Args:
+            dtype: floating type of the filter.
+        """
+        narrow = {
+            name: a
+            for name, a in self._asdict().items()
+            if jnp.issubdtype(kind := getattr(a, "dtype", bool), jnp.floating)
+            and jnp.finfo(kind).bits < jnp.finfo(dtype).bits
+        }
+        if narrow:
+            name, first = next(iter(narrow.items()))
+            others = f" (and {len(narrow) - 1} more fields)" if len(narrow) > 1 else ""
+            warnings.warn(
+                f"measurements.{name}{others}: {first.dtype}, but the filter computes in {dtype}: "
+                f"the sensors' values were rounded; for {dtype} pass dtype=np.{dtype} to "
+                "Measurements.from_arrays, under jax.enable_x64(True)",
+                PosegsaWarning,
+                stacklevel=3,
+            )
+        return self._replace(**{name: a.astype(dtype) for name, a in narrow.items()})
 
 
 def checked_arrays(
@@ -135,10 +160,10 @@ def checked_arrays(
     landmark_references: ArrayLike | None = None,
     landmark_weights: ArrayLike | None = None,
 ) -> dict[str, np.ndarray]:
-    """The fields of `Measurements` from its `from_arrays`' arguments, as float64 NumPy arrays.
+    """The fields of `Measurements`, as float64 NumPy arrays, from the arguments of `from_arrays`.
 
     Raises:
-        MeasurementError: as `Measurements.from_arrays`.
+        MeasurementError: as in `Measurements.from_arrays`.
     """
     omega = finite_array("angular_velocity", angular_velocity, (None, 3))
     samples = omega.shape[0]
@@ -169,7 +194,7 @@ def checked_arrays(
 def finite_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
 ) -> np.ndarray:
-    """The argument as a float64 array of the wanted shape (None: any length)."""
+    """The argument as a float64 array, checked for its shape (None: any length)."""
     array = _numbers(name, value)
     fits = array.ndim == len(shape) and all(
         w in (None, h) for w, h in zip(shape, array.shape, strict=True)
@@ -184,7 +209,7 @@ def finite_array(
 
 
 def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> None:
-    """Refuse what is no array of numbers of this shape; traced arrays are welcome."""
+    """Raise a MeasurementError unless this is an array of numbers, traced or not, of this shape."""
     if value is None:
         raise MeasurementError(f"{name}: must be an array of numbers, got None")
     if not isinstance(value, jax.Array):
@@ -196,9 +221,9 @@ def numeric_array(name: str, value: ArrayLike | None, shape: tuple[int, ...]) ->
 
 
 def unmasked(value: Any) -> Any:
-    """NaN where a masked array is masked, since it holds any number there; else what is given.
+    """A masked array with NaN where it is masked; anything else as it is.
 
-    Also where it is one of several in a list, such as the rows of an array.
+    Masked arrays inside lists, such as the rows of an array, are converted too.
     """
     if isinstance(value, np.ma.MaskedArray):
         return np.ma.filled(value.astype(np.float64), np.nan)
@@ -211,7 +236,7 @@ def _numbers(name: str, value: ArrayLike) -> np.ndarray:
     """The argument as a float64 array of any shape, NaN where it is masked."""
     try:
         array = np.asarray(value)
-        if array.dtype.kind in "cSUMm":  # NumPy would make something of them
+        if array.dtype.kind in "cSUMm":  # NumPy would convert them
             raise TypeError(f"these are {array.dtype}")
         return np.asarray(unmasked(value)).astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -225,7 +250,7 @@ def _sightings(
     weights: ArrayLike | None,
     samples: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Body values, references and weights of vectors or of landmarks, at full shape."""
+    """Body values, references and weights of vectors or of landmarks, in full shape."""
     if body is None and references is None:
         if weights is not None:
             raise MeasurementError(f"{name}_weights: given without {name}s")
@@ -257,7 +282,7 @@ def _sightings(
     seen = np.isfinite(values).all(axis=-1) & (weight > 0)
     known = np.broadcast_to(known, (samples, count, 3))
     if name == "vector":
-        # A direction of no length says nothing: unknown it is refused, measured it is missing.
+        # A zero vector has no direction: as a reference it is refused, as a measurement missing.
         if (~known.any(axis=-1) & (weight > 0)).any():
             raise MeasurementError("vector_references: must not be zero where the weight is not")
         seen &= values.any(axis=-1)

@@ -1,4 +1,4 @@
-"""Whether vectors and landmarks determine the pose: the paper's Assumption 1, made precise.
+"""Whether vectors and landmarks determine the pose: a precise form of the paper's Assumption 1.
 
 The paper names three cases:
 
@@ -6,10 +6,10 @@ The paper names three cases:
 2. one vector and two landmarks (the line between them not parallel to the vector);
 3. three landmarks that do not lie on one line.
 
-They are one rule. A landmark fixes the position once the attitude is known; the lines between
-landmarks act like vectors. So the pose is observable if there is at least one landmark, and if the
-vectors together with the lines between landmarks span two directions. (The cross product of two
-vectors adds nothing to them: where it is not zero, they span two directions already.)
+All three follow from one rule. A landmark fixes the position once the attitude is known; the lines
+between landmarks act like vectors. So the pose is observable if there is at least one landmark, and
+if the vectors together with the lines between landmarks span two directions. (The cross product of
+two vectors adds nothing: where it is not zero, they already span two directions.)
 """
 
 import numpy as np
@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from posegsa.errors import ScenarioError
 
 PARALLEL = 1e-6
-"""Angle [rad], about, up to which directions count as parallel."""
+"""Directions count as parallel up to about this angle [rad]."""
 
 COINCIDENT = 1e-9
-"""Distance, relative to the largest coordinate, up to which landmarks count as one point; rounding
-turns the lines of longer distances by less than `PARALLEL`."""
+"""Landmarks count as one point up to this distance, relative to the largest coordinate. Rounding
+turns the line between landmarks farther apart by less than `PARALLEL`."""
 
 
 def check_observability(
@@ -36,9 +36,9 @@ def check_observability(
     Args:
         directions: Vectors in the inertial frame, of any length above zero, shape (n, 3).
         positions: Landmark positions in the inertial frame [m], shape (m, 3).
-        direction_weights: One weight per vector, shape (n,); those of weight zero do not count.
-            All count by default.
-        position_weights: One weight per landmark, shape (m,), likewise.
+        direction_weights: One weight per vector, shape (n,); 0 leaves a vector out. By default
+            all count.
+        position_weights: The same for each landmark, shape (m,).
 
     Raises:
         ScenarioError: If the pose is not observable; says what was found and what is needed.
@@ -54,7 +54,7 @@ def why_unobservable(
     direction_weights: ArrayLike | None = None,
     position_weights: ArrayLike | None = None,
 ) -> str:
-    """What was found and what is needed if the pose cannot be determined; "" if it can.
+    """Why the pose cannot be determined: what was found and what is needed; "" if it can.
 
     The arguments are those of `check_observability`.
 
@@ -76,7 +76,7 @@ def why_unobservable(
 def why_attitude_unobservable(
     directions: ArrayLike, direction_weights: ArrayLike | None = None
 ) -> str:
-    """The same for the attitude alone, where no position is estimated: two vectors fix it.
+    """The same for the attitude alone, which two vectors determine.
 
     Raises:
         ScenarioError: An argument has another shape, is not finite, or a direction is zero.
@@ -94,7 +94,7 @@ def are_collinear(first: ArrayLike, second: ArrayLike) -> bool:
 
 
 def _counted(name: str, rows: ArrayLike, weights: ArrayLike | None) -> NDArray[np.float64]:
-    """The rows of weight above zero, shape (n, 3); none may be infinite, or a zero vector."""
+    """The rows with a weight above zero, shape (n, 3), checked: finite, and no zero directions."""
     points = np.asarray(rows, dtype=float)
     if points.size == 0:
         points = points.reshape(0, 3)
@@ -112,13 +112,13 @@ def _counted(name: str, rows: ArrayLike, weights: ArrayLike | None) -> NDArray[n
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each row at length one; the largest component goes first, so that no square overflows."""
+    """Rows scaled to length one; first by the largest component, so that no square overflows."""
     scaled = vectors / np.max(np.abs(vectors), axis=1, keepdims=True)
     return scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
 
 
 def _unit_lines(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The landmarks from their centre, the furthest at distance one; none if all are one point."""
+    """Landmarks relative to their centre, the furthest at distance 1; empty if all coincide."""
     size = np.max(np.abs(landmarks), initial=0.0)
     if size == 0.0:
         return np.empty((0, 3))
@@ -129,14 +129,14 @@ def _unit_lines(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _span_two_directions(rows: NDArray[np.float64]) -> bool:
-    """Whether the rows, of length one at most, have a rank of two or more."""
+    """Whether rows of length one or less have rank two or more."""
     return len(rows) >= 2 and bool(np.linalg.svd(rows, compute_uv=False)[1] > PARALLEL)
 
 
 def _found(
     vectors: NDArray[np.float64], landmarks: NDArray[np.float64], lines: NDArray[np.float64]
 ) -> str:
-    """What there is of an unobservable set, in words: '2 collinear vectors and 1 landmark'."""
+    """An unobservable set of sensors in words: '2 collinear vectors and 1 landmark'."""
     collinear = len(vectors) > 1 and not _span_two_directions(_unit(vectors))
     layout = ""
     if len(landmarks) > 1 and len(lines) == 0:

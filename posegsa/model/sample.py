@@ -1,12 +1,13 @@
-"""One sample as the loop reads it: what does not depend on the estimate, by components."""
+"""One sample as a filter's step reads it, by components."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
+from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.se3 import Vec3, unstack
+from posegsa.model.se3 import Matrix3, Vec3, add, rotate, unstack
 from posegsa.model.vectors import VectorSamples, VectorSettings, Wahba, prepare_vectors
 
 
@@ -31,16 +32,26 @@ class Sample(NamedTuple):
     velocity: Vec3
     """[m/s], body frame."""
     vectors: Wahba | VectorSamples
-    """Wahba's sums, or each vector where they are made in the loop."""
+    """Wahba's sums, or the single vectors where the loop itself computes the sums."""
     landmarks: tuple[LandmarkSample, ...]
     reach: Array
-    """Largest |y_i|^2 [m^2] of the landmarks that are there; 0 without any."""
+    """Largest |y_i|^2 [m^2] of the measured landmarks; 0 if there are none."""
+
+
+class Seen(NamedTuple):
+    """What the filter makes of a sample with its estimates so far."""
+
+    wahba: Wahba
+    freed: tuple[Vec3, ...]
+    """d_i = v_i^B - c_i; () where the biases are not learnt."""
+    landmark_weights: tuple[Array, ...]
+    """s_i^L, 0 where a landmark is missing."""
 
 
 def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
-    """Everything that the filter needs of the measurements, by components (pure, jittable).
+    """What the filter needs from the measurements, by components (pure, jittable).
 
-    Works with and without the time axis; components have the shape of `time_step`.
+    Works with and without a time axis; components have the shape of `time_step`.
     """
     factors = measurements.landmark_weights
     seen = jnp.where(factors[..., None] > 0, measurements.landmarks, 0.0)
@@ -60,6 +71,11 @@ def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
         landmarks=landmarks,
         reach=jnp.max(jnp.sum(seen * seen, axis=-1), axis=-1, initial=0.0),
     )
+
+
+def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:
+    """x_i = T_est y_i, where the estimate puts each landmark [m, inertial frame]."""
+    return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
 
 
 def _vec3(a: Array) -> Vec3:

@@ -9,8 +9,7 @@ from jax import Array
 
 from posegsa.model.loops import scan
 from posegsa.model.measurements import Measurements
-from posegsa.model.noise import normal_rows
-from posegsa.model.se3 import Quaternion, Vec3, move, quaternion, rotation_matrix, stack, unstack
+from posegsa.model.se3 import move, quaternion, rotation_matrix, stack, unstack
 
 
 class Sines(NamedTuple):
@@ -120,63 +119,10 @@ class Sensed(NamedTuple):
     """(N, 6) b of the velocities over time [rad/s, m/s], angular first."""
 
 
-class Underway(NamedTuple):
-    """How far the samples of a scenario have been made, for those who make them in pieces."""
-
-    sample: Array
-    """Number of the next one."""
-    attitude: Quaternion
-    """q(R) there."""
-    place: Vec3
-    """P there [m], inertial frame."""
-    walk: Array
-    """(6,) random walk of b there, of intensity 1 [sqrt(s)]."""
-
-
-def underway(scenario: Scenario) -> Underway:
-    """Before a scenario's first sample (pure, jittable)."""
-    w, x, y, z = unstack(quaternion(scenario.rotation))
-    px, py, pz = unstack(scenario.position)
-    return Underway(
-        sample=jnp.zeros((), jnp.int32),
-        attitude=(w, x, y, z),
-        place=(px, py, pz),
-        walk=jnp.zeros_like(scenario.bias),
-    )
-
-
 def integrate(scenario: Scenario) -> Truth:
     """The true motion, T_{k+1} = T_k exp([Omega_k; V_k]^ dt): exact for velocities held a step."""
-    return _motion(scenario, underway(scenario), scenario.samples)[0]
-
-
-def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
-    """What the sensors say of a motion, for one noise key (pure, jittable).
-
-    Y_m = Y + b + n (Eq. 6), v_i^B = R^T v_i^I + b_i + n_i (Eq. 2) and
-    y_i = R^T (p_i - P) + b_i + n_i (Eq. 4). Vectors are as measured, neither normalised nor with
-    their cross product; what is missing has weight 0.
-    """
-    return _sensors(scenario, truth, underway(scenario), key)[0]
-
-
-def sense_onward(
-    scenario: Scenario, at: Underway, count: int, key: Array
-) -> tuple[Truth, Sensed, Underway]:
-    """The next `count` samples of a scenario: motion, measurements, and where they end.
-
-    Those of `integrate` and `measure` of the whole, but for rounding in the bias' random walk
-    (pure, jittable); the number of samples that the scenario itself has means nothing here.
-    """
-    truth, (attitude, place) = _motion(scenario, at, count)
-    sensed, walk = _sensors(scenario, truth, at, key)
-    return truth, sensed, Underway(at.sample + count, attitude, place, walk)
-
-
-def _motion(scenario: Scenario, at: Underway, count: int) -> tuple[Truth, tuple[Quaternion, Vec3]]:
-    """The true motion over the next samples, and the pose after them."""
     step = scenario.time_step
-    time = (at.sample + jnp.arange(count, dtype=jnp.int32)).astype(step.dtype) * step
+    time = jnp.arange(scenario.samples, dtype=jnp.int32).astype(step.dtype) * step
     moving = jnp.where(_inside(scenario.rest, time), 0.0, 1.0).astype(step.dtype)[:, None]
     omega = moving * scenario.angular_velocity.at(time)
     v = moving * scenario.velocity.at(time)
@@ -186,19 +132,24 @@ def _motion(scenario: Scenario, at: Underway, count: int) -> tuple[Truth, tuple[
         (ox, oy, oz), (vx, vy, vz) = unstack(twist[0] * step), unstack(twist[1] * step)
         return move(attitude, place, (ox, oy, oz), (vx, vy, vz)), pose
 
-    after, (attitude, place) = scan(body, (at.attitude, at.place), (omega, v))
-    truth = Truth(
+    begin = unstack(quaternion(scenario.rotation)), unstack(scenario.position)
+    _, (attitude, place) = scan(body, begin, (omega, v))
+    return Truth(
         time=time,
         rotation=rotation_matrix(stack(attitude)),
         position=stack(place),
         angular_velocity=omega,
         velocity=v,
     )
-    return truth, after
 
 
-def _sensors(scenario: Scenario, truth: Truth, at: Underway, key: Array) -> tuple[Sensed, Array]:
-    """What the sensors say of the next samples, whose truth is known, and the bias' walk after."""
+def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
+    """What the sensors say of a motion, for one noise key (pure, jittable).
+
+    Y_m = Y + b + n (Eq. 6), v_i^B = R^T v_i^I + b_i + n_i (Eq. 2) and
+    y_i = R^T (p_i - P) + b_i + n_i (Eq. 4). Vectors are as measured, neither normalised nor with
+    their cross product; what is missing has weight 0.
+    """
     of_angular, of_linear, of_vectors, of_landmarks = jax.random.split(key, 4)
     of_drift = jax.random.fold_in(key, 4)
     dtype, time = truth.time.dtype, truth.time
@@ -206,10 +157,10 @@ def _sensors(scenario: Scenario, truth: Truth, at: Underway, key: Array) -> tupl
 
     def noise(key: Array, *shape: int) -> Array:
         # Drawn in float32 whatever the dtype: the same key gives unrelated normals in float64.
-        return normal_rows(key, at.sample, N, *shape).astype(dtype)
+        return jax.random.normal(key, (N, *shape), jnp.float32).astype(dtype)
 
-    walks = at.walk[None] + jnp.cumsum(jnp.sqrt(scenario.time_step) * noise(of_drift, 6), axis=0)
-    walk = jnp.concatenate([at.walk[None], walks[:-1]])
+    walks = jnp.cumsum(jnp.sqrt(scenario.time_step) * noise(of_drift, 6), axis=0)
+    walk = jnp.pad(walks[:-1], ((1, 0), (0, 0)))  # of intensity 1, from 0 [sqrt(s)]
     bias = scenario.bias[None] + scenario.bias_drift[None] * walk
 
     def from_body(inertial: Array) -> Array:
@@ -225,7 +176,7 @@ def _sensors(scenario: Scenario, truth: Truth, at: Underway, key: Array) -> tupl
     landmarks = landmarks + scenario.landmark_noise[None, :, None] * noise(of_landmarks, m, 3)
     vectors_seen = ~_inside(scenario.vector_outages, time)
     period = scenario.landmark_period
-    in_turn = (at.sample + jnp.arange(N, dtype=jnp.int32)).astype(period.dtype) % period == 0
+    in_turn = jnp.arange(N, dtype=period.dtype) % period == 0
     landmarks_seen = in_turn & ~_inside(scenario.landmark_outages, time)
     measurements = Measurements(
         time_step=jnp.broadcast_to(scenario.time_step, (N,)),
@@ -240,7 +191,7 @@ def _sensors(scenario: Scenario, truth: Truth, at: Underway, key: Array) -> tupl
         landmark_references=jnp.broadcast_to(scenario.landmarks[None], landmarks.shape),
         landmark_weights=jnp.broadcast_to(landmarks_seen[:, None], (N, m)).astype(dtype),
     )
-    return Sensed(measurements, bias), walks[-1]
+    return Sensed(measurements, bias)
 
 
 def _inside(windows: Array, time: Array) -> Array:

@@ -1,7 +1,7 @@
 """Gain schedules: rules for the observer's gain.
 
-A schedule is any pytree with the two methods of `GainSchedule`. It sees the scaled error and rate,
-the time and its own last gain; it knows nothing of the filter.
+A schedule is any pytree with the two methods of `GainSchedule`. Its inputs are the scaled error and
+rate, the time and its own last gain; it does not depend on the filter.
 """
 
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ from posegsa.model.fuzzy import (
 
 
 class ScheduleInputs(NamedTuple):
-    """What a schedule is told at a sample."""
+    """The inputs of a schedule at a sample."""
 
     error: Array
-    """Error signal over the error scale, clipped to [0, 1]."""
+    """Error signal divided by the error scale, clipped to [0, 1]."""
     rate: Array
     """Change of the error signal since the last sample times the rate scale, clipped to [0, 1]."""
     time: Array
@@ -37,7 +37,7 @@ class ScheduleInputs(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """What a schedule asks for."""
+    """The outputs of a schedule at a sample."""
 
     gain: Array
     """K [1/s]."""
@@ -48,7 +48,7 @@ class Gains(NamedTuple):
 
 
 class PreparedSchedule(Protocol):
-    """A schedule ready to be called in a loop."""
+    """A schedule prepared for a loop."""
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """The gains at a sample."""
@@ -59,18 +59,18 @@ class GainSchedule(Protocol):
     """A rule for the gain."""
 
     def initial_gain(self) -> Array:
-        """What `ScheduleInputs.last` is at the first sample [1/s]."""
+        """The value of `ScheduleInputs.last` at the first sample [1/s]."""
         ...
 
     def prepare(self) -> PreparedSchedule:
-        """The schedule with everything computed that does not change from sample to sample."""
+        """The schedule, with all that is the same at every sample computed."""
         ...
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ConstantGain:
-    """The same gain K [1/s] always: the baseline."""
+    """A constant gain K [1/s]: the baseline."""
 
     gain: Array
 
@@ -83,7 +83,7 @@ class ConstantGain:
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
-        """K, at the inputs' shape."""
+        """K, in the shape of the inputs."""
         gain = jnp.asarray(self.gain, inputs.error.dtype)
         return Gains(jnp.broadcast_to(gain, inputs.error.shape))
 
@@ -100,7 +100,7 @@ class _PreparedFuzzyGain(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FuzzyGain:
-    """The paper's schedule: a fuzzy controller on error and rate."""
+    """The paper's schedule: a fuzzy controller with the inputs error and rate."""
 
     controller: FuzzyController
 
@@ -130,13 +130,13 @@ class _PreparedSearchedRules(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SearchedRulesGain:
-    """`FuzzyGain` while its rule table is searched: the table is numbers, not structure.
+    """`FuzzyGain` while its rule table is searched: the table is traced instead of static.
 
-    With the same table both have the same gains, bit for bit; this one is the dearer.
+    With the same table both give the same gains, bit for bit; this one is slower.
     """
 
     controller: FuzzyController
-    """Its terms and all else; its own rules are not looked at."""
+    """Everything except the rules: its own rules are ignored."""
     targets: Array
     """(5, 5) [rate, error], from small to large: the output term of each rule, 0 to 4."""
 
@@ -157,14 +157,14 @@ class SmoothGain:
     """K(e) = low + (high - low) e^2 / (e^2 + half^2), a smooth schedule with three parameters."""
 
     low: Array
-    """K where the error is small [1/s]."""
+    """K at small errors [1/s]."""
     high: Array
-    """K where it is large [1/s]."""
+    """K at large errors [1/s]."""
     half: Array
-    """Scaled error half-way between them."""
+    """The scaled error at which K is half-way between them."""
 
     def initial_gain(self) -> Array:
-        """K where the error is large."""
+        """K at large errors [1/s]."""
         return self.high
 
     def prepare(self) -> "SmoothGain":
@@ -172,7 +172,7 @@ class SmoothGain:
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
-        """K of the scaled error."""
+        """K at the scaled error."""
         e2 = inputs.error * inputs.error
         return Gains(self.low + (self.high - self.low) * e2 / (e2 + self.half * self.half))
 
@@ -204,16 +204,16 @@ class KnotGain:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SwitchGain:
-    """One gain until a time, another after it; likewise for learning the vectors' biases."""
+    """One gain before a time and another after it; a second time starts the vectors' bias law."""
 
     before: Array
-    """K until `time` [1/s]."""
+    """K before `time` [1/s]."""
     after: Array
-    """K from then on [1/s]."""
+    """K from `time` on [1/s]."""
     time: Array
     """When the gain changes [s]."""
     learning_time: Array
-    """When learning the vectors' biases begins [s]."""
+    """When the vectors' bias law starts [s]."""
 
     def initial_gain(self) -> Array:
         """K at the start [1/s]."""
@@ -224,7 +224,7 @@ class SwitchGain:
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
-        """Both at the time of the sample."""
+        """K and the factor on the vectors' bias law at the time of the sample."""
         shape = jnp.shape(inputs.error)
         dtype = inputs.error.dtype
         before, after = (jnp.asarray(gain, dtype) for gain in (self.before, self.after))
@@ -236,9 +236,9 @@ class SwitchGain:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SettlingGain:
-    """The same gain K [1/s] always, with a gamma that grows: its factor is 1 - exp(-t / time).
+    """A constant gain K [1/s] and a growing gamma: the factor on it is 1 - exp(-t / time).
 
-    For starts at which a vector may be so wrong that nothing should be learnt from it.
+    For starts at which a vector may be too wrong for biases to be estimated from it.
     """
 
     gain: Array
@@ -255,7 +255,7 @@ class SettlingGain:
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
-        """K, and gamma's factor at the time of the sample."""
+        """K, and the factor on gamma at the time of the sample."""
         gain, time = (jnp.asarray(a, inputs.error.dtype) for a in (self.gain, self.time))
         shape = inputs.error.shape
         gamma = -jnp.expm1(-inputs.time / time)
@@ -263,17 +263,17 @@ class SettlingGain:
 
 
 def check_gain(name: str, gain: ArrayLike) -> None:
-    """Raise an ArgumentError if a gain is negative; inside jit, where that isn't known, never."""
+    """Raise an ArgumentError if a gain is negative; traced gains cannot be checked."""
     if not isinstance(gain, Tracer) and np.any(np.less(gain, 0)):
         raise ArgumentError(f"{name} = {np.min(gain)}; allowed: at least 0 [1/s]")
 
 
 def check_schedule(schedule: GainSchedule) -> None:
-    """Raise an ArgumentError unless a value has the methods of a schedule and begins at K >= 0."""
+    """Raise an ArgumentError unless this is a schedule whose initial gain is at least 0."""
     if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
         what = type(schedule).__name__
         raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")
-    # Of a controller without a round trip to the device, since on-line each step asks.
+    # On-line this runs at every step, so a controller is asked without a round trip to the device.
     fuzzy = isinstance(schedule, FuzzyGain)
     gain = schedule.controller.middle_gain if fuzzy else schedule.initial_gain()
     check_gain("schedule: its gain", gain)

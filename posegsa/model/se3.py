@@ -9,11 +9,10 @@ Conventions (stated here once):
       matrix R above. It is 4 numbers instead of 9, costs fewer operations to compose, and its only
       rounding error, a norm that is not 1, is removed at every composition.
 
-Two forms of the same mathematics live here. The *component* form takes and returns tuples of
-arrays, one array for each coordinate, of any common batch shape: XLA fuses a loop body written so
-into one vectorised kernel, where 3x3 matrices and stacks would cost an order of magnitude. The
-*array* form, for users and for work outside the hot loop, takes and returns arrays whose last axes
-are coordinates.
+The module has two forms of the same mathematics. The *component* form takes and returns tuples of
+arrays, one array per coordinate, of any common batch shape: XLA fuses a loop body in this form into
+one vectorised kernel; with 3x3 matrices and stacks it is ten times slower. The *array* form, for
+users and for work outside the hot loop, takes and returns arrays whose last axes are coordinates.
 """
 
 import math
@@ -34,10 +33,10 @@ Matrix3: TypeAlias = tuple[Vec3, Vec3, Vec3]
 """Three rows of a 3x3 matrix."""
 
 SERIES_BELOW = 1.0
-"""Squared angle [rad^2] under which (t - sin t)/t^3 comes from its Taylor series. At 1 rad the
-closed form (1 - sin(t)/t)/t^2 has lost a factor of 6 to cancellation, no more."""
+"""Squared angle [rad^2] below which (t - sin t)/t^3 is computed by its Taylor series. At 1 rad
+cancellation in the closed form (1 - sin(t)/t)/t^2 amplifies rounding only by a factor of 6."""
 TURN = 6.28125, 2 * math.pi - 6.28125
-"""2 pi in two parts: multiples of the first are exact, up to 2^17 turns in float32."""
+"""2 pi in two parts; multiples of the first are exact up to 2^17 turns in float32."""
 
 
 # --- component form: vectors ---
@@ -109,8 +108,8 @@ def unrotate(R: Matrix3, a: Vec3) -> Vec3:
 def compose(p: Quaternion, q: Quaternion) -> Quaternion:
     """Hamilton product p q (the matrix product of the rotations), brought back to unit length.
 
-    One Newton step for 1/|pq| around 1 squares the error of the norm, so that it stays at rounding
-    for ever, with neither a square root nor a division.
+    One Newton step for 1/|pq| around 1 squares the error of the norm. So the norm stays 1 to
+    rounding over any number of steps, without a square root or a division.
     """
     w = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     x = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
@@ -140,10 +139,10 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
             value = 1 / math.factorial(2 * n + first) - square * value
         return value
 
-    # Whole turns first, in two parts of 2 pi (Cody and Waite), so that half of what is left is
-    # within pi/2: there one series serves, where a library's sine and cosine cost four times more.
-    # A branch that is not taken gets an argument that is safe for it: its NaN or overflow would
-    # otherwise reach the derivative.
+    # First remove whole turns, with 2 pi in two parts (Cody and Waite), so that half the remainder
+    # is within pi/2. There one series suffices; library sine and cosine cost four times as much.
+    # A branch that is not taken gets a safe argument: its NaN or overflow would otherwise reach the
+    # derivative.
     far = angle_squared > math.pi**2
     safe = choose(far, angle_squared, math.pi**2)
     angle = jnp.sqrt(safe)
@@ -151,9 +150,9 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
     rest = (angle - turns * TURN[0]) - turns * TURN[1]
     sign = 1 - 2 * jnp.abs(turns - 2 * jnp.round(0.5 * turns))  # -1 for an odd number of turns
     quarter = 0.25 * choose(far, rest * rest, angle_squared)
-    # Terms until the first one left out is under rounding, at pi/2 and at SERIES_BELOW.
+    # Enough terms that the first omitted one is below rounding at pi/2 and at SERIES_BELOW.
     small = angle_squared < SERIES_BELOW
-    # One division serves both that by the angle, where it is far, and that by its square.
+    # One division serves both: by the squared angle, and by the angle where it is far.
     per_square = 1 / choose(small, 1.0, angle_squared)
     half_cos = choose(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
     half_sinc = series(quarter, 1, 6 if single else 10) * choose(
@@ -188,10 +187,13 @@ def displaced(
 
 
 def attitude_distance(q_est: Quaternion, q: Quaternion) -> Array:
-    """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1].
+    """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1] but for rounding.
 
-    Written as |q_est - q|^2 |q_est + q|^2 / 4, which is the same number for unit quaternions but
-    keeps its relative accuracy near 0, where the trace cancels.
+    Near half a turn it may be a few units of rounding above 1. It is not clipped here, because
+    that changes how XLA rounds other sums of the hot loop; use `clip_distance` after the loop.
+
+    Computed as |q_est - q|^2 |q_est + q|^2 / 4, which is equal for unit quaternions and keeps its
+    relative accuracy near 0, where the trace cancels.
     """
     near = sum((a - b) ** 2 for a, b in zip(q_est, q, strict=True))
     far = sum((a + b) ** 2 for a, b in zip(q_est, q, strict=True))
@@ -202,21 +204,13 @@ def attitude_distance(q_est: Quaternion, q: Quaternion) -> Array:
 
 
 def unstack(a: Array) -> tuple[Array, ...]:
-    """Components of an array: one array of shape (...) for each entry of the last axis."""
+    """Components of an array (..., n): n arrays of shape (...)."""
     return tuple(a[..., i] for i in range(a.shape[-1]))
 
 
 def stack(components: tuple[Array, ...]) -> Array:
     """Array (..., n) of n components, the inverse of `unstack`."""
     return jnp.stack(jnp.broadcast_arrays(*components), axis=-1)
-
-
-def hat(xi: Array) -> Array:
-    """[xi]^ (..., 4, 4) of a tangent vector xi = [omega; v] (..., 6)."""
-    wx, wy, wz, vx, vy, vz = unstack(xi)
-    o = jnp.zeros_like(wx)
-    entries = (o, -wz, wy, vx, wz, o, -wx, vy, -wy, wx, o, vz, o, o, o, o)
-    return stack(entries).reshape(*xi.shape[:-1], 4, 4)
 
 
 def rotation_matrix(quaternion: Array) -> Array:
@@ -228,8 +222,8 @@ def rotation_matrix(quaternion: Array) -> Array:
 def quaternion(R: Array) -> Array:
     """Unit quaternion (..., 4), w >= 0, of rotation matrices R (..., 3, 3).
 
-    All four of Shepperd's forms are computed and the one with the largest divisor is kept, so that
-    no rotation is near a singularity (S. W. Shepperd, J. Guidance and Control 1(3), 1978).
+    All four of Shepperd's forms are computed and the one with the largest divisor is used, so no
+    rotation is near a singularity (S. W. Shepperd, J. Guidance and Control 1(3), 1978).
     """
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     x_, y_, z_ = (R[..., i, j] - R[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
@@ -265,23 +259,15 @@ def transform(R: Array, P: Array) -> Array:
     return jnp.concatenate([top, bottom], axis=-2)
 
 
-def adjoint(T: Array) -> Array:
-    """Ad(T) (..., 6, 6) = [[R, 0], [[P]x R, R]] of homogeneous matrices T (..., 4, 4)."""
-    R, P = T[..., :3, :3], T[..., :3, 3]
-    P_cross = hat(jnp.concatenate([P, jnp.zeros_like(P)], axis=-1))[..., :3, :3]
-    top = jnp.concatenate([R, jnp.zeros_like(R)], axis=-1)
-    return jnp.concatenate([top, jnp.concatenate([P_cross @ R, R], axis=-1)], axis=-2)
-
-
 def euler_angles(R: Array) -> Array:
     """Roll, pitch and yaw (..., 3) [rad], the paper's (phi, theta, psi).
 
-    R = Rz(yaw) Ry(pitch) Rx(roll). Pitch is in [-pi/2, pi/2]; where it is exactly +-pi/2, only
-    yaw -+ roll is defined, and roll is 0.
+    R = Rz(yaw) Ry(pitch) Rx(roll). Pitch is in [-pi/2, pi/2]; at exactly +-pi/2 only yaw -+ roll is
+    defined, and roll is set to 0.
     """
     roll = jnp.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = jnp.arctan2(-R[..., 2, 0], jnp.hypot(R[..., 2, 1], R[..., 2, 2]))
-    # From what is left of R once the roll is taken off it: defined at every pitch.
+    # From R without its roll, which defines the yaw at every pitch.
     sine, cosine = jnp.sin(roll), jnp.cos(roll)
     yaw = jnp.arctan2(
         sine * R[..., 0, 2] - cosine * R[..., 0, 1], cosine * R[..., 1, 1] - sine * R[..., 1, 2]
@@ -289,8 +275,13 @@ def euler_angles(R: Array) -> Array:
     return jnp.stack([roll, pitch, yaw], axis=-1)
 
 
+def clip_distance(distance: Array) -> Array:
+    """Distances ||R_err||_I (...) with those above 1 set to 1; NaN stays NaN."""
+    return jnp.minimum(distance, 1.0)
+
+
 def rotation_angle(distance: Array) -> Array:
-    """Angle [rad] of the rotation error whose distance ||R_err||_I = sin^2(angle/2) is given."""
+    """Angle [rad] of a rotation error from its distance ||R_err||_I = sin^2(angle/2)."""
     return 2 * jnp.arcsin(safe_sqrt(jnp.clip(distance, 0.0, 1.0)))
 
 
@@ -298,7 +289,7 @@ def project_rotation(A: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) nearest to A (3, 3) in the Frobenius norm, by SVD (on the host, in float64).
 
     Raises:
-        ValueError: A is singular or its determinant is negative, so that no rotation is near it.
+        ValueError: A is singular or its determinant is negative, so no rotation is near it.
     """
     A = np.asarray(A, dtype=np.float64)
     U, singular, Vt = np.linalg.svd(A)

@@ -1,4 +1,4 @@
-"""The error signal that a gain schedule looks at, and what it remembers from sample to sample."""
+"""The error signal, the input of gain schedules, and its memory from sample to sample."""
 
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -9,8 +9,8 @@ from jax import Array
 
 from posegsa.errors import ArgumentError
 from posegsa.model.elementwise import choose, maximum, minimum
-from posegsa.model.filter import FilterState, Seen, seen_from_estimate
-from posegsa.model.sample import Sample
+from posegsa.model.estimate import FilterState
+from posegsa.model.sample import Sample, Seen, seen_from_estimate
 from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule, ScheduleInputs
 from posegsa.model.se3 import (
     Quaternion,
@@ -28,7 +28,7 @@ Rate = Literal["per_sample", "per_second"]
 
 
 class TruePose(NamedTuple):
-    """The true pose at one sample, by components, in the form that the errors need."""
+    """The true pose at one sample, by components, in the form in which errors are computed."""
 
     attitude: Quaternion
     """R."""
@@ -39,23 +39,23 @@ class TruePose(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SignalSettings:
-    """How the error signal is made; `signal` and `rate` are structure, the numbers are traced."""
+    """Settings of the error signal; `signal` and `rate` are static, the numbers are traced."""
 
     signal: Signal = field(default="measured", metadata={"static": True})
     rate: Rate = field(default="per_sample", metadata={"static": True})
-    """What the change of the signal is counted over."""
+    """Whether the rate is the change of the signal per sample or per second."""
     position_weight: Array | float = 0.2
     """Weight of the position part [1/m]."""
     smoothing: Array | float = 1.5
-    """Time constant of the low-pass filter that the signal passes [s]; 0 passes it as it is."""
+    """Time constant of the low-pass filter of the signal [s]; 0 means none."""
     error_scale: Array | float = 0.3
-    """Signal at which the scaled error is 1."""
+    """The signal at which the scaled error is 1."""
     rate_scale: Array | float = 1.0
     """Factor on the signal's change (per sample, or [s] per second) before it is clipped."""
 
 
 class Measured(NamedTuple):
-    """The errors at one sample, and whether they could be measured there."""
+    """The errors at one sample, and whether they could be measured."""
 
     attitude: Array
     """The attitude part, in [0, 1] for a consistent sample."""
@@ -71,7 +71,7 @@ def known_pose(truth: TruePose | None) -> TruePose:
     """The true pose.
 
     Raises:
-        ArgumentError: It is not known.
+        ArgumentError: The pose is not known.
     """
     if truth is None:
         raise ArgumentError(
@@ -81,7 +81,7 @@ def known_pose(truth: TruePose | None) -> TruePose:
 
 
 def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Array]:
-    """||R_err||_I in [0, 1] and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P.
+    """||R_err||_I and ||P_err|| [m], with R_err = R_est R^T, P_err = P_est - R_err P.
 
     Raises:
         ArgumentError: The true pose is not known.
@@ -93,17 +93,17 @@ def pose_errors(state: FilterState, truth: TruePose | None) -> tuple[Array, Arra
 
 
 def measured_errors(state: FilterState, sample: Sample, seen: Seen) -> Measured:
-    """The same two errors from what a vehicle has.
+    """The same two errors from measurements alone, as a vehicle can compute them.
 
-    The attitude part is 3/(8 sum s_i) sum_i s_i |R_est u_i - v_i^I|^2, by the profile matrix
-    3/(8 sum s_i) [sum_i s_i (|u_i|^2 + |v_i^I|^2) - 2 tr(R_est B)]; it is ||R_err||_I for
-    orthonormal vectors without noise. The position part is |T_est y_i - p_i| [m] averaged over the
-    landmarks by weight.
+    The attitude part is 3/(8 sum s_i) sum_i s_i |R_est u_i - v_i^I|^2, computed from the profile
+    matrix as 3/(8 sum s_i) [sum_i s_i (|u_i|^2 + |v_i^I|^2) - 2 tr(R_est B)]. For orthonormal
+    vectors without noise it is ||R_err||_I. The position part is |T_est y_i - p_i| [m] averaged
+    over the landmarks by weight.
     """
     wahba, R = seen.wahba, rows(state.attitude)
     columns = tuple(zip(*wahba.profile, strict=True))
     trace = dot(R[0], columns[0]) + dot(R[1], columns[1]) + dot(R[2], columns[2])
-    # Zero but for rounding where every vector fits, so the difference may come out below 0.
+    # Where every vector fits the difference is 0, and rounding may make it negative.
     attitude = wahba.scale * maximum(wahba.power - 2 * trace, 0.0)
     position, total = jnp.zeros_like(attitude), jnp.zeros_like(attitude)
     points = seen_from_estimate(state, R, sample)
@@ -116,22 +116,22 @@ def measured_errors(state: FilterState, sample: Sample, seen: Seen) -> Measured:
 
 
 class SignalMemory(NamedTuple):
-    """What the error signal and the schedule remember from sample to sample."""
+    """The memory of the error signal and the schedule from sample to sample."""
 
     attitude: Array
     """The last attitude part that was measured; 0 before the first."""
     position: Array
     """The last position part that was measured [m]; 0 before the first."""
     error: Array
-    """The last error signal, smoothed, unscaled; not read before the first sample."""
+    """The last error signal, smoothed, unscaled; ignored at the first sample."""
     gain: Array
-    """The last gain asked for [1/s]."""
+    """The last gain that the schedule asked for [1/s]."""
     time_step: Array
     """Time since the last sample [s]; infinite before the first one."""
 
 
 def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
-    """Memory before the first sample, at the shape and dtype of `like`."""
+    """The memory before the first sample, in the shape and dtype of `like`."""
     gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
     zero = jnp.zeros_like(like)
     return SignalMemory(
@@ -153,22 +153,22 @@ def scheduled_gain(
 ) -> tuple[Gains, ScheduleInputs, SignalMemory]:
     """The gains that a schedule asks for, from the errors of attitude [1] and position [m].
 
-    A part that is not measured at a sample keeps its last value. e = attitude + weight x position,
-    passed through a first-order low-pass filter (backward Euler, started at the first e). The
-    schedule sees e / error_scale and, as the rate, |e_k - e_{k-1}| x rate_scale (over the time
-    between the two, where it is a rate per second), both clipped to [0, 1]. The rate is that of e
-    itself, neither scaled nor clipped before, and 0 at the first sample.
+    A part that is not measured at a sample keeps its last value. The signal e is attitude + weight
+    x position after a first-order low-pass filter (backward Euler, starting at the first value).
+    The inputs of the schedule are e / error_scale and the rate |e_k - e_{k-1}| x rate_scale, for
+    "per_second" divided by the time between the two; both are clipped to [0, 1]. The rate comes
+    from the unscaled, unclipped e, and is 0 at the first sample.
 
     Returns:
-        The gains, what the schedule saw, and the memory for the next sample.
+        The gains, the inputs of the schedule, and the memory for the next sample.
     """
     attitude = choose(errors.attitude_seen, errors.attitude, memory.attitude)
     position = choose(errors.position_seen, errors.position, memory.position)
     now = attitude + settings.position_weight * position
     first = jnp.isinf(memory.time_step)
     previous = choose(first, now, memory.error)
-    # Backward Euler over the time since the last sample: without smoothing, and at the first
-    # sample, e is exactly `now`.
+    # Backward Euler over the time since the last sample. Without smoothing, and at the first
+    # sample, e equals `now` exactly.
     old = settings.smoothing / (settings.smoothing + memory.time_step)
     e = now + old * (previous - now)
     change = jnp.abs(e - previous)

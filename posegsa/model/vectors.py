@@ -1,17 +1,17 @@
-"""How measured vectors enter the filter: weighted, freed of their biases, normalised, crossed.
+"""How the filter uses measured vectors: weights, bias removal, normalisation, cross product.
 
-The filter and its error signal see the vectors only through Wahba's attitude profile matrix
-B = sum_i s_i u_i v_i^T, u_i what is made of the measured v_i^B and v_i its reference (G. Wahba, "A
-Least Squares Estimate of Satellite Attitude", SIAM Review 7(3), 1965; F. L. Markley, J. L.
+The filter and its error signal use the vectors only through Wahba's attitude profile matrix
+B = sum_i s_i u_i v_i^T, with u_i from the measured v_i^B and v_i its reference (G. Wahba, "A Least
+Squares Estimate of Satellite Attitude", SIAM Review 7(3), 1965; F. L. Markley, J. L.
 Crassidis, "Fundamentals of Spacecraft Attitude Determination and Control", 2014, Eq. 5.5).
 
-Where nothing in it depends on the agent, B is made once for all of them, and a step costs the same
-for 2 vectors and for 200. Where the filter learns the vectors' biases, or has weights of its own, B
-is made in each step, by components:
+If B does not depend on the agent, it is computed once for all agents, and a step costs the same for
+2 vectors and for 200. If the filter estimates the vectors' biases, or agents have different
+weights, B is computed in each step, by components:
 
     d_i = v_i^B - c_i,   u_i = d_i / |d_i|,   u_x = (d_1 x d_2) / |d_1 x d_2|
 
-with c_i the estimated bias, and without the divisions where vectors are not normalised.
+with c_i the estimated bias; without normalisation there are no divisions.
 """
 
 from dataclasses import dataclass, field
@@ -29,23 +29,22 @@ from posegsa.model.se3 import Matrix3, Vec3, add, cross, dot, safe_sqrt, scale, 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class VectorSettings:
-    """What is made of the vectors; the numbers are traced, the rest is structure."""
+    """How vectors are used; the numbers are traced, the rest is static."""
 
     weights: tuple[Array, ...] | None = None
-    """s_i^R of each vector; None is 1 for all."""
+    """s_i^R of each vector; None means 1 for all."""
     cross_weight: Array | float = 0.5
-    """s^R of the cross product of the first two."""
+    """s^R of the cross product of the first two vectors."""
     normalise: bool = field(default=True, metadata={"static": True})
-    """Whether vectors and references are brought to length 1 (Eq. 3)."""
+    """Whether vectors and references are normalised to length 1 (Eq. 3)."""
     cross: bool = field(default=True, metadata={"static": True})
-    """Whether the cross product of the first two, if there are two, is added (Section V of the
-    paper)."""
+    """Whether the cross product of the first two vectors is added (Section V of the paper)."""
     each_agent: bool = field(default=False, metadata={"static": True})
-    """Whether what is made of them may differ from agent to agent, and so is made in the loop."""
+    """Whether B depends on the agent, and so is computed in the loop."""
 
 
 class Wahba(NamedTuple):
-    """All that the filter and its error signal need of the vectors of a sample."""
+    """All that the filter and its error signal need from the vectors of a sample."""
 
     profile: Matrix3
     """B = sum_i s_i u_i v_i^T, by rows."""
@@ -61,27 +60,27 @@ class VectorSample(NamedTuple):
     """One vector in one sample, by components."""
 
     measured: Vec3
-    """v_i^B, as its sensor has it; anything where it is missing."""
+    """v_i^B as measured; arbitrary where it is missing."""
     known: Vec3
     """v_i^I, in the same unit."""
     reference: Vec3
-    """v_i^I as U uses it: of length 1 where vectors are normalised."""
+    """v_i^I as used in U: of length 1 if vectors are normalised."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
 
 
 class VectorSamples(NamedTuple):
-    """The vectors of one sample where Wahba's sums are made in the loop."""
+    """The vectors of one sample if Wahba's sums are computed in the loop."""
 
     each: tuple[VectorSample, ...]
     cross_reference: Vec3
-    """v_1^I x v_2^I as U uses it; zeros without a cross product."""
+    """v_1^I x v_2^I as used in U; zeros without a cross product."""
 
 
 def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wahba | VectorSamples:
-    """What the loop needs of the vectors, with and without the time axis (pure, jittable)."""
+    """What the loop needs from the vectors, with or without a time axis (pure, jittable)."""
     factors = measurements.vector_weights
-    # 0 * NaN is NaN: a missing measurement is masked, not only weighted.
+    # 0 * NaN is NaN, so a missing measurement must be masked, not only weighted.
     body = jnp.where(factors[..., None] > 0, measurements.vectors, 0.0)
     inertial = measurements.vector_references
     count = factors.shape[-1]
@@ -126,11 +125,11 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
 def corrected(
     vectors: VectorSamples, biases: tuple[Vec3, ...], settings: VectorSettings
 ) -> tuple[Wahba, tuple[Vec3, ...]]:
-    """Wahba's sums of vectors freed of their biases, and d_i = v_i^B - c_i (in the loop).
+    """Wahba's sums of the vectors less their biases, and d_i = v_i^B - c_i (in the loop).
 
     Args:
         vectors: as measured.
-        biases: c_i of each; () for none.
+        biases: c_i of each; () if not estimated.
         settings: weights, normalisation, cross product.
     """
     each = vectors.each
@@ -156,7 +155,7 @@ def corrected(
     ]
     total = _total(*weights)
     if settings.normalise:
-        # All of length 1; one that is missing has no weight.
+        # All have length 1; missing ones have weight 0.
         power, curvature = 2 * total, 0.5 * total
     else:
         squares = [(dot(u, u), dot(v, v)) for u, v in zip(made, references, strict=True)]
@@ -191,7 +190,7 @@ def inverse_or_zero(a: Array) -> Array:
 
 
 def _unit(a: Vec3) -> Vec3:
-    """A / |a| by components; 0 where a is 0."""
+    """The vector a / |a| by components; 0 if a is 0."""
     square = dot(a, a)
     return scale(choose(square > 0, jax.lax.rsqrt(choose(square > 0, square, 1.0)), 0.0), a)
 

@@ -79,21 +79,6 @@ class Optimiser(Section):
         the unit box.
         """
 
-    def parts(self, dimensions: int) -> int:
-        """Number of compiled calls in which a step of its own is best made, if it takes long."""
-        return 1
-
-    def prepare(self, state: Any, costs: Array, before: Any, part: Array) -> Any:
-        """Make one part of what `tell_prepared` needs, from those before it; None before the first.
-
-        Only for an optimiser of several `parts`.
-        """
-        raise NotImplementedError(f"{type(self).__name__} has no parts")
-
-    def tell_prepared(self, state: Any, costs: Array, prepared: Any) -> Any:
-        """As `tell`, to the same bits, after the last part was prepared."""
-        raise NotImplementedError(f"{type(self).__name__} has no parts")
-
     def begin_at(self, state: Any, position: Array) -> Any:
         """Return the state moved to a position (dimensions,) that an earlier phase has found."""
         raise NotImplementedError(f"{type(self).__name__} can't begin at a given position")

@@ -1,6 +1,7 @@
 """What takes searches on: one compiled program for each kind of search, run in chunks."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,7 +13,6 @@ from posegsa.optimisers.base import Optimiser
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, advance
 from posegsa.optimisers.search_box import Box
-from posegsa.stored_programs import stored
 
 Runner = Callable[[Search, int], Search]
 """Takes a search on to an iteration, counted from its start."""
@@ -64,7 +64,7 @@ def runner(
     return run
 
 
-@stored(static_argnums=(0, 1, 2))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     optimiser: Optimiser,
     objective: AnyObjective | Callable[..., AnyObjective],

@@ -11,7 +11,6 @@ about first: the article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which conve
 costs where the optimum lies at the box's centre, and stalls where it does not.
 """
 
-import math
 from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
@@ -27,10 +26,8 @@ from posegsa.settings.fields import Count, Epsilon, NonNegative
 PULL_SECONDS = 1.4e-9
 """Time that a pull takes in one dimension, on one core of 2.5 GHz [s]; measured with 1000 to 8000
 agents."""
-DEAR = 1.0
+LONG_STEP = 1.0
 """Time of a step from which on it is said beforehand [s]."""
-PART = 0.5
-"""Time that a part of a step may take, where it is taken apart [s]."""
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
@@ -94,7 +91,7 @@ class GSA(Optimiser):
         _, k_best = self.schedule()
         each = PULL_SECONDS * self.agents * dimensions
         first, whole = each * k_best[0], each * k_best.sum()
-        if first < DEAR:
+        if first < LONG_STEP:
             return ""
         return (
             f"search.agents = {self.agents}: GSA's own step takes some {first:.0f} s in the first "
@@ -115,54 +112,19 @@ class GSA(Optimiser):
 
     def tell(self, state: GSAState, costs: Array) -> GSAState:
         """Move the agents under each other's gravity."""
-        return self.tell_prepared(state, costs, self._pulls(state, costs, None, 0, self.agents))
-
-    def parts(self, dimensions: int) -> int:
-        """As of every optimiser: each holds as many of the agents that pull."""
-        return math.ceil(PULL_SECONDS * self.agents**2 * dimensions / PART)
-
-    def prepare(self, state: GSAState, costs: Array, before: Array | None, part: Array) -> Array:
-        """Add up the pulls of the next agents (dimensions, agents)."""
-        size = math.ceil(self.agents / self.parts(state.position.shape[1]))
-        return self._pulls(state, costs, before, part * size, (part + 1) * size)
-
-    def _pulls(
-        self,
-        state: GSAState,
-        costs: Array,
-        before: Array | None,
-        begin: ArrayLike,
-        end: ArrayLike,
-    ) -> Array:
-        """Sum of the pulls of the agents of these ranks, as far as they pull at all."""
-        x = state.position
-        _, k_best = self.schedule()
-        return pulls(
+        x, v = state.position, state.velocity
+        key, key_force, key_velocity, key_bounds = random.split(state.key, 4)
+        now = jnp.minimum(state.iteration, self.iterations - 1)
+        gravity, k_best = self.schedule()
+        pull = pulls(
             x,
             masses(costs.astype(x.dtype)),
-            begin=begin,
-            end=jnp.minimum(end, jnp.asarray(k_best, jnp.int32)[self._now(state)]),
-            rand=self._force_rand(self._keys(state)[1], x),
+            k_best=jnp.asarray(k_best, jnp.int32)[now],
+            rand=self._force_rand(key_force, x),
             force_power=self.force_power,
             epsilon=(float(jnp.finfo(x.dtype).eps) if self.epsilon == "spacing" else self.epsilon),
-            before=before,
         )
-
-    def _now(self, state: GSAState) -> Array:
-        """The iteration in `schedule`."""
-        return jnp.minimum(state.iteration, self.iterations - 1)
-
-    def _keys(self, state: GSAState) -> Array:
-        """The next state's key, and those of the force, the velocities and the bounds."""
-        return random.split(state.key, 4)
-
-    def tell_prepared(self, state: GSAState, costs: Array, prepared: Array) -> GSAState:
-        """Move the agents, after the pulls on them (dimensions, agents) are added up."""
-        del costs
-        x, v = state.position, state.velocity
-        key, _, key_velocity, key_bounds = self._keys(state)
-        gravity, _ = self.schedule()
-        a = jnp.asarray(gravity, x.dtype)[self._now(state)] * prepared.T
+        a = jnp.asarray(gravity, x.dtype)[now] * pull.T
         columns = 1 if self.random == "agent" else x.shape[1]
         v = uniform(key_velocity, (self.agents, columns), x.dtype) * v + a  # Eq. 11
         x = x + v  # Eq. 12
@@ -206,12 +168,10 @@ def masses(costs: Array) -> Array:
 def pulls(
     x: Array,
     mass: Array,
-    begin: ArrayLike,
-    end: ArrayLike,
+    k_best: ArrayLike,
     rand: Callable[[Array], Array],
     force_power: float,
     epsilon: float,
-    before: Array | None = None,
 ) -> Array:
     """Sum up the pull of the heaviest agents on every agent (Eqs. 7, 10 and 21, without G).
 
@@ -219,19 +179,16 @@ def pulls(
 
     An agent's own mass cancels between force and acceleration, so the worst agent, which has none,
     moves too. The sum runs over the attractors one by one, in order of their mass: that stops at
-    K_best, can be done part by part to the same bits, and nothing of size agents x agents x
-    dimensions is ever stored.
+    K_best, and nothing of size agents x agents x dimensions is ever stored.
 
     Args:
         x: Positions (agents, dimensions).
         mass: Masses (agents,).
-        begin: First rank to add, 0 that of the heaviest.
-        end: The one after the last, at most K_best.
+        k_best: Number of agents that pull, the heaviest.
         rand: Maps an attractor's index j to the random weights rand_ij of its pull on all agents,
             (dimensions, agents) or (1, agents).
         force_power: p.
         epsilon: Added to R^p.
-        before: The sum over the ranks before these; by default there are none.
 
     Returns:
         The sum (dimensions, agents).
@@ -246,7 +203,7 @@ def pulls(
         strength = mass[j] / (distance**force_power + epsilon)
         return total + rand(j) * strength[None, :] * towards_j
 
-    return lax.fori_loop(begin, end, add_pull, jnp.zeros_like(xt) if before is None else before)
+    return lax.fori_loop(0, k_best, add_pull, jnp.zeros_like(xt))
 
 
 def confine(x: Array, v: Array, bounds: Bounds, key: Array) -> tuple[Array, Array]:

@@ -19,7 +19,6 @@ from posegsa.optimisers.base import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
 from posegsa.settings.arrays import Columns
-from posegsa.stored_programs import stored
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
 """What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
@@ -68,7 +67,7 @@ def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     """
     for phase in optimiser.phases:
         phase.check_usable()
-    return (_started if optimiser.on_host else _stored_start)(optimiser, box, key)
+    return (_started if optimiser.on_host else _compiled_start)(optimiser, box, key)
 
 
 def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
@@ -108,7 +107,6 @@ def advance(
     until: Until | None = None,
     *,
     python_objective: bool = False,
-    between: Callable[[], object] | None = None,
 ) -> Search:
     """Run a search on, from the iteration it has reached to `stop`.
 
@@ -133,9 +131,6 @@ def advance(
         until: When to stop before that; by default never.
         python_objective: The objective is an ordinary Python function of a NumPy array, called once
             for each iteration. Where gradients are wanted it returns costs and gradients.
-        between: Run the loop in Python, not to be compiled as a whole, and the optimiser's own step
-            in its `parts`; called after each part, and what it raises ends the search within the
-            iteration. The bits are the same.
 
     Returns:
         The search with `stop` iterations done, or fewer if it had nothing more to do.
@@ -143,7 +138,7 @@ def advance(
     Raises:
         ArgumentError: If the objective does not return one cost per agent.
     """
-    in_python = python_objective or optimiser.on_host or between is not None
+    in_python = python_objective or optimiser.on_host
     repeat = _while if in_python else lax.while_loop
     phases, begin = optimiser.phases, 0
     states = [search.state] if len(phases) == 1 else list(search.state)
@@ -156,7 +151,7 @@ def advance(
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, objective, box, python_objective, in_python, between),
+            partial(_step, phase, objective, box, python_objective, in_python),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -203,7 +198,6 @@ def _step(
     box: Box,
     python_objective: bool,
     in_python: bool,
-    between: Callable[[], object] | None,
     search: Search,
 ) -> Search:
     """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
@@ -216,41 +210,7 @@ def _step(
         found = (given.costs_and_gradients if phase.wants_gradients else given.costs)(positions)
     costs, *gradients = found if isinstance(found, tuple) else (found,)
     seen = _numbers(phase, box, costs, *gradients)
-    parts = phase.parts(len(box.lower))
-    if between is not None and parts > 1:
-        return _told_in_parts(phase, box, search, seen, parts, between)
     return (_compiled_tell if compiled else tell)(phase, box, search, *seen)
-
-
-def _told_in_parts(
-    phase: Optimiser,
-    box: Box,
-    search: Search,
-    seen: list[Array],
-    parts: int,
-    between: Callable[[], object],
-) -> Search:
-    """`tell`, with the optimiser's own step in parts."""
-    costs, prepared = _compiled_finite(phase, search, seen[0]), None
-    for part in range(parts):
-        number = jnp.asarray(part, jnp.int32)
-        prepared = _compiled_prepare(phase, search.state, costs, prepared, number)
-        jax.block_until_ready(prepared)
-        between()
-    return _compiled_tell_prepared(phase, box, search, seen, prepared)
-
-
-def _prepared(phase: Optimiser, state: Any, costs: Array, before: Any, part: Array) -> Any:
-    return phase.prepare(state, costs, before, part)
-
-
-def _told_prepared(
-    phase: Optimiser, box: Box, search: Search, seen: list[Array], prepared: Any
-) -> Search:
-    def own(state: Any, costs: Array) -> Any:
-        return phase.tell_prepared(state, costs, prepared)
-
-    return _recorded(phase, box, search, *seen, own=own)
 
 
 def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:
@@ -318,23 +278,10 @@ def tell(
     Raises:
         ArgumentError: If there is not one cost, and where needed one gradient, per agent.
     """
-    return _recorded(
-        optimiser, box, search, *_numbers(optimiser, box, costs, gradients), own=optimiser.tell
-    )
-
-
-def _recorded(
-    optimiser: Optimiser,
-    box: Box,
-    search: Search,
-    costs: Array,
-    *slopes: Array,
-    own: Callable[..., Any],
-) -> Search:
-    """The search after an iteration; `own` maps its optimiser's state, and what it is told."""
+    costs, *slopes = _numbers(optimiser, box, costs, gradients)
     finite = jnp.isfinite(costs)
     worst = jnp.max(costs, where=finite, initial=-jnp.inf)
-    told = [_finite_costs(optimiser, search, costs)]
+    told = [jnp.where(finite, costs, _failure_cost(optimiser.failure_cost, search, costs))]
     judged = finite
     for gradient in slopes:
         in_unit = gradient * (box.upper - box.lower)[None, :]
@@ -354,7 +301,7 @@ def _recorded(
         non_finite=failures,
     )
     return Search(
-        state=own(search.state, *told),
+        state=optimiser.tell(search.state, *told),
         best_position=jnp.where(better, champion_position, search.best_position),
         best_cost=best_cost,
         iteration=search.iteration + 1,
@@ -363,19 +310,10 @@ def _recorded(
     )
 
 
-def _finite_costs(optimiser: Optimiser, search: Search, costs: Array) -> Array:
-    """Costs (agents,) as the optimiser is told them."""
-    instead = _failure_cost(optimiser.failure_cost, search, costs)
-    return jnp.where(jnp.isfinite(costs), costs, instead)
-
-
-_stored_start = stored(_started, static_argnums=(0,))
-_compiled_ask = stored(ask, static_argnums=(0,))
-_compiled_tell = stored(tell, static_argnums=(0,))
-_compiled_begun = stored(_begun, static_argnums=(0,))
-_compiled_finite = stored(_finite_costs, static_argnums=(0,))
-_compiled_prepare = stored(_prepared, static_argnums=(0,))
-_compiled_tell_prepared = stored(_told_prepared, static_argnums=(0,))
+_compiled_start = jax.jit(_started, static_argnums=(0,))
+_compiled_ask = jax.jit(ask, static_argnums=(0,))
+_compiled_tell = jax.jit(tell, static_argnums=(0,))
+_compiled_begun = jax.jit(_begun, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:

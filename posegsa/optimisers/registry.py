@@ -25,3 +25,5 @@ OPTIMISERS: dict[str, type[Optimiser]] = {
     kind.model_fields["optimiser"].default: kind for kind in _KINDS
 }
 """By name, the default first."""
+USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
+"""Those that `posegsa.compare` compares unless others are asked for."""

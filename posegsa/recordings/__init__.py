@@ -1,1 +1,1 @@
-"""Recorded motion: read, checked, started, run and compared with its reference."""
+"""Recorded motion: reading, checking, initial estimates, running filters, errors."""

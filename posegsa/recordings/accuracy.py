@@ -1,14 +1,14 @@
-"""How far estimates are from a recording's reference: total, heading, inclination, position.
+"""Errors of estimates against a recording's reference: total, heading, inclination, position.
 
 With the error quaternion q_err = q_est q_ref^-1 = (w, x, y, z) in the inertial frame, whose z axis
 is vertical (D. Laidig et al., "BROAD - a benchmark for robust inertial orientation estimation",
 Data 6(7):72, 2021):
 
     total        2 arccos |w|                    the angle of the whole error
-    heading      2 arctan |z / w|                what a turn about the vertical could undo
-    inclination  2 arccos sqrt(w^2 + z^2)        the smallest rest that no such turn undoes
+    heading      2 arctan |z / w|                the part that a turn about the vertical corrects
+    inclination  2 arccos sqrt(w^2 + z^2)        the part that remains after that turn
 
-The position's error is |P_est - P|, as other tools for trajectories take it.
+The position error is |P_est - P|, as in other tools for trajectories.
 """
 
 from typing import Annotated, NamedTuple
@@ -18,18 +18,18 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
 from posegsa.errors import RecordingError
+from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import finite_array
-from posegsa.model.rollout import Estimates
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
 from posegsa.settings.arrays import Numbers
 
 AnyNumber = Annotated[float, Numbers(allow="any")]
-"""A number that may be infinite, where a filter diverged, or NaN."""
+"""A number that may be NaN, or infinite if a filter diverged."""
 
 
 class AttitudeErrors(NamedTuple):
-    """Of each sample [deg]; NaN where the truth, or the estimate, is."""
+    """Errors of each sample [deg]; NaN where the truth or the estimate is NaN."""
 
     total: np.ndarray
     heading: np.ndarray
@@ -37,7 +37,7 @@ class AttitudeErrors(NamedTuple):
 
 
 class Rmse(NamedTuple):
-    """Root mean squares over the samples of a phase; NaN without any."""
+    """Root mean square errors over the samples of a phase; NaN if it has none."""
 
     total: AnyNumber
     """[deg]"""
@@ -46,9 +46,9 @@ class Rmse(NamedTuple):
     inclination: AnyNumber
     """[deg]"""
     position: AnyNumber | None
-    """[m]; None where the position is not judged."""
+    """[m]; None if the position is not judged."""
     samples: int
-    """How many were judged."""
+    """Number of samples."""
 
 
 class RecordingErrors(NamedTuple):
@@ -59,12 +59,12 @@ class RecordingErrors(NamedTuple):
     attitude: AttitudeErrors
     """Each (K,) [deg]."""
     position: np.ndarray | None
-    """(K,) [m]; None where the position is not judged."""
+    """(K,) [m]; None if the position is not judged."""
     masks: dict[str, np.ndarray]
     """The samples of each phase, "judged" first."""
 
     def rmse(self) -> dict[str, Rmse]:
-        """Root mean squares by phase; a phase without any sample is left out."""
+        """Root mean square errors by phase, without empty phases."""
         return {
             name: Rmse(
                 total=rmse(self.attitude.total, mask),
@@ -82,14 +82,14 @@ def attitude_errors(estimated: ArrayLike, true: ArrayLike) -> AttitudeErrors:
     """Total, heading and inclination errors (K,) [deg] of rotations (K, 3, 3), body to inertial.
 
     Raises:
-        MeasurementError: of another shape, or not of the same length.
+        MeasurementError: an array has the wrong shape or length.
     """
     est = finite_array("estimated", estimated, (None, 3, 3), finite=False)
     ref = finite_array("true", true, (len(est), 3, 3), finite=False)
-    # A filter that diverged may end in infinities, whose differences NumPy warns of.
+    # A filter that diverged may return infinities; NumPy warns about their differences.
     est = np.where(np.isfinite(est).all(axis=(1, 2), keepdims=True), est, np.nan)
     w, x, y, z = product(quaternions(est), quaternions(ref) * [1, -1, -1, -1]).T
-    # Arc cosines of numbers near 1, written so that they lose no digits there.
+    # The arc cosines of the module docstring, in a form that is accurate for small errors.
     total = np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w))
     inclination = np.arctan2(np.hypot(x, y), np.hypot(w, z))
     heading = np.arctan2(np.abs(z), np.abs(w))
@@ -100,7 +100,7 @@ def position_errors(estimated: ArrayLike, true: ArrayLike) -> np.ndarray:
     """Distances (K,) [m] of positions (K, 3).
 
     Raises:
-        MeasurementError: of another shape, or not of the same length.
+        MeasurementError: an array has the wrong shape or length.
     """
     est = finite_array("estimated", estimated, (None, 3), finite=False)
     ref = finite_array("true", true, (len(est), 3), finite=False)
@@ -108,12 +108,12 @@ def position_errors(estimated: ArrayLike, true: ArrayLike) -> np.ndarray:
 
 
 def rmse(errors: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Root mean square of errors (K,) over a mask (K,); NaN without any sample.
+    """Root mean square of errors (K,) over a mask (K,); NaN if there are no samples.
 
-    An error there that is not finite is no smaller for being unknown: the result is infinite.
+    If an error in the mask is not finite, the result is infinite.
 
     Raises:
-        MeasurementError: of another shape.
+        MeasurementError: an array has the wrong shape.
     """
     values = finite_array("errors", errors, (None,), finite=False)
     if mask is not None:
@@ -136,8 +136,8 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
         recording: with a truth.
 
     Raises:
-        RecordingError: it has no truth.
-        MeasurementError: the estimates are of another number of samples.
+        RecordingError: the recording has no truth.
+        MeasurementError: estimates and recording differ in their number of samples.
     """
     check_type("estimates", estimates, Estimates)
     check_type("recording", recording, Recording)

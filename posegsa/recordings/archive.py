@@ -1,4 +1,4 @@
-"""Recordings in NumPy's .npz files: arguments of `Recording.from_arrays` by their names."""
+"""Recordings in NumPy .npz files: one array for each argument of `Recording.from_arrays`."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from posegsa.errors import RecordingError
 from posegsa.recordings.files import file_of, reading
 
 GROUPS = "phases", "sources", "sensors"
-"""Arguments that are dictionaries: each entry is an array called "group/name"."""
+"""Arguments that are dictionaries: each entry is an array named "group/key"."""
 START = "start_rotation", "start_position", "start_bias"
 WORDS = "name", "start"
 OUTLIER = "landmark_outlier"
@@ -26,7 +26,7 @@ def read_npz(path: str | Path) -> dict[str, Any]:
     """Arguments of `Recording.from_arrays` from an .npz file; nothing in it is unpickled.
 
     Raises:
-        RecordingError: it cannot be read, or holds an array of another name.
+        RecordingError: it cannot be read, or contains an array of another name.
     """
     path = file_of(path)
     with reading(path), np.load(path, allow_pickle=False) as archive:
@@ -60,7 +60,7 @@ def read_npz(path: str | Path) -> dict[str, Any]:
 
 
 def write_npz(path: str | Path, arguments: dict[str, Any]) -> None:
-    """Write arguments of `Recording.from_arrays`; None is left out."""
+    """Write arguments of `Recording.from_arrays`, without those that are None."""
     arrays = {}
     for name, value in arguments.items():
         if name in GROUPS:

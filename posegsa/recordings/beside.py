@@ -1,12 +1,12 @@
-"""What a TOML file beside a CSV file says of it, such as where its landmarks are.
+"""The TOML file beside a CSV file, with facts such as the positions of the landmarks.
 
-A CSV file holds what was measured, not what is known of the surroundings. `flight.csv.toml` beside
-`flight.csv` says that, so that a shell can name the recording by one path:
+A CSV file contains measurements, not the known surroundings. These are in `flight.csv.toml` beside
+`flight.csv`, so that one path names the whole recording:
 
     vector_references = [[0, 0, 1], [1, 0, 0]]
     landmark_references = [[4, 0, 1], [0, 4, 1], [-4, 0, 2]]
 
-With `columns` it says what the columns are called, as `Recording.from_csv` takes it.
+A table `columns` gives the names of the columns, as in `Recording.from_csv`.
 """
 
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.recordings.table import COLUMNS
 
-OF_THE_TABLE = "columns", "time_unit", "delimiter"
-"""Keys that say how the CSV file is read."""
+TABLE_KEYS = "columns", "time_unit", "delimiter"
+"""Keys for reading the CSV file."""
 ARGUMENTS = (
     *("vector_references", "vector_weights"),
     *("landmark_references", "landmark_weights"),
@@ -31,37 +31,37 @@ COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks")
 
 
 def path_beside(path: Path) -> Path:
-    """Where the TOML file of a CSV file is, if there is one."""
+    """The path of the TOML file of a CSV file, whether it exists or not."""
     return path.with_name(f"{path.name}.toml")
 
 
 def read_beside(path: Path) -> dict[str, Any]:
-    """What the TOML file beside a CSV file says; nothing without one.
+    """The contents of the TOML file beside a CSV file; empty if there is none.
 
     Raises:
-        RecordingError: It cannot be read, or says what it may not.
+        RecordingError: It cannot be read, or contains something that is not allowed.
     """
     beside = path_beside(path)
     if not beside.is_file():
         return {}
     try:
-        said = read_toml(beside)
+        found = read_toml(beside)
     except ConfigError as error:
         raise RecordingError(str(error)) from None
-    allowed = (*OF_THE_TABLE, *ARGUMENTS)
-    for key in said:
+    allowed = (*TABLE_KEYS, *ARGUMENTS)
+    for key in found:
         if key not in allowed:
             raise RecordingError(f"{beside}: {key!r}; allowed: {', '.join(allowed)}")
     for key in ("time_unit", "delimiter"):
-        if key in said and not isinstance(said[key], str):
-            raise RecordingError(f"{beside}: {key} = {said[key]!r}; allowed: a text")
-    if "columns" in said:
-        _check_columns(said["columns"], beside)
-    return said
+        if key in found and not isinstance(found[key], str):
+            raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a text")
+    if "columns" in found:
+        _check_columns(found["columns"], beside)
+    return found
 
 
 def check_references(path: Path, arguments: Mapping[str, Any]) -> None:
-    """Raise a RecordingError where vectors or landmarks of a CSV file have no references."""
+    """Raise a RecordingError if vectors or landmarks of a CSV file have no references."""
     for kind, what, unit in (("vector", "point", ""), ("landmark", "are", ", in m")):
         measured = arguments.get(f"{kind}s")
         given = arguments.get(f"{kind}_references") is not None
@@ -77,7 +77,7 @@ def check_references(path: Path, arguments: Mapping[str, Any]) -> None:
 
 
 def _check_columns(columns: object, beside: Path) -> None:
-    """Raise a RecordingError unless these are names of columns by argument."""
+    """Raise a RecordingError unless this maps arguments to names of columns."""
     if not isinstance(columns, dict):
         raise RecordingError(f"{beside}: columns = {columns!r}; allowed: a table, [columns]")
     for argument, names in columns.items():
@@ -91,7 +91,7 @@ def _check_columns(columns: object, beside: Path) -> None:
 
 
 def _are_names(value: object) -> bool:
-    """Whether it is a name, or a list of names, or of such lists, that is not empty."""
+    """Whether this is a name, or a nonempty list of names or of such lists."""
     if isinstance(value, list):
         return bool(value) and all(map(_are_names, value))
     return isinstance(value, str)

@@ -1,15 +1,15 @@
-"""Time stamps that can be used, and what is done about samples that are missing.
+"""Checks of time stamps, and policies for bridging missing samples.
 
-A recording whose stamps go back, that has a gap, or whose velocities hold NaN is refused, unless a
-policy says how to bridge that:
+A recording is refused if its time stamps do not increase, if it has a gap, or if velocities are
+NaN, unless a policy bridges that:
 
-    "refuse"        nothing is bridged
-    "hold"          the last velocities are held
-    "interpolate"   velocities are interpolated linearly
+    "refuse"        bridge nothing
+    "hold"          hold the last velocities
+    "interpolate"   interpolate velocities linearly
 
-Both of the latter drop samples whose stamp does not come after the one before, and fill a gap with
-samples at the median time step, with nothing measured in them but the velocities. What is bridged
-is counted, and no gap is longer than a given time.
+The last two drop samples whose time stamp is not after all before it, and fill gaps with samples at
+the median time step that have velocities only. Notes count what was bridged, and the length of gaps
+is limited.
 """
 
 from typing import NamedTuple
@@ -25,23 +25,23 @@ from posegsa.words import counted
 GAP = 5.0
 """Time steps longer than this many median ones are gaps."""
 LONGEST_STEP = 3600.0
-"""No longer gap [s] is bridged, whoever asks for it: stamps in another unit look like that."""
+"""Upper limit of `longest_gap` [s]: longer gaps suggest time stamps in another unit."""
 ALLOWED = 'allowed: bridge = "hold" or "interpolate" (--bridge)'
 
 
 class Bridged(NamedTuple):
-    """Which samples of a recording are used, and what stands between them."""
+    """The samples of a recording that are used, with samples filled in."""
 
     time: np.ndarray
     """(N,) from the first sample [s], ascending."""
     source: np.ndarray
-    """(N,) the sample that each was made of; -1 where there was none."""
+    """(N,) the index of each sample in the recording; -1 for one that was filled in."""
     notes: tuple[str, ...]
-    """What was done, counted."""
+    """What was done, with counts."""
 
     def spread(self, values: np.ndarray, missing: float | bool) -> np.ndarray:
-        """Values (K, ...) of the given samples as (N, ...), `missing` where there was none."""
-        taken = values[self.source]  # -1 takes the last, and is replaced
+        """Values (K, ...) of the recording as (N, ...), `missing` for samples filled in."""
+        taken = values[self.source]  # at -1 the last value, which is replaced below
         shape = (-1,) + (1,) * (values.ndim - 1)
         return np.where((self.source >= 0).reshape(shape), taken, missing)
 
@@ -50,12 +50,13 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
     """Time (K,) since the first sample [s], float64.
 
     Args:
-        time: (K,) stamps: whole numbers are ns, others s; None where there is a time step.
+        time: (K,) time stamps: integers in ns, floats in s; None if there is a time step.
         time_step: scalar or (K,) [s], to the next sample.
         samples: K.
 
     Raises:
-        RecordingError: not exactly one of both, of another shape or not finite.
+        RecordingError: not exactly one of both is given, or it has the wrong shape or is not
+            finite.
     """
     if samples < 2:
         raise RecordingError(f"a recording has {counted(samples, 'sample')}; allowed: 2 or more")
@@ -75,7 +76,7 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
             raise RecordingError(f"time: must have the shape ({samples},), got {given.shape}")
         if given.max() > 2**62 or given.min() < -(2**62):
             raise RecordingError(f"time: {given.max()} ns is no time stamp; allowed: up to 2^62 ns")
-        # The difference first, in whole ns: float64 would lose some of a stamp since 1970.
+        # Subtract as integers first: float64 cannot hold all digits of ns since 1970.
         return (given.astype(np.int64) - np.int64(given[0])) / 1e9
     seconds = finite_array("time", given, (samples,))
     return seconds - seconds[0]
@@ -84,13 +85,13 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
 def bridged_samples(
     time: np.ndarray, velocities: np.ndarray, policy: Policy, longest: float
 ) -> Bridged:
-    """Samples to be used, by a policy.
+    """The samples to use according to a policy.
 
     Args:
         time: (K,) since the first sample [s].
-        velocities: (K, d) what must be known at each sample; NaN where it is not.
-        policy: what is done where stamps or velocities are missing.
-        longest: time [s] up to which anything is bridged.
+        velocities: (K, d) needed at each sample; NaN where unknown.
+        policy: what to do where samples or velocities are missing.
+        longest: maximum time [s] that is bridged.
 
     Raises:
         RecordingError: something is missing that the policy does not bridge.
@@ -109,7 +110,7 @@ def bridged_samples(
                 f"time: {counted(dropped, 'stamp')} not after the one before ({where}); {ALLOWED}, "
                 "which drops them"
             )
-        notes.append(f"{counted(dropped, 'sample')} dropped: stamps that do not go on, {where}")
+        notes.append(f"{counted(dropped, 'sample')} dropped: stamps that do not increase, {where}")
     source = np.flatnonzero(kept)
     if len(source) < 2:
         raise RecordingError("time: no two stamps ascend")
@@ -141,7 +142,7 @@ def bridged_samples(
 
 
 def known_everywhere(bridged: Bridged, values: np.ndarray, policy: Policy) -> np.ndarray:
-    """Velocities (N, d) at the samples of a bridge from those given (K, d), by its policy."""
+    """Velocities (N, d) at the bridged samples from the recorded ones (K, d)."""
     spread = bridged.spread(values, np.nan)
     missing = ~np.isfinite(spread).all(axis=1)
     if not missing.any():
@@ -165,7 +166,7 @@ def _advancing(time: np.ndarray) -> np.ndarray:
 def _filled(
     time: np.ndarray, source: np.ndarray, gaps: np.ndarray, usual: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times and sources with samples put into gaps, about `usual` [s] apart."""
+    """Times and sources with the gaps filled by samples about `usual` [s] apart."""
     times, where = [], []
     for k in gaps:
         parts = max(2, round(float(time[k + 1] - time[k]) / usual))
@@ -176,11 +177,11 @@ def _filled(
 
 
 def _refuse_long_runs(time: np.ndarray, unknown: np.ndarray, longest: float) -> None:
-    """Raise a RecordingError where velocities are unknown for too long, or for ever."""
+    """Raise a RecordingError if velocities are unknown for too long, or everywhere."""
     known = np.flatnonzero(~unknown)
     if known.size == 0:
         raise RecordingError("angular_velocity, velocity: no sample has them")
-    # Before the first and after the last known one, too, time passes.
+    # Include the times before the first known sample and after the last one.
     ends = np.concatenate([time[:1], time[known], time[-1:]])
     runs = np.diff(ends)
     inner = np.concatenate([[known[0] > 0], np.diff(known) > 1, [known[-1] < len(time) - 1]])

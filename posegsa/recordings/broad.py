@@ -1,8 +1,8 @@
-"""Trials of BROAD, the Berlin robust orientation estimation assessment data set, as published.
+"""Reads trials of BROAD, the Berlin robust orientation estimation assessment data set.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - a benchmark for robust inertial orientation
 estimation", Data 6(7):72, 2021. Everything is measured: gyroscope, accelerometer, magnetometer and
-the reference of optical motion capture, whose z axis is up.
+the reference by optical motion capture, whose z axis points up.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ def read_broad(path: str | Path) -> dict[str, Any]:
     """Arguments of `Recording.from_arrays` from a trial's .mat file; see `Recording.from_broad`.
 
     Raises:
-        RecordingError: it cannot be read, or is no trial.
+        RecordingError: it cannot be read, or is not a trial.
     """
     from scipy.io import loadmat  # not at the top: takes a while to load
 
@@ -56,6 +56,6 @@ _FIELDS = "imu_gyr", "imu_acc", "imu_mag", "opt_quat", "movement", "sampling_rat
 
 
 def _length(vectors: np.ndarray) -> float:
-    """Length of the mean of vectors (K, 3); 1 where there is none."""
+    """Length of the mean of vectors (K, 3); 1 if none is finite."""
     mean = np.nanmean(vectors, axis=0) if np.isfinite(vectors).any() else np.zeros(3)
     return float(np.linalg.norm(mean)) or 1.0

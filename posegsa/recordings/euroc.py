@@ -1,8 +1,8 @@
-"""The EuRoC MAV data set's sequences, as published, with sensors that it lacks made of the truth.
+"""Reads sequences of the EuRoC MAV data set and simulates the sensors that it lacks.
 
 M. Burri et al., "The EuRoC micro aerial vehicle datasets", International Journal of Robotics
-Research 35(10), 2016. Real are the gyroscope (with its bias) and the reference; a velocity in the
-body frame and landmarks are made from the reference, and `sources` says with which noise.
+Research 35(10), 2016. The gyroscope (with its bias) and the reference are measured. The velocity in
+the body frame and the landmarks are simulated from the reference; `sources` states their noise.
 """
 
 from pathlib import Path
@@ -22,11 +22,11 @@ TRUTH = (
     "state_groundtruth_estimate0/data.csv",
     "*groundtruth.csv",
 )
-"""Where the files of a sequence are looked for."""
+"""Patterns of the files of a sequence, in the order in which they are tried."""
 LANDMARKS = ((-4.0, -3.0, 0.5), (4.0, -3.0, 2.5), (4.0, 3.0, 0.5), (-4.0, 3.0, 2.5))
 """Corners of a room as large as the Vicon rooms [m]."""
 WITHIN = 0.1
-"""Stamps of IMU and reference are the same sample if they differ by this share of a step."""
+"""Maximum difference of matching time stamps of IMU and reference, as a share of a step."""
 
 
 def read_euroc(
@@ -42,7 +42,7 @@ def read_euroc(
     """Arguments of `Recording.from_arrays` from a sequence; see `Recording.from_euroc`.
 
     Raises:
-        RecordingError: there is no sequence, its files cannot be read, or do not fit together.
+        RecordingError: there is no sequence, or its files cannot be read or do not fit together.
     """
     folder = as_path(folder)
     imu_stamps, imu = _table(_find(folder, IMU), 6)
@@ -100,7 +100,7 @@ def read_euroc(
 
 
 _PARTS = slice(0, 3), slice(3, 7), slice(7, 10)
-"""Position [m], quaternion (w, x, y, z) and velocity [m/s, inertial frame] in a row."""
+"""Columns of position [m], quaternion (w, x, y, z) and velocity [m/s, inertial frame]."""
 
 
 def _find(folder: Path, names: tuple[str, ...]) -> Path:
@@ -116,7 +116,7 @@ def _find(folder: Path, names: tuple[str, ...]) -> Path:
 
 
 def _table(path: Path, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (K,) [ns], whole numbers, and the other columns (K, columns) of a file."""
+    """Time stamps (K,) [ns] as integers, and the other columns (K, columns) of a file."""
     with reading(path):
         stamps = np.loadtxt(path, np.int64, delimiter=",", usecols=0, ndmin=1)
         values = np.loadtxt(path, delimiter=",", usecols=range(1, columns + 1), ndmin=2)

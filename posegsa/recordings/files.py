@@ -1,4 +1,4 @@
-"""Files that recordings are read from: opened with care, refused by their name."""
+"""Checks of files before they are read, and errors that name them."""
 
 import os
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from posegsa.arguments import check_type
 from posegsa.errors import RecordingError
 
 MAX_BYTES = 4 * 2**30
-"""Size up to which a file is read: 4 GiB."""
+"""Maximum size of a file: 4 GiB."""
 
 
 def as_path(value: str | Path) -> Path:
@@ -34,11 +34,11 @@ def file_of(value: str | Path) -> Path:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """What goes wrong while a file is read comes as a RecordingError with its name."""
+    """Turn any error while a file is read into a RecordingError that names the file."""
     try:
         yield
     except RecordingError:
         raise
-    except Exception as error:  # whatever the reader of a damaged file raises
+    except Exception as error:  # readers of damaged files raise all kinds
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RecordingError(f"{path}: cannot be read: {what}") from error

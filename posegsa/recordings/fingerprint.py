@@ -1,4 +1,4 @@
-"""What tells recordings apart: a checksum of all that a search, or a judgement, depends on."""
+"""Checksums of recordings, over everything that a search or a judgement depends on."""
 
 import hashlib
 from dataclasses import fields
@@ -11,15 +11,15 @@ from posegsa.recordings.recording import Recording
 from posegsa.settings.plain import plain
 
 WORDS = "name", "sources", "notes"
-"""Fields that are said of a recording and change no estimate."""
+"""Fields that describe a recording and do not change an estimate."""
 
 
 def fingerprint(recording: Recording) -> str:
-    """SHA-256 of a recording's numbers, in hexadecimal; the same in every process and machine."""
+    """SHA-256 of a recording's numbers, in hexadecimal; the same on every machine."""
     digest = hashlib.sha256()
     numbers = {each.name: getattr(recording, each.name) for each in fields(recording)}
     counted = {
-        # Settings, as an `ImuRecording` has, are no pytree: as a leaf one would be its address.
+        # Settings, which an `ImuRecording` has, are not a pytree but would be one opaque leaf.
         name: plain(value) if isinstance(value, BaseModel) else value
         for name, value in numbers.items()
         if name not in WORDS

@@ -1,4 +1,4 @@
-"""The inertial frames that a recording may be in."""
+"""The supported inertial frames."""
 
 from typing import Literal
 
@@ -7,10 +7,10 @@ Frame = Literal["ENU", "NED", "NWU"]
 North is magnetic north."""
 
 UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
-"""The direction up in each."""
+"""The direction up in each frame."""
 EAST: dict[str, tuple[float, float, float]] = {
     "ENU": (1, 0, 0),
     "NED": (0, 1, 0),
     "NWU": (0, -1, 0),
 }
-"""The direction east in each."""
+"""The direction east in each frame."""

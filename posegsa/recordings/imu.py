@@ -1,16 +1,16 @@
-"""From gyroscope, accelerometer and magnetometer to vectors that the filter can use.
+"""The filter's vectors from gyroscope, accelerometer and magnetometer.
 
-Two vectors are made, neither of them normalised:
+Two vectors are computed, neither normalised:
 
     up    a_f / g                 reference: up
     east  m x a_f / (g h)         reference: east
 
-a the specific force (at rest it points up), a_f the same low-passed in an almost inertial frame
-(`inertial_frame`), g its length at rest; m the magnetic field, h its horizontal part. A normalised
-a is no unbiased direction of gravity while the body shakes, a mean of a is; and east, unlike m
-itself, says nothing of the inclination, however wrong the field is. East has a weight that falls
-where the field is not the one expected (`magnetic_field`). There is no position: a recording made
-so is one of attitude only.
+where a is the specific force (at rest it points up), a_f is a after a low-pass filter in an almost
+inertial frame (`inertial_frame`), g is its length at rest, m is the magnetic field and h its
+horizontal part. While the body shakes, the mean of a is an unbiased direction of gravity; the
+normalised a is not. Unlike m itself, east does not affect the inclination, however wrong the field
+is. The weight of east decreases where the field deviates from its reference (`magnetic_field`).
+Such a recording has no position: it is attitude only.
 """
 
 import math
@@ -34,25 +34,25 @@ from posegsa.recordings.units import check_units
 from posegsa.words import counted
 
 GRAVITY = 9.81
-"""Length of the acceleration at rest where no rest shows it [m/s^2]."""
+"""Assumed length of the specific force at rest if the recording has no rest [m/s^2]."""
 FIRST = 1.0
-"""Time over which sensors are averaged for the start of a recording that begins in motion [s]."""
+"""Averaging time of the initial estimate of a recording that begins in motion [s]."""
 STARTUP = 20.0
-"""Time constant with which the field gets its weights in such a recording, and gamma its value
-[s]."""
+"""In a recording that begins in motion, the time constant with which the field's weights and gamma
+approach their normal values [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImuRecording(Recording):
-    """A recording of an inertial sensor; made by `imu` or `as_imu`.
+    """A recording of an inertial sensor, made by `imu` or `as_imu`.
 
-    Its `sensors` hold the "gyroscope" too, as it was measured.
+    Its `sensors` include the "gyroscope" as measured.
     """
 
     frame: Frame = "ENU"
     """The inertial frame."""
     settings: ImuVectorsConfig = field(default_factory=ImuVectorsConfig)
-    """With which its vectors were made."""
+    """The settings with which its vectors were computed."""
     resting: int = 0
     """Number of samples at rest at the start; 0 if it begins in motion."""
 
@@ -69,31 +69,31 @@ def imu(
     settings: ImuVectorsConfig | None = None,
     **more: Any,
 ) -> ImuRecording:
-    """A recording of attitude only from an inertial sensor's signals, ready for `run_filter`.
+    """An attitude-only recording from the signals of an inertial sensor, ready for `run_filter`.
 
-    All three sensors have the same, right-handed axes: those of the body.
+    All three sensors must have the same right-handed axes: those of the body.
 
     Args:
         gyr: (K, 3) angular velocity [rad/s].
-        acc: (K, 3) specific force [m/s^2]: at rest 9.8 upwards; NaN is missing.
-        mag: (K, 3) magnetic field, in any unit, calibrated; NaN is missing. Without it, the heading
-            is free: it begins at an arbitrary value and drifts with the gyroscope.
+        acc: (K, 3) specific force [m/s^2], 9.8 upwards at rest; NaN where missing.
+        mag: (K, 3) calibrated magnetic field in any unit; NaN where missing. Without it the heading
+            starts at an arbitrary value and drifts with the gyroscope.
         rate: samples per second; or give `time`.
-        time: (K,) stamps: whole numbers are ns, others s.
+        time: (K,) time stamps: integers in ns, floats in s.
         frame: the inertial frame (`Frame`).
-        rest: time at rest at the start [s], from which the gyroscope's bias, the lengths of the
-            references and the first attitude are taken; 0 if the recording begins in motion, "auto"
-            to find it (`rest_at_start`). Without rest the bias begins at 0 and is learnt, the
-            attitude is that of the first second, and the field is compared with its mean so far.
-        settings: numbers of the preparation, such as `config.load_imu(file).vectors`; by default
-            those of the shipped filter.
+        rest: time at rest at the start [s]; 0 if the recording begins in motion, "auto" to detect
+            it (`rest_at_start`). The rest gives the gyroscope's bias, the lengths of the references
+            and the initial attitude. Without rest the bias estimate starts at 0, the initial
+            attitude is from the first second, and the field is compared with its mean so far.
+        settings: how vectors are computed, such as `config.load_imu(file).vectors`; by default as
+            in the shipped filter.
         more: further arguments of `Recording.from_arrays`, such as name, truth_quaternion, judged,
             phases or bridge.
 
     Raises:
         RecordingError: units look wrong (degrees per second, multiples of g), signals are missing
-            or say nothing, or an argument is not one of those allowed; names it.
-        MeasurementError: an array has the wrong shape or holds what it may not.
+            or zero, or an argument is not allowed; names it.
+        MeasurementError: an array has the wrong shape or forbidden values.
     """
     if (rate is None) == (time is None):
         raise RecordingError("rate, time: give one of both")
@@ -122,17 +122,17 @@ def as_imu(
     rest: float | Literal["auto"] = "auto",
     settings: ImuVectorsConfig | None = None,
 ) -> ImuRecording:
-    """A recording with its vectors and its start made anew from its sensors, attitude only.
+    """An attitude-only recording with vectors and start recomputed from the raw signals.
 
     Args:
-        recording: whose `sensors` hold "accelerometer" and, for a heading, "magnetometer", such as
-            those of `Recording.from_broad` and `from_csv`.
-        frame: as `imu`'s.
-        rest: as `imu`'s.
-        settings: as `imu`'s.
+        recording: with "accelerometer" and, for a heading, "magnetometer" in its `sensors`, as from
+            `Recording.from_broad` and `from_csv`.
+        frame: as in `imu`.
+        rest: as in `imu`.
+        settings: as in `imu`.
 
     Raises:
-        RecordingError: as `imu`, or the recording lacks an accelerometer.
+        RecordingError: as in `imu`, or the recording has no accelerometer.
     """
     check_type("recording", recording, Recording)
     settings = ImuVectorsConfig() if settings is None else settings
@@ -146,17 +146,17 @@ def as_imu(
 
 
 def with_vectors(recording: ImuRecording, settings: ImuVectorsConfig) -> ImuRecording:
-    """A recording with its vectors made anew with other numbers of the preparation."""
+    """The recording with vectors recomputed with other settings."""
     made = recording.frame, settings, recording.resting
     return _with_vectors(recording, _signals(recording), *made, None)
 
 
 def with_known_bias(recording: ImuRecording, bias: np.ndarray) -> ImuRecording:
-    """A recording with its vectors made anew with the gyroscope's bias known better than before.
+    """The recording with vectors recomputed with a better bias of the gyroscope.
 
     Args:
         recording: of an inertial sensor.
-        bias: (K, 3) at each sample [rad/s], such as a first run's estimates of it.
+        bias: (K, 3) at each sample [rad/s], such as the estimates of a first run.
     """
     signals = _signals(recording)
     made = recording.frame, recording.settings, recording.resting
@@ -164,7 +164,7 @@ def with_known_bias(recording: ImuRecording, bias: np.ndarray) -> ImuRecording:
 
 
 def _signals(recording: Recording) -> "Signals":
-    """What the sensors of a recording measured."""
+    """The raw signals of a recording."""
     if "accelerometer" not in recording.sensors:
         raise RecordingError(
             f"{recording.name}: has no accelerometer; allowed: sensors with one, as from columns "
@@ -209,14 +209,14 @@ def _with_vectors(
 
 
 class Signals(NamedTuple):
-    """What an inertial sensor measured in K samples, body frame."""
+    """K samples of the raw signals of an inertial sensor, body frame."""
 
     gyr: np.ndarray
     """(K, 3) [rad/s]."""
     acc: np.ndarray
     """(K, 3) specific force [m/s^2]; NaN where missing."""
     mag: np.ndarray | None
-    """(K, 3) magnetic field; NaN where missing, None without a magnetometer."""
+    """(K, 3) magnetic field, NaN where missing; None without a magnetometer."""
     steps: np.ndarray
     """(K,) time to the next sample [s]."""
 
@@ -227,19 +227,19 @@ class Signals(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What is made of K samples of an inertial sensor, with n = 1 or 2 vectors."""
+    """The filter's inputs from K samples of an inertial sensor, with n = 1 or 2 vectors."""
 
     angular_velocity: np.ndarray
     """(K, 3) from each sample to the next [rad/s]."""
     vectors: np.ndarray
     """(K, n, 3) up and east, body frame; NaN where missing."""
     references: np.ndarray
-    """(n, 3) the same, inertial frame."""
+    """(n, 3) the same vectors, inertial frame."""
     weights: np.ndarray
     """(K, n) in [0, 1]."""
     start: Start
     sources: dict[str, str]
-    """What was made of each sensor, in words; what was left out is counted."""
+    """What each sensor was used for, in words, with counts of what was left out."""
 
 
 def prepared(
@@ -249,18 +249,18 @@ def prepared(
     settings: ImuVectorsConfig,
     bias: np.ndarray | None = None,
 ) -> Prepared:
-    """The vectors, their references and the start of a recording (causal but for the first second).
+    """Vectors, references and initial estimate of a recording (causal after the first second).
 
     Args:
-        signals: with units that have been looked at.
+        signals: in checked units.
         resting: number of samples at rest at the start; 0 for none.
         frame: the inertial frame.
-        settings: numbers of the preparation.
-        bias: (K, 3) of the gyroscope at each sample [rad/s], for the almost inertial frame; by
+        settings: how vectors are computed.
+        bias: (K, 3) bias of the gyroscope at each sample [rad/s], for the almost inertial frame; by
             default its mean at rest, or 0.
 
     Raises:
-        RecordingError: a sensor says nothing in the first second, or at rest.
+        RecordingError: the signal of a sensor in the first second, or at rest, is missing or zero.
     """
     sources = {"start": _rest_in_words(resting, signals), "vectors": _in_words(settings, signals)}
     omega = signals.gyr
@@ -306,7 +306,7 @@ def prepared(
                 recovery=settings.field_recovery,
             )
             if not resting:
-                # Nothing is known of the field yet: at first it is believed as it is.
+                # No reference of the field is known yet, so the first samples get full weight.
                 age = np.arange(len(up)) * signals.time_step
                 weight = np.maximum(weight, np.exp(-age / STARTUP))
         weights.append(np.where(known & acc_known, weight, 0.0))
@@ -349,9 +349,9 @@ def _samples_at_rest(rest: float | Literal["auto"], signals: Signals) -> int:
 
 
 def _median(name: str, values: np.ndarray) -> np.ndarray:
-    """Medians (3,) of values (K, 3) that are there; a RecordingError where none is, or it is zero.
+    """Median (3,) of the finite values (K, 3); a RecordingError if there is none or it is zero.
 
-    A mean would be off where someone brings a magnet, or knocks, before the motion begins.
+    A mean would be wrong if a magnet comes near or the sensor is knocked before the motion begins.
     """
     known = np.isfinite(values).all(axis=1)
     median = np.median(values[known], axis=0) if known.any() else np.zeros(3)
@@ -364,7 +364,7 @@ def _median(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _used(values: np.ndarray, length: float, settings: ImuVectorsConfig) -> tuple[np.ndarray, str]:
-    """Which of values (K, 3) are used, (K,), and in words which are not."""
+    """Which of the values (K, 3) are used, (K,), and which are not, in words."""
     known = np.all(np.isfinite(values), axis=1)
     with np.errstate(invalid="ignore"):
         far = known & (np.linalg.norm(values, axis=1) > settings.outlier * length)

@@ -8,8 +8,8 @@ import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.config.imu import ImuConfig, ImuObserverConfig
-from posegsa.model.filter import FilterSettings
-from posegsa.model.rollout import Estimates
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.rollout import Estimates
 from posegsa.model.schedules import ConstantGain, GainSchedule, SettlingGain
 from posegsa.model.vectors import VectorSettings
 from posegsa.recordings.imu import STARTUP, ImuRecording, with_known_bias
@@ -17,14 +17,14 @@ from posegsa.recordings.running import run_filter
 from posegsa.recordings.start import Start
 
 PASSES = 4
-"""Runs over a recording that begins in motion."""
+"""Number of runs over a recording that begins in motion."""
 
 
 def imu_settings(observer: ImuObserverConfig, vectors: int = 2) -> FilterSettings:
     """The filter's settings, for recordings with one vector (up) or two (up and east).
 
-    Vectors are neither normalised nor crossed, and their biases are not learnt: acceleration is no
-    constant bias.
+    Vectors are neither normalised nor is their cross product used, and their biases are not
+    estimated, because acceleration is not a constant bias.
     """
     weights = (1.0, observer.east_weight)[:vectors]
     return FilterSettings(
@@ -47,16 +47,16 @@ def imu_settings(observer: ImuObserverConfig, vectors: int = 2) -> FilterSetting
 
 
 def run_imu(recording: ImuRecording, config: ImuConfig | None = None) -> Estimates:
-    """Estimate the attitude of a recording of an inertial sensor.
+    """Estimate the attitude in a recording of an inertial sensor.
 
-    One that begins in motion is run more than once (`in_passes`).
+    If the recording begins in motion, the filter runs more than once (`in_passes`).
 
     Args:
         recording: from `posegsa.imu` or `posegsa.as_imu`.
-        config: the filter's numbers, of which [observer] is used here; by default the shipped ones.
+        config: of the filter; only [observer] is used. By default the shipped one.
 
     Raises:
-        ArgumentError: an argument is of another type.
+        ArgumentError: an argument has the wrong type.
     """
     words = "a recording of posegsa.imu, or posegsa.as_imu(recording)"
     check_type("recording", recording, ImuRecording, allowed=words)
@@ -64,15 +64,17 @@ def run_imu(recording: ImuRecording, config: ImuConfig | None = None) -> Estimat
     check_type("config", config, ImuConfig)
     vectors = np.shape(recording.measurements.vectors)[1]
     with jax.enable_x64(True):
-        settings = imu_settings(config.observer, vectors)
-        gain = imu_schedule(config.observer, recording)
-        return in_passes(recording, lambda each: run_filter(gain, each, settings=settings))
+        observer = Observer(
+            imu_schedule(config.observer, recording), imu_settings(config.observer, vectors)
+        )
+        return in_passes(recording, lambda each: run_filter(observer, each))
 
 
 def imu_schedule(observer: ImuObserverConfig, recording: ImuRecording) -> GainSchedule:
-    """The constant gain; in a recording that begins in motion, with a gamma that grows.
+    """The constant gain; with a growing gamma if the recording begins in motion.
 
-    At first the field is believed as it is there; what it says then is nothing to learn a bias of.
+    There the first samples of the field get full weight without a reference, which is too uncertain
+    to estimate a bias from.
     """
     gain = jnp.asarray(observer.gain, float)
     if recording.resting:
@@ -81,18 +83,18 @@ def imu_schedule(observer: ImuObserverConfig, recording: ImuRecording) -> GainSc
 
 
 def in_passes(recording: ImuRecording, run: Callable[[ImuRecording], Estimates]) -> Estimates:
-    """The estimates of a recording whose start may not tell the gyroscope's bias.
+    """The estimates of a recording, in several passes if it begins in motion.
 
-    One that begins in motion is run PASSES times. In the first pass nothing is known of the bias in
-    the almost inertial frame, which then turns with it, and hides it; in each that follows, the
-    bias there is the one that the pass before has learnt up to each sample. So every estimate is
-    still made of what was measured before it.
+    In that case the gyroscope's bias is unknown in the first pass. The almost inertial frame then
+    turns with the bias, and hides it. Each further pass corrects the frame by the bias that the
+    pass before had estimated up to each sample, so every estimate still depends only on earlier
+    measurements.
 
     Args:
         recording: of an inertial sensor.
-        run: what estimates its attitude and the gyroscope's bias.
+        run: estimates the attitude and the gyroscope's bias.
     """
-    whole = isinstance(recording.start, Start)  # not a window from the middle of one
+    whole = isinstance(recording.start, Start)  # not a window that begins later
     found = run(recording)
     for _ in range(PASSES - 1 if whole and not recording.resting else 0):
         found = run(with_known_bias(recording, np.asarray(found.bias)[:, :3]))

@@ -1,11 +1,12 @@
-"""Acceleration, low-passed where it hardly changes: in an almost inertial frame.
+"""Low-pass filter for the acceleration, in an almost inertial frame.
 
-Over seconds, acceleration is gravity and a motion that averages out; so its mean is a better
-direction of gravity than any sample of it. But in the body frame gravity turns with the body. In
-the frame S that the integrated gyroscope gives it stays where it is, but for the gyroscope's bias;
-there it is low-passed, and then turned back into the body frame (D. Laidig, T. Seel, "VQF: Highly
+Over seconds the specific force is gravity plus a motion that averages out, so its mean is a better
+direction of gravity than a single sample. In the body frame gravity turns with the body. In the
+frame S that results from integrating the gyroscope it is constant, except for the gyroscope's bias.
+So it is low-passed in S and then rotated back into the body frame (D. Laidig, T. Seel, "VQF: Highly
 accurate IMU orientation estimation with bias estimation and magnetic disturbance rejection",
-Information Fusion 91, 2023). It is causal, and needs no estimate of the attitude.
+Information Fusion 91, 2023). The filter is causal and
+needs no estimate of the attitude.
 """
 
 import math
@@ -16,7 +17,7 @@ from posegsa.recordings.rotations import matrices, product
 
 
 def strapdown(angular_velocity: np.ndarray, time_step: np.ndarray) -> np.ndarray:
-    """Rotations (K, 3, 3) from the body at each sample to S, the body at the first one.
+    """Rotations (K, 3, 3) from the body at each sample to S, the body frame at the first one.
 
     Args:
         angular_velocity: (K, 3) from each sample to the next, without its bias, body frame [rad/s].
@@ -34,8 +35,8 @@ def strapdown(angular_velocity: np.ndarray, time_step: np.ndarray) -> np.ndarray
 def running_products(steps: np.ndarray) -> np.ndarray:
     """Products q_0 q_1 ... q_k (K, 4) of unit quaternions (K, 4), of length one.
 
-    Blocks of about sqrt(K) samples are multiplied up beside each other, then joined: 2 sqrt(K)
-    products of arrays instead of K of single quaternions.
+    Blocks of about sqrt(K) samples are multiplied in parallel, then joined: 2 sqrt(K) products of
+    arrays instead of K products of single quaternions.
     """
     count = len(steps)
     length = math.ceil(math.sqrt(count))
@@ -57,24 +58,24 @@ def running_products(steps: np.ndarray) -> np.ndarray:
 def low_passed(
     values: np.ndarray, time_constant: float, time_step: float, start: np.ndarray
 ) -> np.ndarray:
-    """Values (K, 3) through a Butterworth filter of second order, settled at `start` (3,).
+    """Values (K, 3) after a second-order Butterworth filter, initially settled at `start` (3,).
 
-    Its cut-off frequency is sqrt(2) / (2 pi time constant), VQF's: it damps noise as a filter of
-    first order of this time constant does. A time constant of 0 leaves values as they are.
+    Its cut-off frequency is sqrt(2) / (2 pi time constant), as in VQF: it damps noise like a
+    first-order filter with this time constant. A time constant of 0 changes nothing.
 
     Args:
         values: without NaN.
         time_constant: [s].
         time_step: of all samples [s].
-        start: (3,) what came before the first.
+        start: (3,) the value before the first sample.
     """
     from scipy.signal import lfilter  # not at the top: takes a while to load
 
     if time_constant == 0:
         return values
-    # At most 0.45 of the sampling rate: a shorter time constant than that says nothing.
+    # At most 0.45 of the sampling rate, for time constants that are too short for it.
     cut_off = min(math.sqrt(2) / (2 * math.pi * time_constant), 0.45 / time_step)
-    # The analog filter 1 / (s^2 + sqrt(2) s + 1) by the bilinear transform.
+    # The analog filter 1 / (s^2 + sqrt(2) s + 1), by the bilinear transform.
     c = 1 / math.tan(math.pi * cut_off * time_step)
     gain = 1 / (1 + math.sqrt(2) * c + c * c)
     feedback = 2 * gain * (1 - c * c), gain * (1 - math.sqrt(2) * c + c * c)
@@ -84,6 +85,6 @@ def low_passed(
 
 
 def held(values: np.ndarray, known: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Values (K, ...) where the last known one stands in for one that is not; `start` at first."""
+    """Values (K, ...) with unknown ones replaced by the last known one, or by `start`."""
     latest = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
     return np.where((latest >= 0).reshape(-1, *[1] * (values.ndim - 1)), values[latest], start)

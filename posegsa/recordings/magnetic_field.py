@@ -1,14 +1,15 @@
-"""How far the measured magnetic field can be trusted.
+"""Weights of the magnetic field by how well it fits its reference.
 
-The earth's field has one length and one angle to the horizontal (dip) wherever the body turns; iron
-and currents change both. So the field is compared with a reference by its horizontal and vertical
-parts h and v, with the low-passed acceleration as the vertical:
+The length of the earth's field and its angle to the horizontal (dip) do not depend on the body's
+attitude; iron and currents change both. So horizontal and vertical parts h and v of the field, with
+the low-passed acceleration as the vertical, are compared with those of a reference:
 
     d = |(h, v) - (h_ref, v_ref)| / |(h_ref, v_ref)|,   weight = 1 / (1 + (d / tolerance)^2)
 
-Both parts are smoothed over SMOOTHING first, so that noise of single samples is no disturbance.
-With a recovery time, d falls no faster than by that time constant: after a disturbance the weight
-comes back slowly. It is never 0, so that a field that has changed for good is believed in the end.
+Both parts are low-passed first, so noise of single samples does not count as a disturbance. With a
+recovery time, d decays no faster than with that time constant, so the weight recovers slowly after
+a disturbance. The weight is never 0, so the filter eventually follows a field that has changed
+permanently.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from posegsa.recordings.inertial_frame import held
 
 SMOOTHING = 0.1
-"""Time constant of the low-pass filter that both parts pass [s]."""
+"""Time constant of the low-pass filter of both parts [s]."""
 
 
 def field_parts(field: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -33,7 +34,7 @@ def field_parts(field: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def mean_so_far(parts: np.ndarray, first: int) -> np.ndarray:
-    """Means (K, 2) of parts (K, 2) up to each sample, at least of `first`; NaN is passed over."""
+    """Means (K, 2) of parts (K, 2) up to each sample, at least over `first`; NaN is ignored."""
     known = np.isfinite(parts).all(axis=1, keepdims=True)
     count = np.maximum(np.cumsum(known, axis=0), 1)
     means = np.cumsum(np.where(known, parts, 0.0), axis=0) / count
@@ -49,14 +50,14 @@ def field_weights(
     tolerance: float,
     recovery: float,
 ) -> np.ndarray:
-    """Weights (K,) in (0, 1] of samples of the field.
+    """Weights (K,) in (0, 1] of the samples of the field.
 
     Args:
-        parts: (K, 2) horizontal and vertical part; NaN where missing, which changes nothing.
-        reference: (2,) or (K, 2) of both.
+        parts: (K, 2) horizontal and vertical part; NaN where missing, there the last ones are held.
+        reference: (2,) or (K, 2) of both parts.
         time_step: of all samples [s].
         tolerance: d at which the weight is 1/2.
-        recovery: time constant with which d is forgotten [s]; 0 at once.
+        recovery: shortest time constant with which d decays [s]; 0 for no limit.
     """
     from scipy.signal import lfilter  # not at the top: takes a while to load
 
@@ -66,7 +67,7 @@ def field_weights(
     new = time_step / (SMOOTHING + time_step)
     distance = np.linalg.norm(lfilter([new], [1, new - 1], off, axis=0), axis=1)
     if recovery > 0:
-        # The largest of all d_j exp(-(t - t_j) / recovery), by logarithms: these do not overflow.
+        # The maximum of all d_j exp(-(t - t_j) / recovery); logarithms avoid overflow.
         age = np.arange(len(distance)) * (time_step / recovery)
         logarithm = np.log(np.maximum(distance, np.finfo(float).tiny))
         distance = np.exp(np.maximum.accumulate(logarithm + age) - age)

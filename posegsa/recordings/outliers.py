@@ -1,19 +1,19 @@
-"""Landmarks that are seen where they cannot be.
+"""Detection of outliers among the measurements of landmarks.
 
-A landmark does not move. In the frame that the velocities, integrated, give, it stays where it is,
-but for their errors and for the noise of its own sightings; so one that jumps there is an outlier.
-That frame needs no estimate of the pose: the residual of the filter itself is large too where the
-estimate is wrong, as it is at every start, and what it calls an outlier then may be what would
-correct it.
+Landmarks do not move. In the frame that results from integrating the velocities a landmark is
+constant, except for measurement noise and the errors of the velocities; a measurement that jumps
+there is an outlier. This needs no estimate of the pose. The filter's own residual would not do: it
+is also large while the estimate is wrong, as at every start, and then a large residual may be just
+what corrects the estimate.
 
-A sighting is passed over if it is farther than a limit both from the last one that was not passed
-over and from the one just before it. So after a jump that lasts (the landmark was moved, or its
-first sighting was the wrong one) one sighting is lost, and the next is believed.
+A measurement is an outlier if its distance is above a limit both from the last measurement that is
+not an outlier and from the measurement before it. So after a permanent jump (the landmark was
+moved, or its first measurement was wrong) only one measurement is lost.
 
-The limit is `factor` medians of how far the landmark moves there from one sighting to the next, but
-at least LEAST of its distance; after a longer time than usual between two sightings it grows with
-the root of that time. An outlier spoils two such steps, so the median holds while less than a
-quarter of the sightings are outliers.
+The limit is `factor` times the median step of the landmark from one measurement to the next, but at
+least MIN_JUMP times its distance. After a longer interval than usual it grows with the square root
+of that interval. An outlier spoils two steps, so the median is reliable while less than a quarter
+of the measurements are outliers.
 """
 
 import numpy as np
@@ -21,9 +21,9 @@ import numpy as np
 from posegsa.recordings.inertial_frame import strapdown
 from posegsa.words import counted
 
-LEAST = 0.05
-"""A jump of less than this share of a landmark's distance makes no outlier: where little noise, or
-none, makes the median small, the errors of the velocities must not count."""
+MIN_JUMP = 0.05
+"""Smallest jump of an outlier, as a share of the landmark's distance. With little or no noise the
+median is small, and the errors of the velocities alone would exceed it."""
 
 
 def landmark_outliers(
@@ -34,15 +34,15 @@ def landmark_outliers(
     time_step: np.ndarray,
     factor: float,
 ) -> np.ndarray:
-    """Which sightings (K, m) are outliers.
+    """Which measurements of landmarks are outliers, (K, m).
 
     Args:
-        landmarks: (K, m, 3) their positions in the body frame [m].
-        seen: (K, m) whether each was seen.
+        landmarks: (K, m, 3) positions in the body frame [m].
+        seen: (K, m) whether each was measured.
         angular_velocity: (K, 3) body frame [rad/s], from each sample to the next.
-        velocity: (K, 3) likewise [m/s].
+        velocity: (K, 3) body frame [m/s], from each sample to the next.
         time_step: (K,) to the next sample [s].
-        factor: how many medians of a landmark's own jumps are out of all proportion.
+        factor: of the limit, in median steps.
     """
     outliers = np.zeros(seen.shape, bool)
     if not seen.any():
@@ -63,7 +63,7 @@ def landmark_outliers(
 
 
 def outliers_in_words(outliers: np.ndarray, time: np.ndarray, factor: float) -> str:
-    """How many sightings (K, m) at times (K,) were passed over, and why, for a person."""
+    """How many measurements (K, m) at times (K,) were left out, and why, in words."""
     count = int(outliers.sum())
     first = float(time[np.argmax(outliers.any(axis=1))])
     each = ", ".join(f"{n} of landmark {i}" for i, n in enumerate(outliers.sum(axis=0)) if n)
@@ -74,15 +74,15 @@ def outliers_in_words(outliers: np.ndarray, time: np.ndarray, factor: float) -> 
 
 
 def _jumps(place: np.ndarray, distance: np.ndarray, time: np.ndarray, factor: float) -> np.ndarray:
-    """Which of J sightings of one landmark, at places (J, 3) that should be one, are outliers."""
+    """Which of J measurements of one landmark are outliers; all places (J, 3) should be equal."""
     interval = np.diff(time)
     usual = np.median(interval)
     steps = np.linalg.norm(np.diff(place, axis=0), axis=1)
     median = float(np.median(steps))
 
     def agree(j: np.ndarray | int, k: np.ndarray | int) -> np.ndarray:
-        """Whether sighting j is where sighting k, before it, was."""
-        least = LEAST * np.minimum(distance[j], distance[k])
+        """Whether measurement j agrees with the earlier measurement k."""
+        least = MIN_JUMP * np.minimum(distance[j], distance[k])
         limit = np.maximum(factor * median, least)
         limit = limit * np.sqrt(np.maximum((time[j] - time[k]) / usual, 1.0))
         return np.linalg.norm(place[j] - place[k], axis=-1) <= limit
@@ -91,7 +91,7 @@ def _jumps(place: np.ndarray, distance: np.ndarray, time: np.ndarray, factor: fl
     kept = np.concatenate([[True], agree(each[1:], each[:-1])])
     latest, regained = np.maximum.accumulate(np.where(kept, each, 0)), 0
     for j in np.flatnonzero(~kept).tolist():
-        k = max(int(latest[j]), regained)  # the last one before j that is kept
+        k = max(int(latest[j]), regained)  # the last measurement before j that is kept
         if k < j - 1 and agree(j, k):
             kept[j], regained = True, j
     return ~kept

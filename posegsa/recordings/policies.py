@@ -1,6 +1,8 @@
-"""What may be done where a recording does not go on."""
+"""Policies for missing samples."""
 
 from typing import Literal
 
 Policy = Literal["refuse", "hold", "interpolate"]
-"""Nothing; the last velocities held; or velocities interpolated (`recordings.bridging`)."""
+"""Bridge nothing, hold the last velocities, or interpolate (`recordings.bridging`)."""
+LONGEST_GAP = 1.0
+"""Longest time that is bridged, unless another is given [s]."""

@@ -1,4 +1,4 @@
-"""One recording: what the sensors said, what is known of the truth, and what is to be judged."""
+"""One recording: its measurements, its reference (the truth), and which samples are judged."""
 
 import math
 import warnings
@@ -15,84 +15,84 @@ from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
 from posegsa.recordings.archive import read_npz, write_npz
-from posegsa.recordings.beside import OF_THE_TABLE, check_references, read_beside
+from posegsa.recordings.beside import TABLE_KEYS, check_references, read_beside
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.files import as_path
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
-from posegsa.recordings.policies import Policy
+from posegsa.recordings.policies import LONGEST_GAP, Policy
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
 from posegsa.recordings.table import Columns, read_csv
 
 LANDMARK_OUTLIER = 7.0
-"""Times as far as usual from its place at which a landmark is passed over, by default."""
+"""Default of `landmark_outlier`: jumps of more than this many medians are outliers."""
 StartRule: TypeAlias = Start | Literal["rest", "sensors"]
 
 
 class RecordedTruth(NamedTuple):
-    """A reference of K samples; NaN where it is not known."""
+    """The reference at K samples; NaN where it is unknown."""
 
     rotation: np.ndarray
     """(K, 3, 3) R, body to inertial."""
     position: np.ndarray | None
-    """(K, 3) P [m], inertial frame; None where the position is not judged."""
+    """(K, 3) P [m], inertial frame; None if the position is not judged."""
 
     @property
     def known(self) -> np.ndarray:
-        """(K,) whether all of it is finite."""
+        """(K,) True where rotation and position are known."""
         arrays = [a for a in self if a is not None]
         finite = [np.isfinite(a).reshape(len(a), -1) for a in arrays]
         return np.asarray(np.concatenate(finite, axis=1).all(axis=1))
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "RecordedTruth":
-        """The same with both arrays changed."""
+        """The reference with a function applied to both arrays."""
         position = None if self.position is None else change(self.position)
         return RecordedTruth(change(self.rotation), position)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """K samples of recorded motion; made by `from_arrays`, or by a reader of files.
+    """K samples of recorded motion, made by `from_arrays` or a reader of files.
 
     Frames and signs are those of the whole package: R maps body to inertial coordinates, P is the
-    body's position in the inertial frame, all that is measured is in the body frame, SI units,
-    quaternions (w, x, y, z). Arrays are NumPy's, float64.
+    body's position in the inertial frame, measurements are in the body frame, in SI units, and
+    quaternions are (w, x, y, z). Arrays are NumPy float64.
     """
 
     name: str
     time: np.ndarray
     """(K,) since the first sample [s]."""
     measurements: Measurements
-    """Of all sensors; a weight of 0 is a missing measurement."""
+    """Measurements of all sensors; weight 0 marks a missing one."""
     truth: RecordedTruth | None
     """The reference; None without one."""
     judged: np.ndarray
-    """(K,) which samples are judged: those that were asked for, and where the truth is known."""
+    """(K,) which samples are judged: the requested ones whose truth is known."""
     phases: dict[str, np.ndarray] = field(default_factory=dict)
-    """Parts (K,) of the recording that are judged apart, by name, such as rest and motion."""
+    """Masks (K,), by name, of parts that are judged separately, such as rest and motion."""
     start: StartRule = "sensors"
-    """Where the estimate begins: a pose; "rest": attitude and position from the means of what is
-    seen at rest, biases from the velocities there; "sensors": the same pose from the first 0.1 s,
-    biases `start_bias`."""
+    """The initial estimate. A pose; or "rest": attitude and position from the mean measurements at
+    rest, biases from the velocities there; or "sensors": the pose from the mean measurements of the
+    first 0.1 s, biases `start_bias`."""
     start_bias: np.ndarray = field(default_factory=lambda: np.zeros(6))
     """(6,) b_est with start "sensors" [rad/s, m/s], angular first."""
     attitude_only: bool = False
-    """Whether there is neither a velocity nor a landmark: the position is not estimated, and is in
-    no result."""
+    """True if there is neither a velocity nor a landmark. The position is then not estimated and
+    appears in no result."""
     sources: dict[str, str] = field(default_factory=dict)
-    """What each quantity is: measured, or made from the truth with which noise; in words."""
+    """For each quantity, in words: measured, or simulated from the truth and with which noise."""
     notes: tuple[str, ...] = ()
-    """What was bridged, dropped or left out, counted."""
+    """What was bridged, dropped or left out, with counts."""
     sensors: dict[str, np.ndarray] = field(default_factory=dict)
-    """Signals (K, 3) as their sensors gave them, body frame, for filters that read these:
-    "accelerometer" [m/s^2], "magnetometer" [any unit]; NaN where missing."""
+    """Raw signals (K, 3), body frame, for filters that use them: "accelerometer" [m/s^2],
+    "magnetometer" [any unit]; NaN where missing."""
     vector_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
-    """(n,) by what each vector's weights were multiplied: samples from one to the next."""
+    """(n,) factor on the weights of each vector: samples from one measurement to the next."""
     landmark_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
-    """(m,) likewise of each landmark."""
+    """(m,) the same for each landmark."""
 
     @classmethod
     def from_arrays(
@@ -118,7 +118,7 @@ class Recording:
         phases: Mapping[str, ArrayLike] | None = None,
         start: StartRule | Sequence[ArrayLike] = "sensors",
         bridge: Policy = "refuse",
-        longest_gap: float = 1.0,
+        longest_gap: float = LONGEST_GAP,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
         notes: Sequence[str] = (),
@@ -126,44 +126,43 @@ class Recording:
         """A checked recording of K samples.
 
         Args:
-            name: what it is called in tables and files.
-            time: (K,) stamps: whole numbers are ns, others s; or give `time_step`.
+            name: its name in tables and files.
+            time: (K,) time stamps: integers in ns, floats in s; or give `time_step`.
             time_step: scalar or (K,) time to the next sample [s].
             angular_velocity: (K, 3) gyroscope, body frame [rad/s].
             velocity: (K, 3) linear velocity, body frame [m/s]; None for attitude only, which has no
                 landmarks either.
-            vectors: (K, n, 3) vectors in the body frame; NaN is missing.
-            vector_references: (n, 3) or (K, n, 3), the same in the inertial frame.
+            vectors: (K, n, 3) vectors in the body frame; NaN marks a missing one.
+            vector_references: (n, 3) or (K, n, 3) the same vectors in the inertial frame.
             vector_weights: scalar, (n,) or (K, n), factors on the filter's weights; default 1.
-            landmarks: (K, m, 3) landmark positions in the body frame [m]; NaN is missing.
+            landmarks: (K, m, 3) landmark positions in the body frame [m]; NaN marks a missing one.
             landmark_references: (m, 3) or (K, m, 3), their inertial positions [m].
             landmark_weights: scalar, (m,) or (K, m), factors on the filter's weights; default 1.
             weights_by_rate: multiply the weights of each vector and landmark by the median number
-                of samples from one measurement of it to the next, so that one that is seen at 20 Hz
-                beside a gyroscope at 200 Hz pulls as much over a second as one seen at 200 Hz.
-            landmark_outlier: a landmark that is seen more than so many times as far as usual from
-                where the velocities put it loses its weight in that sample, which is counted in
-                `notes` and told (`posegsa.recordings.outliers`); "off" keeps all of them.
-            truth_rotation: (K, 3, 3) reference of R; NaN is not known.
+                of samples from one of its measurements to the next. With a gyroscope at 200 Hz, a
+                landmark seen at 20 Hz then corrects as much per second as one seen at 200 Hz.
+            landmark_outlier: a measurement of a landmark that is farther from the position which
+                the velocities predict than this many times the median gets weight 0. A warning
+                and `notes` say how many (`posegsa.recordings.outliers`); "off" keeps all.
+            truth_rotation: (K, 3, 3) reference of R; NaN where unknown.
             truth_quaternion: (K, 4) the same as (w, x, y, z), instead.
-            truth_position: (K, 3) reference of P [m]; NaN is not known.
-            judged: (K,) which samples are judged; all by default, and in any case only those whose
-                truth is known.
-            phases: masks (K,) by name of parts that are judged apart; "rest" is used by start
-                "rest", which otherwise takes the first second.
-            start: "rest", "sensors" or a pose: (rotation (3, 3), position (3,)) or with the bias
-                (6,) as a third.
-            bridge: what is done where a stamp does not go on, velocities are NaN or there is a gap
-                (`posegsa.recordings.bridging`): refused, held or interpolated.
-            longest_gap: time [s] up to which anything is bridged.
-            sources: what each quantity is, in words, by its name.
+            truth_position: (K, 3) reference of P [m]; NaN where unknown.
+            judged: (K,) which samples are judged, by default all; those without truth never are.
+            phases: masks (K,), by name, of parts that are judged separately. The phase "rest" is
+                used for start "rest"; without it, that is the first second.
+            start: "rest", "sensors" or a pose: (rotation (3, 3), position (3,)), optionally with a
+                bias (6,).
+            bridge: "refuse", "hold" or "interpolate": what to do where time stamps do not increase,
+                velocities are NaN or there is a gap (`posegsa.recordings.bridging`).
+            longest_gap: maximum time [s] that is bridged.
+            sources: `Recording.sources`.
             sensors: `Recording.sensors`.
-            notes: what else a reader should know, such as what was left out.
+            notes: `Recording.notes`.
 
         Raises:
-            MeasurementError: an array has the wrong shape, holds what it may not, or something is
+            MeasurementError: an array has the wrong shape or forbidden values, or something is
                 missing that `bridge` does not cover; names the argument, the value and what is
-                allowed. A `RecordingError`, which is one too, where only recordings have it.
+                allowed. Checks that only recordings have raise its subclass `RecordingError`.
         """
         check_type("name", name, str)
         omega = finite_array("angular_velocity", angular_velocity, (None, 3), finite=False)
@@ -196,7 +195,7 @@ class Recording:
                 "landmark", found, samples, landmarks, landmark_references, landmark_weights
             ),
         )
-        told = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
+        changes = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
         intervals = {}
         for kind in ("vector", "landmark"):
             weights = values[f"{kind}_weights"]
@@ -219,7 +218,7 @@ class Recording:
             start=_start(start),
             attitude_only=attitude_only,
             sources={str(key): str(words) for key, words in (sources or {}).items()},
-            notes=(*notes, *told),
+            notes=(*notes, *changes),
             sensors={
                 str(key): found.spread(
                     finite_array(f"sensors[{key!r}]", signal, (samples, 3), finite=False), math.nan
@@ -228,8 +227,8 @@ class Recording:
             },
             **intervals,
         )
-        if told:
-            warnings.warn(f"{name}: {'; '.join(told)}", PosegsaWarning, stacklevel=2)
+        if changes:
+            warnings.warn(f"{name}: {'; '.join(changes)}", PosegsaWarning, stacklevel=2)
         return recording
 
     @classmethod
@@ -242,49 +241,50 @@ class Recording:
         delimiter: str = ",",
         **more: Any,
     ) -> "Recording":
-        """A recording from a CSV file with one head line; an empty cell is NaN.
+        """A recording from a CSV file with one header line; an empty cell is NaN.
 
         Args:
             path: the file.
-            columns: names of columns by the argument of `from_arrays` that they make:
+            columns: for each argument of `from_arrays` the names of its columns:
                 `{"time": "t", "angular_velocity": ["gx", "gy", "gz"], "vectors": [["ax", "ay",
                 "az"], ["mx", "my", "mz"]]}`; "accelerometer" and "magnetometer" become `sensors`.
-                By default those that a TOML file beside it names (`posegsa.recordings.beside`),
-                without one those of `posegsa.recordings.table.COLUMNS` that the file has.
-            time_unit: of the stamps: "s", "ms", "us" or "ns"; whole ones keep all their digits.
+                By default they are read from the TOML file beside the CSV file
+                (`posegsa.recordings.beside`); without one they are those of
+                `posegsa.recordings.table.COLUMNS` that the CSV file has.
+            time_unit: of the time stamps: "s", "ms", "us" or "ns"; integers keep all their digits.
             delimiter: between two cells.
             more: further arguments of `from_arrays`, such as references, weights and `bridge`.
 
         Raises:
-            RecordingError: the file, or that beside it, cannot be read, lacks a column, or does not
-                say where vectors or landmarks are.
-            MeasurementError: as `from_arrays`.
+            RecordingError: the CSV or TOML file cannot be read, a column is missing, or vectors or
+                landmarks have no references.
+            MeasurementError: as in `from_arrays`.
         """
         path = as_path(path)
-        said = read_beside(path)
-        table = {name: said.pop(name) for name in OF_THE_TABLE if name in said}
+        beside = read_beside(path)
+        table = {name: beside.pop(name) for name in TABLE_KEYS if name in beside}
         if columns is None:
             columns, time_unit, delimiter = (
                 table.get(name, given)
-                for name, given in zip(OF_THE_TABLE, (columns, time_unit, delimiter), strict=True)
+                for name, given in zip(TABLE_KEYS, (columns, time_unit, delimiter), strict=True)
             )
         found: dict[str, Any] = {"name": path.stem}
-        found |= read_csv(path, columns, time_unit, delimiter) | said | more
+        found |= read_csv(path, columns, time_unit, delimiter) | beside | more
         check_references(path, found)
         return cls.from_arrays(**found)
 
     @classmethod
     def from_npz(cls, path: str | Path, **more: Any) -> "Recording":
-        """A recording from an .npz file, of `save` or of one's own.
+        """A recording from an .npz file, written by `save` or by other programs.
 
         Args:
-            path: the file; its arrays are called like the arguments of `from_arrays`, those of
-                dictionaries "phases/rest" and the like.
-            more: arguments of `from_arrays` that replace the file's.
+            path: the file; its arrays have the names of the arguments of `from_arrays`, entries of
+                dictionaries names such as "phases/rest".
+            more: arguments of `from_arrays` that replace those of the file.
 
         Raises:
             RecordingError: the file cannot be read.
-            MeasurementError: as `from_arrays`.
+            MeasurementError: as in `from_arrays`.
         """
         found: dict[str, Any] = {"name": as_path(path).stem} | read_npz(path)
         return cls.from_arrays(**found | more)
@@ -302,22 +302,22 @@ class Recording:
         seed: int = 0,
         **more: Any,
     ) -> "Recording":
-        """A sequence of the EuRoC MAV data set, with a velocity and landmarks made of its truth.
+        """A sequence of the EuRoC MAV data set, with simulated velocity and landmarks.
 
         Args:
             folder: of the sequence, with mav0/imu0/data.csv and
                 mav0/state_groundtruth_estimate0/data.csv, or with *imu0.csv and *groundtruth.csv.
-            landmarks: (m, 3) their positions in the reference's frame [m].
+            landmarks: (m, 3) their positions in the frame of the reference [m].
             landmark_noise: standard deviation of each coordinate [m].
-            landmark_rate: how often they are seen [Hz]; the nearest that the samples allow.
+            landmark_rate: rate of their measurements [Hz], rounded to what the samples allow.
             velocity_noise: standard deviation of each component in each sample [m/s].
             velocity_bias: (3,) constant, body frame [m/s].
             seed: of the noise.
-            more: arguments of `from_arrays` that replace those made here.
+            more: arguments of `from_arrays` that replace those set here.
 
         Raises:
             RecordingError: there is no such sequence, or its files cannot be read.
-            MeasurementError: as `from_arrays`.
+            MeasurementError: as in `from_arrays`.
         """
         found = read_euroc(
             folder,
@@ -332,28 +332,28 @@ class Recording:
 
     @classmethod
     def from_broad(cls, path: str | Path, **more: Any) -> "Recording":
-        """A trial of the BROAD data set: attitude only, judged in motion, started at rest.
+        """A trial of the BROAD data set: attitude only, judged in motion, with start "rest".
 
         Args:
             path: its .mat file.
-            more: arguments of `from_arrays` that replace those made here.
+            more: arguments of `from_arrays` that replace those set here.
 
         Raises:
-            RecordingError: the file cannot be read, or is no trial.
-            MeasurementError: as `from_arrays`.
+            RecordingError: the file cannot be read, or is not a trial.
+            MeasurementError: as in `from_arrays`.
         """
         return cls.from_arrays(**read_broad(path) | more)
 
     @classmethod
     def read(cls, path: str | Path, **more: Any) -> "Recording":
-        """A recording from a file or folder by its kind: .csv, .npz, BROAD's .mat, EuRoC's folder.
+        """A recording from any supported file or folder: .csv, .npz, BROAD .mat, EuRoC folder.
 
         Args:
             path: the file or folder.
-            more: arguments of `from_arrays` that replace the file's, such as `bridge`.
+            more: arguments of `from_arrays` that replace those of the file, such as `bridge`.
 
         Raises:
-            RecordingError: it is of another kind, or cannot be read.
+            RecordingError: the kind is not supported, or it cannot be read.
         """
         path = as_path(path)
         if path.is_dir():
@@ -366,22 +366,22 @@ class Recording:
         return readers[path.suffix.lower()](path, **more)
 
     def save(self, path: str | Path) -> None:
-        """Write it to an .npz file, which `from_npz` reads back.
+        """Write the recording to an .npz file for `from_npz`.
 
         Raises:
-            RecordingError: it cannot be written.
+            RecordingError: the file cannot be written.
         """
         m = {name: np.asarray(a) for name, a in self.measurements._asdict().items()}
         seen = {}
         for kind in ("vector", "landmark"):
             if m[f"{kind}s"].shape[1]:
                 values, weights = m[f"{kind}s"], m[f"{kind}_weights"]
-                # Missing ones as from_arrays takes them, and weights before they go by rate.
+                # As arguments of from_arrays: NaN where missing, weights before weights_by_rate.
                 seen[f"{kind}s"] = np.where(weights[..., None] > 0, values, math.nan)
                 seen[f"{kind}_references"] = m[f"{kind}_references"]
                 seen[f"{kind}_weights"] = weights / getattr(self, f"{kind}_interval")
         if "landmarks" in seen:
-            seen["landmark_outlier"] = "off"  # they are out, and in the notes
+            seen["landmark_outlier"] = "off"  # outliers have weight 0 already and are in the notes
         start = self.start
         if start == "sensors" and self.start_bias.any():
             start = self.initial()
@@ -402,7 +402,7 @@ class Recording:
 
     @property
     def samples(self) -> int:
-        """K."""
+        """Number of samples K."""
         return len(self.time)
 
     @property
@@ -412,14 +412,14 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Time from the first sample to after the last [s]."""
+        """Time from the first sample to the end of the last time step [s]."""
         return float(self.time[-1] + self.measurements.time_step[-1])
 
     def masks(self) -> dict[str, np.ndarray]:
-        """What is judged: "judged", then each phase, where the truth is known.
+        """The masks that errors are computed over: "judged", then each phase where truth is known.
 
         Raises:
-            RecordingError: there is no truth.
+            RecordingError: the recording has no truth.
         """
         if self.truth is None:
             raise RecordingError(f"{self.name}: has no truth, so that nothing can be judged")
@@ -427,17 +427,17 @@ class Recording:
         return {"judged": self.judged} | {name: m & known for name, m in self.phases.items()}
 
     def check_seen(self) -> None:
-        """Raise a RecordingError unless it has a vector or a landmark.
+        """Raise a RecordingError unless the recording has a vector or a landmark.
 
-        Without one nothing corrects an estimate; the error says how to name their columns.
+        Without one nothing corrects the estimate; the error says how to name their columns.
         """
         check_something_is_seen(self.name, self.measurements, self.sensors, self.notes)
 
     def initial(self) -> Start:
-        """Where the estimate begins, made from the sensors where `start` says so.
+        """The initial estimate according to `start`.
 
         Raises:
-            RecordingError: the sensors do not say it.
+            RecordingError: the measurements do not determine it.
         """
         if isinstance(self.start, Start):
             return self.start
@@ -447,13 +447,13 @@ class Recording:
         return aligned(self.measurements, samples, None if rest else self.start_bias)
 
     def window(self, begin: float = 0.0, end: float = math.inf) -> "Recording":
-        """The samples from `begin` to before `end` [s], with times from the first of them.
+        """The samples from `begin` to before `end` [s]; time counts from the first of them.
 
-        One that begins later than the recording starts from its own first samples ("sensors"), with
-        the biases of the recording's start.
+        A window after the beginning has start "sensors", with the biases of the recording's initial
+        estimate.
 
         Raises:
-            RecordingError: it holds fewer than two samples.
+            RecordingError: the window has fewer than two samples.
         """
         if not begin < end:
             raise RecordingError(f"window {begin!r} to {end!r}; allowed: a beginning before an end")
@@ -484,10 +484,15 @@ class Recording:
         )
 
     def off(self, degrees: float, metres: float = 0.0, seed: int = 0) -> "Recording":
-        """The same, started so far off the truth, about and along axes drawn at random.
+        """The recording with an initial estimate off the truth, in random directions.
+
+        Args:
+            degrees: attitude error.
+            metres: position error.
+            seed: of the directions.
 
         Raises:
-            RecordingError: the truth is not known at the first sample.
+            RecordingError: the truth at the first sample is unknown.
         """
         if self.truth is None or not self.truth.known[0]:
             raise RecordingError(f"{self.name}: the truth is not known at the first sample")
@@ -499,7 +504,7 @@ class Recording:
         return replace(self, start=Start(rotation, position, np.zeros(6)))
 
     def describe(self) -> str:
-        """What it is, what of it is synthetic and what was bridged, as text for a person."""
+        """A text for people: size, sensors, what is synthetic and what was bridged."""
         counts = [
             f"{a.shape[1]} {word}{'' if a.shape[1] == 1 else 's'}"
             for word, a in (
@@ -522,7 +527,7 @@ class Recording:
         return f"<{type(self).__name__} {self.describe().splitlines()[0]}>"
 
     def _rest(self) -> slice:
-        """The samples at rest that the recording begins with."""
+        """The samples at rest at the start of the recording."""
         rest = self.phases.get("rest", self.time < REST)
         if not rest[0]:
             raise RecordingError(
@@ -548,7 +553,7 @@ def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:
 
 
 def _start(start: Any) -> StartRule:
-    """A start from a user, checked."""
+    """A checked start from a user."""
     if isinstance(start, str):
         if start not in ("rest", "sensors"):
             raise RecordingError(f'start = {start!r}; allowed: "rest", "sensors" or a pose')
@@ -571,11 +576,11 @@ def _truth(
     position: ArrayLike | None,
     attitude_only: bool,
 ) -> RecordedTruth | None:
-    """The reference, checked; without a position where that is not estimated."""
+    """The checked reference, without a position if that is not estimated."""
     if quaternion is not None:
         q = finite_array("truth_quaternion", quaternion, (samples, 4), finite=False)
         length = np.linalg.norm(q, axis=1, keepdims=True)
-        off = np.abs(length - 1) > 0.05  # NaN is none
+        off = np.abs(length - 1) > 0.05  # False for NaN
         if off.any():
             k = int(np.argmax(off))
             raise RecordingError(
@@ -595,7 +600,7 @@ def _truth(
 
 
 def _check_rotations(name: str, R: np.ndarray) -> None:
-    """Raise a RecordingError unless what is finite of R (K, 3, 3) are rotations."""
+    """Raise a RecordingError unless the finite matrices of R (K, 3, 3) are rotations."""
     known = np.isfinite(R).all(axis=(1, 2))
     some = R[known]
     off = np.abs(some @ some.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-3
@@ -613,12 +618,12 @@ def _spread_sightings(
     references: ArrayLike | None,
     weights: ArrayLike | None,
 ) -> dict[str, Any]:
-    """Arguments of vectors or landmarks at the samples of a bridge; what is filled in is NaN."""
+    """Arguments of vectors or landmarks at the bridged samples, NaN at those filled in."""
 
     def at_samples(name: str, value: ArrayLike | None, missing: float, constant: int) -> Any:
         array = None if value is None else np.asarray(unmasked(value))
         if array is None or array.ndim <= constant:
-            return value  # the same at all samples
+            return value  # constant over samples
         if len(array) != samples:
             raise RecordingError(f"{name}: must have {samples} rows, got {len(array)}")
         return found.spread(array, missing)
@@ -636,7 +641,7 @@ def _spread_sightings(
 def _without_outliers(
     values: dict[str, np.ndarray], time: np.ndarray, factor: float | Literal["off"]
 ) -> list[str]:
-    """Takes the weight of landmarks that are outliers, in place; what was done, in words."""
+    """Set the weights of outliers among landmarks to 0, in place; what was done, in words."""
     number = isinstance(factor, Real) and not isinstance(factor, bool)
     if not (factor == "off" if isinstance(factor, str) else number and 1 <= factor < math.inf):
         raise RecordingError(
@@ -659,6 +664,6 @@ def _without_outliers(
 
 
 def _intervals(seen: np.ndarray) -> np.ndarray:
-    """Median number of samples (n,) from one measurement to the next, of those seen (K, n)."""
+    """Median number of samples (n,) between measurements, from where each was seen (K, n)."""
     found = [np.diff(np.flatnonzero(column)) for column in seen.T]
     return np.array([float(np.median(steps)) if steps.size else 1.0 for steps in found])

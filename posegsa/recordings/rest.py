@@ -1,37 +1,37 @@
-"""Whether a recording begins at rest, and for how long.
+"""Detection of rest at the start of a recording.
 
-The body rests while neither gyroscope nor accelerometer, each averaged over WINDOW, leaves its mean
-of the first LEAST by more than a threshold (those of VQF: D. Laidig, T. Seel,
-"VQF", Information Fusion 91, 2023). What a resting gyroscope measures is its bias.
+The body is at rest while gyroscope and accelerometer, each averaged over WINDOW, stay within a
+threshold of their means over the first SHORTEST (thresholds of VQF: D. Laidig, T. Seel, "VQF",
+Information Fusion 91, 2023). At rest the gyroscope measures its bias.
 """
 
 import numpy as np
 
 WINDOW = 0.25
 """Time over which signals are averaged [s]."""
-LEAST = 1.0
-"""Shortest rest [s]."""
+SHORTEST = 1.0
+"""Shortest rest that is detected [s]."""
 MARGIN = 0.5
-"""What is left out at the end, where the motion may have begun [s]."""
+"""Time cut off at the end of a rest, where the motion may have begun already [s]."""
 TURNING = np.deg2rad(2.0)
 """Largest deviation of the angular velocity [rad/s]."""
 ACCELERATION = 0.5
 """Largest deviation of the acceleration [m/s^2]."""
 LARGEST_BIAS = np.deg2rad(6.0)
-"""No gyroscope at rest measures more than this [rad/s]; a body that turns evenly does."""
+"""Maximum bias of a gyroscope [rad/s]; above it the body turns at a constant rate."""
 
 
 def rest_at_start(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> int:
-    """Number of samples at rest that a recording begins with; 0 if it begins in motion.
+    """Number of samples at rest at the start of a recording; 0 if it begins in motion.
 
     Args:
         gyr: (K, 3) angular velocity [rad/s].
-        acc: (K, 3) acceleration [m/s^2]; NaN is passed over.
+        acc: (K, 3) acceleration [m/s^2]; NaN is ignored.
         time_step: of all samples [s].
     """
     window = max(1, round(WINDOW / time_step))
     blocks = len(gyr) // window
-    least = max(1, round(LEAST / WINDOW))
+    least = max(1, round(SHORTEST / WINDOW))
     if blocks < least:
         return 0
     rests = np.ones(blocks, bool)

@@ -1,4 +1,4 @@
-"""Rotations of recordings on the host, in float64: quaternions (w, x, y, z) and matrices."""
+"""Rotations on the host, in float64: quaternions (w, x, y, z) and matrices."""
 
 import numpy as np
 
@@ -17,8 +17,8 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 def quaternions(matrices: np.ndarray) -> np.ndarray:
     """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3); NaN stays NaN.
 
-    Of the four that a rotation's entries give, each by dividing by another component, the one with
-    the largest divisor is taken (S. W. Shepperd, "Quaternion from rotation matrix", 1978).
+    Each component can serve as the divisor; the largest is used for accuracy (S. W. Shepperd,
+    "Quaternion from rotation matrix", 1978).
     """
     R = np.asarray(matrices, np.float64)
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]

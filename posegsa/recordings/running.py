@@ -1,6 +1,5 @@
-"""A gain schedule run over a recording: in parts, so that memory on the device stays bounded."""
+"""Runs filters over recordings, in parts, so that device memory stays bounded."""
 
-from dataclasses import replace
 from typing import overload
 
 import jax
@@ -9,115 +8,91 @@ import numpy as np
 
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
-from posegsa.model import rollout
-from posegsa.model.filter import FilterSettings, FilterState, initial_state, ready
+from posegsa.filters import rollout
+from posegsa.filters.base import Filter, Samples, check_filter, samples_of
+from posegsa.filters.observer import Observer
+from posegsa.filters.rollout import Estimates, simulate_part
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, Samples, begin, samples_of, simulate_part
-from posegsa.model.schedules import GainSchedule, check_schedule
-from posegsa.model.signal import SignalSettings
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
-from posegsa.stored_programs import stored
 
 PART = 2**12
-"""Samples that are on the device at once."""
+"""Number of samples on the device at once."""
+
+
+@overload
+def run_filter(filter: Filter, measurements: Measurements, initial: FilterState) -> Estimates: ...
 
 
 @overload
 def run_filter(
-    schedule: GainSchedule,
-    measurements: Measurements,
-    initial: FilterState,
-    settings: FilterSettings | None = None,
-    signal: SignalSettings | None = None,
-) -> Estimates: ...
-
-
-@overload
-def run_filter(
-    schedule: GainSchedule,
-    measurements: Recording,
-    initial: FilterState | None = None,
-    settings: FilterSettings | None = None,
-    signal: SignalSettings | None = None,
+    filter: Filter, measurements: Recording, initial: FilterState | None = None
 ) -> Estimates: ...
 
 
 def run_filter(
-    schedule: GainSchedule,
+    filter: Filter,
     measurements: Measurements | Recording,
     initial: FilterState | None = None,
-    settings: FilterSettings | None = None,
-    signal: SignalSettings | None = None,
 ) -> Estimates:
-    """Runs a gain schedule over a whole measurement sequence, or a recording, of a user's own.
+    """Run a filter over a sequence of measurements or a recording.
 
-    The time that it takes is linear in the number of samples. Of a recording, some PART samples
-    are on the device at once, and the estimates are NumPy arrays.
+    The time is linear in the number of samples. A recording is processed in parts of PART samples,
+    and its estimates are NumPy arrays.
 
     Args:
-        schedule: e.g. `ConstantGain`, or `FuzzyGain` of a tuned controller.
+        filter: e.g. `Observer(FuzzyGain(controller), settings, signal)`, or that of a tuned result,
+            `result.filter_for(vectors, landmarks)`.
         measurements: N samples (`posegsa.Measurements`), or a recording.
         initial: the estimate at the first sample (`posegsa.initial_state`); by default that of the
-            recording. The vectors' biases, if they are learnt, begin at 0.
-        settings: the filter's; of a tuned result `filter_settings(result.tuned)`.
-        signal: the error signal's; "measured", since the truth is not known.
+            recording. Estimates of the vectors' biases, if the filter has them, start at 0.
 
     Returns:
-        The estimates; of a recording of attitude only, positions are NaN.
+        The estimates; in an attitude-only recording the positions are NaN.
 
     Raises:
-        ArgumentError: an argument is of another type, the signal is "pose", or measurements come
-            without an initial estimate.
-        MeasurementError: the measurements hold what `Measurements.from_arrays` refuses.
+        ArgumentError: an argument has the wrong type, the filter looks at the true pose (signal
+            "pose"), or measurements are given without an initial estimate.
+        MeasurementError: the measurements contain what `Measurements.from_arrays` refuses.
     """
     check_type("measurements", measurements, Measurements, Recording)
-    settings = FilterSettings() if settings is None else settings
-    signal = SignalSettings() if signal is None else signal
     if not isinstance(measurements, Recording):
         if initial is None:
             refuse("initial: None", "a FilterState, or None with a Recording")
-        return rollout.run_filter(schedule, measurements, initial, settings, signal)
-    check_schedule(schedule)
-    check_type("settings", settings, FilterSettings)
-    check_type("signal", signal, SignalSettings)
-    if signal.signal == "pose":
+        check_type("initial", initial, FilterState)
+        measurements = measurements.at_least(initial.place[0].dtype)
+        return rollout.run_filter(filter, measurements, initial)
+    check_filter("filter", filter)
+    if isinstance(filter, Observer) and filter.signal.signal == "pose":
         raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')
     recording = measurements
     state = state_of(recording.initial()) if initial is None else initial
     check_type("initial", state, FilterState)
     with fitting("run_filter"):
-        state = ready(state, recording.measurements, settings)
-        return _run_in_parts(schedule, recording, state, settings, signal)
+        return _run_in_parts(filter, recording, state)
 
 
-def state_of(start: Start, learnt_vectors: int = 0) -> FilterState:
-    """A start as the filter's state, at JAX's present precision."""
-    arrays = (jnp.asarray(a) for a in start)
-    return initial_state(*arrays, learnt_vectors=learnt_vectors)
+def state_of(start: Start) -> FilterState:
+    """A start as an estimate, in JAX's current precision."""
+    return initial_state(*(jnp.asarray(a) for a in start))
 
 
-@stored
-def _prepared(measurements: Measurements, settings: FilterSettings) -> Samples:
-    return samples_of(measurements, settings.vectors)
+@jax.jit
+def _prepared(filter: Filter, measurements: Measurements) -> Samples:
+    return samples_of(filter, measurements)
 
 
-def _run_in_parts(
-    schedule: GainSchedule,
-    recording: Recording,
-    state: FilterState,
-    settings: FilterSettings,
-    signal: SignalSettings,
-) -> Estimates:
-    count, loop, parts = recording.samples, begin(schedule, state), []
+def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
+    count, parts = recording.samples, []
+    vectors = np.shape(recording.measurements.vector_weights)[-1]
+    state = filter.start(initial, vectors)
     length = min(PART, count)
     for first in range(0, count, length):
-        # All parts have one length, and are compiled once: the last one is filled up with its last
-        # sample, and what the filter makes of that is cut off.
+        # All parts have the same length, so that one program serves them: the last part is padded
+        # with its last sample, and the results of the padding are cut off.
         index = np.minimum(np.arange(first, first + length), count - 1)
-        own = _settings_at(settings, index)
-        samples = _part(recording, index, own)
-        loop, found = simulate_part(schedule, samples, loop, own, signal)
+        state, found = simulate_part(filter, _part(filter, recording, index), state)
         parts.append(jax.device_get(found))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
     if recording.attitude_only:
@@ -125,14 +100,7 @@ def _run_in_parts(
     return joined
 
 
-def _settings_at(settings: FilterSettings, index: np.ndarray) -> FilterSettings:
-    """The settings for some samples: gammas that are given for each sample are those of these."""
-    gammas = settings.gamma_angular, settings.gamma_linear
-    angular, linear = (np.asarray(g)[index] if np.ndim(g) else g for g in gammas)
-    return replace(settings, gamma_angular=angular, gamma_linear=linear)
-
-
-def _part(recording: Recording, index: np.ndarray, settings: FilterSettings) -> Samples:
+def _part(filter: Filter, recording: Recording, index: np.ndarray) -> Samples:
     arrays = (jnp.asarray(np.asarray(a)[index]) for a in recording.measurements)
-    samples = _prepared(Measurements(*arrays), settings)
+    samples = _prepared(filter, Measurements(*arrays))
     return samples._replace(time=jnp.asarray(recording.time[index]))

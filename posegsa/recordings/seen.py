@@ -1,4 +1,4 @@
-"""Whether a recording has anything that corrects an estimate: a vector or a landmark."""
+"""Check that a recording has a vector or a landmark, without which nothing corrects estimates."""
 
 from collections.abc import Collection
 
@@ -11,13 +11,13 @@ from posegsa.model.measurements import Measurements
 def check_something_is_seen(
     name: str, measurements: Measurements, sensors: Collection[str], notes: tuple[str, ...]
 ) -> None:
-    """Raise a RecordingError, which says how to go on, unless there is a vector or a landmark.
+    """Raise a RecordingError, with advice, unless there is a vector or a landmark.
 
     Args:
-        name: The recording's.
-        measurements: Its own.
+        name: Of the recording.
+        measurements: Of the recording.
         sensors: Names of its raw signals.
-        notes: What a reader knows of it, such as columns that nothing was made of.
+        notes: Of the recording, such as columns that were not used.
     """
     if np.shape(measurements.vectors)[1] or np.shape(measurements.landmarks)[1]:
         return

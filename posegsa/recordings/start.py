@@ -1,4 +1,4 @@
-"""Where an estimate begins: a pose, or what the sensors say at rest or in the first samples."""
+"""Initial estimates: a given pose, or a pose from the measurements."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -10,9 +10,9 @@ from posegsa.errors import RecordingError
 from posegsa.model.measurements import Measurements
 
 FIRST = 0.1
-"""Time [s] over which the sensors are averaged for a start in motion."""
+"""Averaging time of measurements for a start in motion [s]."""
 REST = 1.0
-"""Time [s] that counts as rest where nothing says how long it lasts."""
+"""Assumed time at rest if the recording does not state it [s]."""
 
 
 class Start(NamedTuple):
@@ -21,32 +21,32 @@ class Start(NamedTuple):
     rotation: np.ndarray
     """(3, 3) R_est, body to inertial."""
     position: np.ndarray
-    """(3,) P_est [m], inertial frame; zeros where the position is not estimated."""
+    """(3,) P_est [m], inertial frame; zeros if the position is not estimated."""
     bias: np.ndarray
     """(6,) b_est, body frame [rad/s, m/s], angular first."""
 
 
 def with_numpy_arrays(arrays: Mapping[str, Any]) -> Measurements:
-    """Measurements whose arrays are NumPy's, float64 whatever JAX is set to."""
+    """Measurements of NumPy arrays, float64 whatever the settings of JAX."""
     return Measurements(**arrays)
 
 
 def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None) -> Start:
-    """The pose that fits the means of vectors and landmarks over samples.
+    """The pose that fits the mean vectors and landmarks over some samples.
 
-    The attitude solves Wahba's problem with vectors and differences of landmarks, all of length
-    one, by singular value decomposition (F. L. Markley, "Attitude determination using vector
-    observations and the singular value decomposition", 1988). With one direction only, it is the
-    smallest rotation that fits; nothing then says what the heading is. The position is where the
-    landmarks put it, 0 without any.
+    The attitude solves Wahba's problem for vectors and differences of landmarks, all normalised, by
+    singular value decomposition (F. L. Markley, "Attitude determination using vector
+    observations and the singular value decomposition", 1988). With a single direction it is the
+    smallest rotation that fits, which leaves the heading arbitrary. The position follows from the
+    landmarks; without any it is 0.
 
     Args:
-        measurements: NumPy arrays.
-        samples: over which the body hardly turns.
-        bias: (6,) of the velocities; None for their means, at rest.
+        measurements: of NumPy arrays.
+        samples: during which the body hardly turns.
+        bias: (6,) of the velocities; None for their means, as at rest.
 
     Raises:
-        RecordingError: no vector and no two landmarks are seen there.
+        RecordingError: neither a vector nor two landmarks are measured there.
     """
     m = with_numpy_arrays({k: np.asarray(a)[samples] for k, a in measurements._asdict().items()})
     u, v = _means(m.vectors, m.vector_references, m.vector_weights)
@@ -61,7 +61,7 @@ def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None)
 def _means(
     body: ArrayLike, inertial: ArrayLike, weights: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means (n, 3) over samples of what is seen at all, in the body and the inertial frame."""
+    """Means (n, 3) of all measured vectors or landmarks, in the body and the inertial frame."""
     seen = np.asarray(weights) > 0
     some = seen.any(axis=0)
     count = np.maximum(seen.sum(axis=0), 1)[:, None]
@@ -70,7 +70,7 @@ def _means(
 
 
 def _wahba(body: np.ndarray, inertial: np.ndarray) -> np.ndarray:
-    """R (3, 3) that brings directions (n, 3) of the body nearest to those of the inertial frame."""
+    """R (3, 3) that best maps directions (n, 3) of the body frame to those of the inertial one."""
     u, v = (_unit(a) for a in (body, inertial))
     usable = u.any(axis=1) & v.any(axis=1)
     if not usable.any():
@@ -94,9 +94,9 @@ def _unit(a: np.ndarray) -> np.ndarray:
 
 
 def _smallest_rotation(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) by the smallest angle that brings u to v, both of length one."""
+    """The rotation (3, 3) by the smallest angle that maps u to v, both of length one."""
     cosine = float(u @ v)
-    if cosine < -1 + 1e-12:  # half a turn, about any axis across u
+    if cosine < -1 + 1e-12:  # half a turn, about any axis perpendicular to u
         across = _unit(np.cross(u, np.eye(3)[np.argmin(np.abs(u))]))
         return 2 * np.outer(across, across) - np.eye(3)
     x, y, z = np.cross(u, v)

@@ -1,4 +1,4 @@
-"""Recordings in CSV files: columns by name, as arguments of `Recording.from_arrays`."""
+"""Reads recordings from CSV files: named columns to arguments of `Recording.from_arrays`."""
 
 import csv
 import re
@@ -12,7 +12,7 @@ from posegsa.errors import RecordingError
 from posegsa.recordings.files import file_of, reading
 
 Columns: TypeAlias = Mapping[str, str | Sequence[str] | Sequence[Sequence[str]]]
-"""Names of columns by the argument of `Recording.from_arrays` that they make."""
+"""For arguments of `Recording.from_arrays`, the names of their columns."""
 
 COLUMNS: dict[str, Any] = {
     "time": "time",
@@ -24,17 +24,17 @@ COLUMNS: dict[str, Any] = {
     "accelerometer": ("ax", "ay", "az"),
     "magnetometer": ("mx", "my", "mz"),
 }
-"""What columns are called where no mapping is given; those that a file lacks are left out. A column
-"time_ns" is the time in whole ns. Vectors and landmarks: `SIGHTING`."""
+"""The default names; columns that a file does not have are left out. A column "time_ns" is the time
+in ns, as integers. For vectors and landmarks see `SIGHTING`."""
 SIGHTING = re.compile(r"(?P<kind>[vl])(?P<number>\d+)_[xyz]")
-"""What columns of vectors and landmarks are called: v0_x v0_y v0_z, v1_x ..., l0_x ... Their order
-is that of their numbers."""
+"""Default names of columns of vectors and landmarks, ordered by number: v0_x v0_y v0_z, v1_x ...,
+l0_x ..."""
 KINDS = {"v": "vectors", "l": "landmarks"}
 SENSORS = "accelerometer", "magnetometer"
 """Signals that become `Recording.sensors`."""
 MASKS = ("judged",)
 TIME_UNITS = {"s": 0, "ms": 6, "us": 3, "ns": 0}
-"""Units of time stamps; of the whole ones, how many digits they lack to be ns."""
+"""Units of time stamps, with the power of ten that converts integers to ns."""
 
 
 def read_csv(
@@ -43,7 +43,7 @@ def read_csv(
     """Arguments of `Recording.from_arrays` from a CSV file; see `Recording.from_csv`.
 
     Raises:
-        RecordingError: it cannot be read, or lacks a column.
+        RecordingError: it cannot be read, or a column is missing.
     """
     path = file_of(path)
     if time_unit not in TIME_UNITS:
@@ -63,10 +63,10 @@ def read_csv(
         )
     found: dict[str, Any] = {"sensors": {}}
     if columns is None:
-        columns = _usual_columns(path, head)
+        columns = _default_columns(path, head)
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
         if unread := _unread(head, columns):
-            found["notes"] = (f"columns that nothing is made of: {unread}",)
+            found["notes"] = (f"columns that are not used: {unread}",)
     table = _Table(path, head, cells)
     for argument, names in columns.items():
         if argument == "time":
@@ -82,25 +82,25 @@ def read_csv(
 
 
 class _Table:
-    """The cells of a file by the names of its columns."""
+    """The cells of a file, by column."""
 
     def __init__(self, path: Path, head: list[str], cells: list[list[str]]) -> None:
         self.path, self.head, self.cells = path, head, cells
 
     def array(self, argument: str, names: Any) -> np.ndarray:
-        """Numbers (K, ...) of columns that are named like the array's axes after the first."""
+        """Numbers (K, ...) of columns; nested lists of names make the axes after the first."""
         if not isinstance(names, str):
             return np.stack([self.array(argument, name) for name in names], axis=1)
         return np.array([self._number(names, k, cell) for k, cell in self._column(argument, names)])
 
     def times(self, name: Any, unit: str) -> np.ndarray:
-        """Stamps (K,) as `from_arrays` takes them: s, or whole ns."""
+        """Time stamps (K,) as for `from_arrays`: floats in s or integers in ns."""
         if unit == "s":
             return self.array("time", name)
         try:
             whole = [int(cell) for _, cell in self._column("time", name)]
             return np.array(whole, np.int64) * 10 ** TIME_UNITS[unit]
-        except ValueError:  # with digits after the point
+        except ValueError:  # not integers
             return self.array("time", name) * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
 
     def _column(self, argument: str, name: Any) -> list[tuple[int, str]]:
@@ -121,8 +121,8 @@ class _Table:
             ) from None
 
 
-def _usual_columns(path: Path, head: list[str]) -> dict[str, Any]:
-    """Of `COLUMNS` those that a file has."""
+def _default_columns(path: Path, head: list[str]) -> dict[str, Any]:
+    """Those of `COLUMNS` that a file has, with its vectors and landmarks."""
     found = {
         argument: names
         for argument, names in COLUMNS.items()
@@ -142,7 +142,7 @@ def _usual_columns(path: Path, head: list[str]) -> dict[str, Any]:
 
 
 def _sightings(path: Path, head: list[str]) -> dict[str, list[list[str]]]:
-    """The columns of vectors and landmarks that a file has, by argument."""
+    """The columns of a file's vectors and landmarks, by argument."""
     numbers: dict[str, set[str]] = {}
     for name in head:
         if match := SIGHTING.fullmatch(name):
@@ -160,7 +160,7 @@ def _sightings(path: Path, head: list[str]) -> dict[str, list[list[str]]]:
 
 
 def _unread(head: list[str], columns: Columns) -> str:
-    """Names of the columns of a file that nothing is made of."""
+    """Names of the columns of a file that are not used."""
     used = {"time", "time_ns"}
 
     def use(names: Any) -> None:

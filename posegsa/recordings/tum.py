@@ -1,7 +1,7 @@
-"""Trajectories in the TUM format, which evo and most other tools for trajectories read.
+"""Trajectories in the TUM format, which evo and most other trajectory tools read.
 
-A line a sample: time [s], position x y z [m], quaternion x y z w, the scalar last (J. Sturm et al.,
-"A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012).
+One line per sample: time [s], position x y z [m], quaternion x y z w, the scalar last (J. Sturm et
+al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012).
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ from posegsa.recordings.rotations import quaternions
 
 
 def tum_text(time: ArrayLike, rotation: ArrayLike, position: ArrayLike | None = None) -> str:
-    """The text of a TUM file; samples that are not finite are left out.
+    """The text of a TUM file, without samples that are not finite.
 
     Args:
         time: (K,) [s].
         rotation: (K, 3, 3) body to inertial.
-        position: (K, 3) inertial frame [m]; None, where it is not estimated, is written as zeros.
+        position: (K, 3) inertial frame [m]; None, if not estimated, is written as zeros.
 
     Raises:
         MeasurementError: an array has another shape; names it.

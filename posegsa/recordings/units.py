@@ -1,8 +1,8 @@
-"""Signals in another unit than expected: told before they make an estimate that is merely wrong.
+"""Detection of signals in wrong units, which would otherwise just give a wrong estimate.
 
-How far the body turned is seen twice: by the gyroscope, and by the direction u of the acceleration,
-which moves by du = -(omega dt) x u in the body frame while the body moves little otherwise. So the
-least squares of du by -(omega dt) x u give the gyroscope's unit: 1 in rad/s, pi/180 in deg/s.
+Two sensors measure how far the body turns: the gyroscope, and the accelerometer, whose direction u
+changes by du = -(omega dt) x u in the body frame if the body hardly accelerates. So a least squares
+fit of du by -(omega dt) x u gives the gyroscope's unit: 1 for rad/s, pi/180 for deg/s.
 """
 
 import math
@@ -13,22 +13,22 @@ from posegsa.errors import RecordingError
 
 DEGREE = math.pi / 180
 WINDOW = 0.1
-"""Time over which signals are averaged before they are compared [s]."""
-ENOUGH = 0.1
-"""Squares of the turns seen by the accelerometer, summed up, that it takes to say anything [rad^2]:
-some 18 deg in one go."""
+"""Averaging time of the signals before they are compared [s]."""
+MIN_TURN = 0.1
+"""Sum of squared turns by the accelerometer [rad^2] that it takes to determine the unit: 18 deg in
+one turn."""
 GRAVITIES = 0.5, 2.0
-"""A median length of the acceleration that is a multiple of g."""
+"""Range of the median length of accelerations in multiples of g."""
 ACCELERATIONS = 5.0, 40.0
-"""A median length that can hold gravity [m/s^2]."""
+"""Allowed range of the median length, which includes gravity [m/s^2]."""
 
 
 def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
-    """Raise a RecordingError where angular velocity or acceleration look like another unit.
+    """Raise a RecordingError if angular velocity or acceleration seem to be in a wrong unit.
 
     Args:
         gyr: (K, 3), expected in rad/s.
-        acc: (K, 3), expected in m/s^2; NaN is missing.
+        acc: (K, 3), expected in m/s^2; NaN where missing.
         time_step: of all samples [s].
     """
     lengths = np.linalg.norm(acc[np.isfinite(acc).all(axis=1)], axis=1)
@@ -54,9 +54,9 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
 
 
 def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float | None:
-    """What gyr (K, 3) has to be multiplied with to fit acc (K, 3); None where little turns.
+    """The factor on gyr (K, 3) that fits acc (K, 3); None if the body hardly turns.
 
-    What is compared are means over WINDOW, so that it is rough where the body turns fast or shakes.
+    Means over WINDOW are compared, so it is inaccurate if the body turns fast or shakes.
     """
     size = max(1, round(WINDOW / time_step))
     blocks = len(gyr) // size
@@ -69,7 +69,7 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     expected = -np.cross(0.5 * (turned[1:] + turned[:-1]), 0.5 * (u[1:] + u[:-1]))
     known = np.isfinite(moved).all(axis=1)
     moved, expected = moved[known], expected[known]
-    if np.sum(moved**2) < ENOUGH:
+    if np.sum(moved**2) < MIN_TURN:
         return None
     square = float(np.sum(expected**2))
     return float(np.sum(expected * moved)) / square if square > 0 else None

@@ -1,7 +1,7 @@
-"""One page that shows a result: a single HTML file that needs no network and runs no script.
+"""The report of a result: a single HTML file without network access or scripts.
 
-`page.html` is that page from top to bottom, with its words; `parts.html` is what it repeats. Python
-hands them the result and what a template cannot compute.
+`page.html` is the page from top to bottom, `parts.html` has its repeated parts. Python passes them
+the result and everything that a template cannot compute.
 """
 
 from base64 import b64encode
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", random_phase=False)
-"""Where scenarios differ in their noise alone."""
+"""The family whose scenarios differ only in their noise."""
 
 
 # A filter may diverge to any number, and a cost may be 0.
@@ -66,7 +66,7 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
         error_columns=[f"Error {term}" for term in config.TERMS],
         rules=tables.rules(result),
         simulations=tables.simulations(result),
-        never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # nor does a NaN
+        never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # NaN counts as never
         heaviest=tables.heaviest_rule(result),
         also=[(one, result.also[one.key]) for one in result.experiment.also],
         configuration=config.to_toml(result.experiment),
@@ -76,8 +76,8 @@ def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
 
 @cache
 def templates() -> "Environment":
-    """The templates of this folder; all text is escaped, a name that is not given is an error."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # not by `import posegsa`
+    """The templates of this folder; all text is escaped, and an undefined name is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # not at `import posegsa`
 
     environment = Environment(
         loader=PackageLoader("posegsa", "report"),

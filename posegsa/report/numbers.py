@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: a true minus, an infinity sign, a dash for what has no value."""
+"""Numbers for people: a true minus, an infinity sign, a dash for a missing value."""
 
 import math
 
@@ -10,7 +10,7 @@ MINUS, DASH, INFINITE = "\u2212", "\u2013", "\u221e"
 
 
 def number(value: float | np.floating, form: str = ".2f") -> str:
-    """A number in a format of Python's."""
+    """A number in a Python format."""
     value = float(value)
     if math.isnan(value):
         return DASH
@@ -23,7 +23,7 @@ def number(value: float | np.floating, form: str = ".2f") -> str:
 
 
 def percent(share: float | np.floating, form: str = ".1f") -> str:
-    """A share of 1 as a percentage."""
+    """A share as a percentage."""
     return f"{number(100 * share, form)} %"
 
 
@@ -34,11 +34,11 @@ def cost(value: float | np.floating, form: str = ".2f") -> str:
 
 
 def interval(of: Interval, form: str = "+.2f") -> str:
-    """Both ends of an interval of costs; a dash where there is none."""
+    """Both ends of an interval of costs; dashes if there is none."""
     return " to ".join(cost(end, form) for end in of.ends)
 
 
 def plus_minus(of: Interval) -> str:
-    """Half the length of an interval of costs; nothing where it is not finite."""
+    """Half the length of an interval of costs; empty if it is not finite."""
     half = 0.5 * (of.high - of.low)
     return f"\u00b1 {cost(half)}" if math.isfinite(half) else ""

@@ -1,4 +1,4 @@
-"""The rows of those tables that show the tuned schedule and how it was simulated."""
+"""The rows of the tables of the tuned schedule and of its simulations."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from posegsa.report.numbers import number
 from posegsa.search.build import rule_indices
 
 Noted = tuple[str, list[tuple[str, str]]]
-"""A row: its head, and the text of each cell with a note on it."""
+"""A row: its header, and for each cell its text and a note."""
 
 
 def input_terms(result: TuneResult) -> list[Noted]:
@@ -37,7 +37,7 @@ def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[N
 def rules(result: TuneResult) -> list[Noted]:
     """The output term of each rule with its weight; a row is a rate, a column an error."""
     table = result.tuned.fuzzy.rules
-    assert table != config.SEARCHED  # it is the one that was found
+    assert table != config.SEARCHED  # the tuned experiment has the table that was found
     targets, rows = rule_indices(table), []
     for rate, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
         outputs = [config.TERMS[i] for i in row]
@@ -62,9 +62,9 @@ def heaviest_rule(result: TuneResult) -> Rule:
 
 
 def simulations(result: TuneResult) -> list[tuple[str, float, float]]:
-    """How the training scenarios were simulated, their mean cost, and how far that is away.
+    """Ways of simulating the training scenarios, with their mean costs and deviations.
 
-    The last is the relative difference from the cost at the run's own precision.
+    The deviation is relative to the cost in the run's own precision.
     """
     trust, own = result.trust, result.experiment.run.dtype
     costs = {"float32": trust.cost_float32, "float64": trust.cost_float64}

@@ -1,4 +1,4 @@
-"""Sentences that depend on what was found."""
+"""Sentences that depend on the results."""
 
 import math
 
@@ -23,7 +23,7 @@ from posegsa.words import counted
 
 
 def verdict(evaluation: Evaluation) -> str:
-    """Whether the tuned schedule beats the best constant gain, in a sentence."""
+    """A sentence that compares the tuned schedule with the best constant gains."""
     difference = evaluation.difference(CONSTANT)
     mean, low, high = difference
     against = f"the best constant gains on {counted(evaluation.scenarios, 'unseen scenario')}"
@@ -53,7 +53,7 @@ def verdict(evaluation: Evaluation) -> str:
 
 
 def cost_words(result: TuneResult) -> str:
-    """What the cost of a run is, in sentences."""
+    """Sentences that explain the cost of a run."""
     if result.cost != CONFIGURED:
         return (
             f"The cost of a run is what the function {result.cost} makes of its errors over time; "
@@ -91,16 +91,16 @@ def worse_words(evaluation: Evaluation) -> str:
     listed = "; ".join(worse)
     return (
         f"The tuned filter is worse than the best constant gains in: {listed}. The search "
-        "minimises the cost alone: what the cost does not look at, such as the errors of the "
-        "estimated biases, may become worse on the way."
+        "minimises the cost alone: what is not part of it, such as the errors of the estimated "
+        "biases, may get worse."
     )
 
 
 def better_words(evaluation: Evaluation) -> str:
-    """Which contenders beside the best constant gains do better than the tuned schedule, if any.
+    """Which contenders, except the best constant gains, are better than the tuned schedule, if any.
 
-    By the mean, where the interval of the paired differences excludes 0; by the median, where the
-    tuned one's is higher as it is shown.
+    By the mean, if the interval of the paired differences excludes 0; by the median, if it is lower
+    in the digits shown.
     """
     own, lower = evaluation.summary(TUNED), _lower_medians(evaluation)
     found = []
@@ -124,20 +124,20 @@ def better_words(evaluation: Evaluation) -> str:
 
 
 def _clearly_better(evaluation: Evaluation) -> list[str]:
-    """Contenders whose mean cost is lower than the tuned schedule's beyond doubt."""
+    """Contenders whose mean cost is significantly lower than that of the tuned schedule."""
     others = (name for name in evaluation.contenders if name != TUNED)
     return [name for name in others if evaluation.difference(name).low > 0]
 
 
 def _lower_medians(evaluation: Evaluation) -> list[str]:
-    """Contenders whose median cost is lower than the tuned schedule's, as they are shown."""
+    """Contenders whose median cost is lower than that of the tuned schedule, as shown."""
     own = evaluation.summary(TUNED).median
     medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
     return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
 
 
 def _instead(names: list[str]) -> str:
-    """What to do where these filters are better than the tuned schedule, in a sentence or two."""
+    """Advice if these filters are better than the tuned schedule."""
     advice = f"Better here by the mean: {'; '.join(names)}. "
     if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
         advice += (
@@ -145,7 +145,7 @@ def _instead(names: list[str]) -> str:
             "starts as these scenarios do, and do not answer an error that comes later. "
         )
     if any(name in (EKF, EKF_VECTORS) for name in names):
-        advice += "The Kalman filter is `posegsa.model.ekf`. "
+        advice += "The Kalman filter is `posegsa.KalmanFilter`. "
     return (
         f"{advice}The numbers of each are in `evaluation.json`. What was tuned can still be used: "
         "`posegsa export RUN --format c`."
@@ -153,7 +153,7 @@ def _instead(names: list[str]) -> str:
 
 
 def next_words(result: TuneResult) -> list[str]:
-    """What a reader may do next, in sentences; what stands between backticks is code."""
+    """Advice on next steps, one sentence or more each; text between backticks is code."""
     evaluation = result.evaluation
     steps = []
     if result.warnings():
@@ -188,7 +188,7 @@ def next_words(result: TuneResult) -> list[str]:
 
 
 def filter_words(found: Description) -> str:
-    """What a contender is, by its own numbers."""
+    """A contender described by its numbers."""
     match found.kind:
         case "fuzzy":
             own = f"fuzzy, k1 to k{len(found.numbers['k'])}"

@@ -5,9 +5,9 @@
     line 3: JSON: format, about, and the name, dtype and shape of each array
     the arrays' bytes, one after the other, little-endian
 
-Any `Search` can be saved whose state is made of arrays: those of all optimisers but pycma, whose
+A `Search` can be saved if its state consists of arrays, as for all optimisers except pycma, whose
 state is a Python object. Arrays are named by their path in the search, such as `.state.position`;
-random keys are stored as the numbers that they consist of.
+random keys are stored as their numbers.
 """
 
 import hashlib
@@ -24,10 +24,10 @@ from posegsa.optimisers import Search
 from posegsa.saving.files import read_bounded, write_atomically
 
 FORMAT = 3
-"""Number of the layout of a checkpoint; it changes when old ones can't be read any more."""
+"""Version of the format; it changes when older checkpoints cannot be read any more."""
 
 MAX_BYTES = 2**31
-"""Size up to which a checkpoint is read: 2 GiB."""
+"""Maximum size of a checkpoint: 2 GiB."""
 
 _MAGIC = b"posegsa checkpoint\n"
 _DIGEST = 2 * hashlib.sha256().digest_size + 1  # characters, and the end of the line
@@ -35,21 +35,21 @@ _MAX_HEADER = 2**24
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint whose checksum is right; its arrays are not yet matched with a search."""
+    """A checkpoint with a valid checksum; its arrays are not yet matched with a search."""
 
     path: Path
     about: dict[str, Any]
-    """What was written beside the search."""
+    """What was stored besides the search."""
     arrays: dict[str, tuple[str, str, tuple[int, ...]]]
-    """By their path in the search, as `_described`; what they are is never taken from here."""
+    """Dtypes and shapes by path in the search, as of `_described`; used for checks only."""
     numbers: memoryview
-    """Their bytes, one after the other."""
+    """The bytes of all arrays, one after the other."""
 
     def search(self, like: Search) -> Search:
-        """The search, of the structure of another, such as `start` gives.
+        """The search, with the structure of another search, such as from `start`.
 
         Raises:
-            CheckpointError: An array is missing or of another shape or dtype, or `like` holds
+            CheckpointError: An array is missing or has another shape or dtype, or `like` contains
                 something other than arrays; names it.
         """
         wanted = _arrays("like", like)
@@ -85,11 +85,11 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
     Args:
         path: The file; its folder exists.
         search: From `start`, `advance` or `minimise`, or as a callback gets it.
-        about: What else to keep, as JSON can hold it.
+        about: Further data to store, in JSON's types.
 
     Raises:
-        CheckpointError: What was given is not a search, or its state is not made of arrays, as
-            pycma's is not; or the file can't be written.
+        CheckpointError: The argument is not a search, its state does not consist of arrays (as for
+            pycma), or the file cannot be written.
     """
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
@@ -110,7 +110,7 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
 
 
 def objects_in(search: Search) -> dict[str, str]:
-    """What keeps a search from being saved: the types of its parts that are no arrays, by path."""
+    """The parts of a search that cannot be saved, by path: types of those that are not arrays."""
     leaves = _leaves(search).items()
     return {path: type(leaf).__name__ for path, leaf in leaves if not _is_numeric(leaf)}
 
@@ -124,8 +124,8 @@ def load_search(path: str | Path, like: Search) -> Search:
             values do not matter.
 
     Raises:
-        CheckpointError: The file can't be read, is damaged, or holds a search of another structure,
-            shape or dtype; the message names what differs.
+        CheckpointError: The file cannot be read, is damaged, or contains a search with another
+            structure, shape or dtype; the message names the difference.
     """
     if not isinstance(like, Search):
         raise CheckpointError(f"like: a {type(like).__name__}; needed: a Search")
@@ -136,8 +136,8 @@ def read(path: Path) -> Checkpoint:
     """Read a checkpoint and verify its checksum.
 
     Raises:
-        DamagedCheckpointError: It is cut short, changed, or no checkpoint.
-        CheckpointError: It can't be read, or is of another format.
+        DamagedCheckpointError: It is truncated, changed, or not a checkpoint.
+        CheckpointError: It cannot be read, or has another format.
     """
     try:
         content = read_bounded(path, MAX_BYTES)
@@ -163,7 +163,7 @@ def read(path: Path) -> Checkpoint:
             numbers=memoryview(content)[end + 1 :],
         )
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        # The checksum is right, so this is no damage.
+        # The checksum is valid, so the file is not damaged.
         raise CheckpointError(f"{path}: is not as posegsa writes it: {error}") from None
 
 
@@ -171,7 +171,7 @@ def _arrays(argument: str, search: Search) -> dict[str, jax.Array]:
     """The arrays of a search by their path in it.
 
     Raises:
-        CheckpointError: It holds something else.
+        CheckpointError: It contains something else.
     """
     for path, kind in objects_in(search).items():
         raise CheckpointError(
@@ -197,11 +197,11 @@ def _is_key(leaf: jax.Array) -> bool:
 
 
 def _described(leaf: jax.Array) -> tuple[str, str, tuple[int, ...]]:
-    """An array's dtype as JAX names it, and dtype and shape of the numbers that are stored."""
+    """The JAX dtype of an array, and the dtype and shape of its stored numbers."""
     numbers = _numbers(leaf)
     return str(leaf.dtype), numbers.dtype.name, numbers.shape
 
 
 def _numbers(leaf: jax.Array) -> np.ndarray:
-    """The numbers of an array, or those that a random key consists of."""
+    """The numbers of an array, or those of a random key."""
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)

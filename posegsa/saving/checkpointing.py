@@ -1,4 +1,4 @@
-"""Checkpoints of a run: written while it searches, read to go on with it."""
+"""Checkpoints of a run: written during the search, read to resume it."""
 
 import contextlib
 import math
@@ -39,12 +39,12 @@ ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
 
 
 class About(NamedTuple):
-    """What a checkpoint of a run says beside the search."""
+    """The data in a checkpoint of a run besides the search."""
 
     experiment: config.Experiment
-    """What is searched; its iterations are those that were asked for so far."""
+    """The experiment, with the number of iterations requested last."""
     search_seconds: NonNegative
-    """Time that all processes so far have searched [s]."""
+    """Search time of all processes so far [s]."""
     compile_seconds: NonNegative
     environment: dict[str, str]
     cost: str
@@ -52,18 +52,18 @@ class About(NamedTuple):
 
 
 class RecordedTask(NamedTuple):
-    """What a run on recordings is tuned on, and for what; it does not hold the recordings."""
+    """What a run on recordings is tuned on and for; the recordings themselves are not included."""
 
     schedule: RecordedSchedule
     position_weight: NonNegative
     training: list[str]
-    """The fingerprint of each recording that is tuned on."""
+    """The fingerprint of each training recording."""
     held_out: list[str]
-    """And of each that only judges."""
+    """The fingerprint of each held-out recording."""
 
 
 class AboutRecorded(NamedTuple):
-    """What a checkpoint of a run on recordings says beside the search: `About`, and its task."""
+    """The data in a checkpoint of a run on recordings besides the search: `About` and the task."""
 
     experiment: config.Experiment
     search_seconds: NonNegative
@@ -74,14 +74,14 @@ class AboutRecorded(NamedTuple):
 
 
 class CheckpointedRun(NamedTuple):
-    """A run as a checkpoint has it."""
+    """A run read from a checkpoint."""
 
     checkpoint: Checkpoint
     about: About | AboutRecorded
 
     @property
     def recorded(self) -> RecordedTask | None:
-        """What it is tuned on; None for simulated scenarios alone."""
+        """The task on recordings; None for a run on simulated scenarios."""
         return self.about.recorded if isinstance(self.about, AboutRecorded) else None
 
 
@@ -125,9 +125,7 @@ def search_with_checkpoints(
         cost = cost_name(problem.cost)
         writer = CheckpointWriter(folder, experiment, request, before, cost, recorded)
         with resumable(lambda: f"interrupted {writer.where()}"), writer:
-            found = run_search(
-                problem, progress, search=search, keep=writer, pause=writer.stop_if_asked
-            )
+            found = run_search(problem, progress, search=search, after_chunk=writer)
     return found._replace(
         search_seconds=found.search_seconds + before[0],
         compile_seconds=found.compile_seconds + before[1],
@@ -135,10 +133,10 @@ def search_with_checkpoints(
 
 
 def newest_checkpoint(folder: Path) -> CheckpointedRun:
-    """A run from its newest good checkpoint; damaged ones are passed over with a warning.
+    """A run from its newest valid checkpoint; damaged ones are skipped with a warning.
 
     Raises:
-        CheckpointError: There is no good one, or it is of another format.
+        CheckpointError: There is no valid one, or it has another format.
     """
     if not folder.is_dir():
         raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
@@ -162,7 +160,7 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
 
 
 def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
-    """The run that a checkpoint is of; warns if it was made where numbers may round differently."""
+    """The run in a checkpoint; warns if it was made where numbers may be rounded differently."""
     kind = AboutRecorded if "recorded" in checkpoint.about else About
     try:
         about = from_plain(kind, checkpoint.about, checkpoint.path)
@@ -195,7 +193,7 @@ class CheckpointWriter:
     experiment: config.Experiment
     request: StopRequest
     before: tuple[float, float] = (0.0, 0.0)
-    """Seconds that earlier processes have searched and compiled."""
+    """Seconds of search and compilation in earlier processes."""
     cost: str = CONFIGURED
     """The name of the cost that is minimised."""
     recorded: RecordedTask | None = None
@@ -210,7 +208,7 @@ class CheckpointWriter:
         self._warned = False
 
     def __enter__(self) -> Self:
-        """Remove what earlier processes left half written."""
+        """Remove files that earlier processes did not finish."""
         with write_errors(self.folder):
             (self.folder / CHECKPOINTS).mkdir(exist_ok=True)
             for path in (self.folder / CHECKPOINTS).glob(f"*{PART}"):
@@ -218,7 +216,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """Write a checkpoint if one is due; called as `search.run.Keep` says.
+        """Write a checkpoint if one is due; called as `search.run.AfterChunk` says.
 
         Raises:
             SearchInterrupted: A signal has asked to stop; the search is saved.
@@ -227,13 +225,13 @@ class CheckpointWriter:
         took = search_seconds - (self._last[1] if self._last else 0.0)
         self._last = search, search_seconds, compile_seconds
         self._iteration, self._best = int(search.iteration), float(search.best_cost)
-        # What took so long would be lost if the process had to end before the next chunk does.
+        # A chunk that took this long must not be lost if the process ends during the next one.
         if took > LONGEST_CHUNK or self._is_due():
             self._save()
         self.stop_if_asked()
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        """Save what there is; an error of JAX's becomes a SearchError that says how to go on."""
+        """Save the search; turn an error of JAX into a SearchError that says how to resume."""
         if error is not None:
             with contextlib.suppress(CheckpointError, PosegsaWarning):
                 self._save()
@@ -302,7 +300,7 @@ class CheckpointWriter:
                 path.unlink()
 
     def where(self) -> str:
-        """Where the search stands, and how to resume it."""
+        """The progress of the search, and how to resume it, in words."""
         if self._last is None:
             return "before its first iteration; nothing is saved"
         saved = "" if self._saved == self._iteration else f" (saved: {self._saved})"
@@ -315,7 +313,7 @@ class CheckpointWriter:
 
 
 def how_to_resume(folder: Path, recorded: RecordedTask | None) -> str:
-    """How to go on with the run in a folder, in words."""
+    """How to resume the run in a folder, in words."""
     again = " --recording ... (the same)" if recorded is not None else ""
     return f"go on with: posegsa tune --resume {folder}{again}"
 

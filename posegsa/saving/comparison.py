@@ -1,4 +1,4 @@
-"""The files of a comparison of optimisers: what has been searched, its table and its figure."""
+"""The files of a comparison of optimisers: its searches, table and figure."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,16 +13,16 @@ from posegsa.saving.folder import as_path, read_text, replace_files, write_error
 from posegsa.saving.records import from_json, to_json
 
 SCHEMA = 2
-"""Number of the layout of comparison.json; it changes with its records."""
-DATA, TABLE, FIGURE = FILES = ("comparison.json", "comparison.txt", "comparison.png")
+"""Version of the format of comparison.json."""
+DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
 
 
 def load_comparison(folder: str | Path) -> OptimiserComparison:
-    """The comparison that a folder holds.
+    """The comparison in a folder.
 
     Raises:
-        RunFolderError: It holds none, or one that is damaged or of another layout; names the file
-            and the field.
+        RunFolderError: There is none, or it is damaged or has another format; names the file and
+            the field.
     """
     folder = as_path("folder", folder)
     text = read_text(folder, DATA, of="comparison")
@@ -35,11 +35,11 @@ def load_comparison(folder: str | Path) -> OptimiserComparison:
 def continued(
     comparison: OptimiserComparison, folder: Path, *, overwrite: bool = False
 ) -> OptimiserComparison:
-    """A comparison with the searches of it that a locked folder holds; other optimisers come after.
+    """A comparison, with the searches that are already in its locked folder.
 
     Raises:
-        RunFolderError: It holds another comparison, or one that can't be read; with `overwrite`
-            that is removed.
+        RunFolderError: The folder has another comparison, or one that cannot be read; with
+            `overwrite` that is removed instead.
     """
     if not (folder / DATA).exists():
         return comparison
@@ -54,8 +54,8 @@ def continued(
     except RunFolderError:
         if not overwrite:
             raise
-        # Else the old table and figure would stand beside the new searches until the end.
-        replace_files(folder, {}, remove=FILES)
+        # Otherwise the old table and figure would stay beside the new searches until the end.
+        replace_files(folder, {}, remove=(DATA, TABLE, FIGURE))
         return comparison
     return replace(
         comparison,
@@ -65,7 +65,7 @@ def continued(
 
 
 def write_searches(comparison: OptimiserComparison, folder: Path) -> None:
-    """Write what has been searched so far to a folder that the caller has locked."""
+    """Write the searches so far to a folder that the caller has locked."""
     with write_errors(folder):
         write_atomically(folder / DATA, _json(comparison))
 
@@ -77,7 +77,7 @@ def write_comparison(
     *,
     figure: bool = True,
 ) -> None:
-    """Write JSON, table (with these costs to reach) and figure to a folder that is locked."""
+    """Write JSON, table (with `levels` as costs to reach) and figure to a locked folder."""
     files = {
         DATA: _json(comparison),
         TABLE: f"{comparison.table(levels)}\n".encode(),

@@ -1,7 +1,7 @@
 """Atomic writes and bounded reads of single files.
 
-A file is written under a temporary name, synced to the disk and renamed: whatever happens
-meanwhile, its name leads to the whole old content or to the whole new one.
+A file is written under a temporary name, synced to the disk and renamed. So at any time its name
+refers either to the complete old content or to the complete new one.
 """
 
 import contextlib
@@ -12,17 +12,17 @@ from pathlib import Path
 from posegsa.errors import RunFolderError
 
 PART = ".part"
-"""Ending of temporary names; a file with it is not part of a run."""
+"""Suffix of temporary files, which are not part of a run."""
 
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-"""Flag of `os.open` that refuses to follow a link; 0 where the system has none (Windows)."""
+"""Flag of `os.open` against following links; 0 if the system has none (Windows)."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that it is whole, or as it was before, even if the power fails.
+    """Write a file completely or not at all, even if the power fails.
 
     Raises:
-        OSError: It can't be written; nothing is left of it.
+        OSError: It cannot be written; the old content stays.
     """
     temporary = path.with_name(path.name + PART)
     try:
@@ -36,10 +36,10 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_synced(path: Path, data: bytes) -> None:
-    """Write a file, and wait until the disk has it.
+    """Write a file, and wait until it is on the disk.
 
     Raises:
-        OSError: It can't be written, or its name is a link, which could lead anywhere.
+        OSError: It cannot be written, or its name is a link, which could lead anywhere.
     """
     with open(path, "wb", opener=_open_no_link) as file:
         file.write(data)
@@ -52,7 +52,7 @@ def _open_no_link(path: str, flags: int) -> int:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the disk has a folder's names, on systems that can do that."""
+    """Wait until a folder's names are on the disk, on systems that support it."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -62,12 +62,12 @@ def sync_folder(folder: Path) -> None:
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """The content of a regular file of at most `limit` bytes; its size is looked at first.
+    """The content of a regular file of at most `limit` bytes.
 
     Raises:
-        RunFolderError: It is too large, or not a regular file, such as a pipe, which could keep its
-            reader waiting for ever.
-        OSError: It can't be read.
+        RunFolderError: It is too large, or not a regular file, such as a pipe, which could block
+            its reader for ever.
+        OSError: It cannot be read.
     """
     # Opening a pipe without O_NONBLOCK waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))

@@ -1,9 +1,8 @@
 """A run's folder: one writer at a time, and all files of a result replaced at once.
 
-The writer holds a lock. Files are replaced in two steps: they are staged, that is written to a
-folder beside and synced; then that folder is renamed, which commits them. They are moved into place
-after that. Should the process die in between, readers look at the committed files first, and the
-next writer moves the rest.
+The writer holds a lock. Files are first staged: written to a folder of their own and synced.
+Renaming that folder commits them, and then they are moved into place. If the process dies in
+between, readers find the committed files first, and the next writer moves the rest.
 """
 
 import contextlib
@@ -22,7 +21,7 @@ RECORDED, RECORDED_TABLE = "recorded.json", "recorded.txt"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 MAX_BYTES = 2**27
-"""Size up to which a file is read, but for the largest: 128 MiB."""
+"""Maximum size of a file, except for the largest ones: 128 MiB."""
 
 _LOCK = ".lock"
 _STAGED, _COMMITTED = ".saving", ".saved"
@@ -33,21 +32,21 @@ _STAGED, _COMMITTED = ".saving", ".saved"
 
 @contextlib.contextmanager
 def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder for a run to write to, made if missing, and locked while the context lasts.
+    """The folder of a run, created if missing, and locked within the context.
 
     Raises:
-        RunFolderError: It holds a run already, finished or not, and `overwrite` is not said; is
-            not a folder; can't be written; or another run is writing there.
+        RunFolderError: It contains a run already, finished or not, and `overwrite` is False; it is
+            not a folder; it cannot be written; or another run is writing there.
     """
     folder = prepare_folder(folder, overwrite=overwrite)
     with lock(folder):
         finish_commit(folder)
-        # Another process may have written a run since it was looked at.
+        # Another process may have written a run before the lock.
         yield prepare_folder(folder, overwrite=overwrite)
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder holds a run, finished or not."""
+    """Whether a folder contains a run, finished or not."""
     begun = any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"))
     return begun or _holds_finished_run(folder)
 
@@ -58,7 +57,7 @@ def _holds_finished_run(folder: Path) -> bool:
 
 
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make a folder, unless it is one that a run may not be written to."""
+    """Create a folder, after checking that a run may be written to it."""
     folder = as_path("folder", folder)
     if not overwrite:
         if _holds_finished_run(folder):
@@ -87,8 +86,8 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
 def lock(folder: Path) -> Iterator[None]:
     """Keep other processes and threads from writing to a folder.
 
-    The system releases the lock when the process ends, however it ends. Systems without such locks
-    (Windows, some network file systems) keep nobody out.
+    The system releases the lock when the process ends in any way. On systems without such locks
+    (Windows, some network file systems) this does nothing.
 
     Raises:
         RunFolderError: Another run is writing there.
@@ -123,7 +122,7 @@ def lock(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def write_errors(folder: Path) -> Iterator[None]:
-    """Turn errors of the system while it writes into RunFolderErrors that name the folder."""
+    """Turn system errors during writing into RunFolderErrors that name the folder."""
     try:
         yield
     except RunFolderError:
@@ -138,10 +137,10 @@ def write_errors(folder: Path) -> Iterator[None]:
 def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str]) -> None:
     """Replace files of a locked folder, by names such as `figures/gain.png`: all of them or none.
 
-    Of those to remove, what is in `files` stays.
+    Files in both `files` and `remove` stay.
 
     Raises:
-        RunFolderError: They can't be written; the folder is as it was.
+        RunFolderError: They cannot be written; the folder is unchanged.
     """
     staged = folder / _STAGED
     with write_errors(folder):
@@ -166,7 +165,7 @@ def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str
 
 
 def finish_commit(folder: Path) -> None:
-    """Move committed files into place, also those of a process that died before it had done so."""
+    """Move committed files into place, also those of a process that died before doing so."""
     committed = folder / _COMMITTED
     if not committed.is_dir():
         return
@@ -184,17 +183,17 @@ def finish_commit(folder: Path) -> None:
 
 
 def read_text(folder: Path, name: str, of: str, limit: int = MAX_BYTES) -> str:
-    """The text of a file, at most `limit` bytes, in a run's folder; a committed one comes first.
+    """The text of a file of at most `limit` bytes in a run's folder, or of its committed version.
 
     Raises:
-        RunFolderError: It can't be read, is too large, not UTF-8 text, or missing: there is no
-            `of`, which are words for what it is part of.
+        RunFolderError: It cannot be read, is too large, is not UTF-8 text, or is missing; `of` says
+            in words what it is part of.
     """
     for path in (folder / _COMMITTED / name, folder / name):
         try:
             return read_bounded(path, limit).decode("utf-8")
         except FileNotFoundError:
-            continue  # also where a writer has just moved it from the first place to the second
+            continue  # a writer may have just moved it from the first place to the second
         except UnicodeDecodeError:
             raise RunFolderError(f"{path}: is not UTF-8 text") from None
         except RunFolderError:
@@ -208,7 +207,7 @@ def as_path(name: str, value: object) -> Path:
     """A path from a user.
 
     Raises:
-        RunFolderError: It is no path.
+        RunFolderError: It is not a path.
     """
     if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
         raise RunFolderError(f"{name} = {value!r}; allowed: a path")
@@ -216,7 +215,7 @@ def as_path(name: str, value: object) -> Path:
 
 
 def _refuse_links(folder: Path) -> None:
-    """A folder from elsewhere could have what posegsa writes below it go anywhere."""
+    """Refuse links in a folder from elsewhere, through which posegsa could write anywhere."""
     for name in (FIGURES, CHECKPOINTS, _STAGED, _COMMITTED, _LOCK):
         if (folder / name).is_symlink():
             kind = "file" if name == _LOCK else "folder"

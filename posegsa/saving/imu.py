@@ -1,4 +1,4 @@
-"""The files of a tuned attitude filter for inertial sensors: the filter itself, and its table."""
+"""The files of a tuned attitude filter for inertial sensors: the filter and its table."""
 
 from pathlib import Path
 
@@ -6,14 +6,15 @@ from posegsa.errors import RunFolderError
 from posegsa.judging.imu import ImuResult
 from posegsa.saving.folder import holds_run, lock, prepare_folder, replace_files
 
-FILTER, TABLE = FILES = "imu.toml", "imu.txt"
+FILTER, TABLE = "imu.toml", "imu.txt"
+FILES = (FILTER, TABLE)
 
 
 def prepare_imu_folder(folder: str | Path, *, overwrite: bool) -> Path:
-    """A folder for the files, made if missing.
+    """The folder for the files, created if missing.
 
     Raises:
-        RunFolderError: It holds a run or such a filter already, or can't be written.
+        RunFolderError: It contains a run or an attitude filter already, or cannot be written.
     """
     path = prepare_folder(folder, overwrite=True)
     if holds_run(path):
@@ -30,10 +31,10 @@ def prepare_imu_folder(folder: str | Path, *, overwrite: bool) -> Path:
 
 
 def write_imu(result: ImuResult, folder: Path) -> None:
-    """Write imu.toml, which `posegsa replay FOLDER/imu.toml` and `load_imu` take, and imu.txt.
+    """Write imu.toml, for `posegsa replay FOLDER/imu.toml` and `load_imu`, and imu.txt.
 
     Raises:
-        RunFolderError: They can't be written; the folder is as it was.
+        RunFolderError: They cannot be written; the folder is unchanged.
     """
     by = "# " + result.summary().replace("\n", "\n# ").replace("# \n", "#\n")
     files = {FILTER: f"{by}\n\n{result.config.to_toml()}", TABLE: f"{result.summary()}\n"}

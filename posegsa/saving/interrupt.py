@@ -1,8 +1,8 @@
-"""Ctrl-C, SIGTERM, SIGUSR1: the first asks a search to save its state and stop, the second stops.
+"""Signals: the first asks a search to save its state and stop, the second stops it at once.
 
-SIGUSR1 is what clusters such as Slurm send some time before a job's limit. Python handles signals
-in the main thread only. A program's own handlers are left alone, and so is SIGINT where it is
-ignored, as under `nohup`.
+They are Ctrl-C, SIGTERM and SIGUSR1, which clusters such as Slurm send before a job's time limit.
+Python handles signals in the main thread only. Handlers of the user's program are left in place,
+and so is an ignored SIGINT, as under `nohup`.
 """
 
 import os
@@ -19,23 +19,23 @@ from posegsa.errors import SearchInterrupted
 TERMINATING = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGUSR1") if hasattr(signal, name)
 )
-"""Those that would end the process without a word; Windows has no SIGUSR1."""
+"""Signals that end the process without a message by default; Windows has no SIGUSR1."""
 SIGNALS = (signal.SIGINT, *TERMINATING)
 PATIENCE = 5.0
-"""Time after which a process ends that a signal has asked to stop and compiled code keeps busy [s]:
-longer than a chunk of a search takes, unless it is a single iteration."""
+"""Time after a first signal until the process is ended if compiled code is still running [s].
+Chunks of a search are shorter, unless a single iteration takes longer."""
 
 
 class StopRequest:
     """Whether a signal has asked the search to stop."""
 
     signal_number: int | None = None
-    """The first signal that did."""
+    """The first signal received; None if there was none."""
 
 
 @contextmanager
 def deferred_signals() -> Iterator[StopRequest]:
-    """Note the first signal, to be looked at later; the second raises SearchInterrupted."""
+    """Record the first signal for the search to check; the second raises SearchInterrupted."""
     request = StopRequest()
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -49,10 +49,10 @@ def deferred_signals() -> Iterator[StopRequest]:
 
 @contextmanager
 def resumable(how: Callable[[], str]) -> Iterator[None]:
-    """Say of what is stopped within the context how to go on, whichever way it stops.
+    """Add to an interruption within the context the message how to resume.
 
     Args:
-        how: What to say, in words; it must not wait for compiled code.
+        how: Returns the message; it must not wait for compiled code.
 
     Raises:
         SearchInterrupted: Instead of a KeyboardInterrupt.
@@ -74,15 +74,16 @@ def resumable(how: Callable[[], str]) -> Iterator[None]:
 def immediate_signals(
     on_first: Callable[[], object], say: Callable[[str], object] = lambda _: None
 ) -> Iterator[None]:
-    """Have SIGTERM and SIGUSR1 raise as Ctrl-C does, and the process end soon in any case.
+    """Make SIGTERM and SIGUSR1 raise like Ctrl-C, and end the process soon in any case.
 
-    Python handles signals between its own steps only, not while a compiled loop runs; so a thread
-    reads them from the system. It calls `on_first` at the first; PATIENCE later, or at the second,
-    it ends the process. For programs that own their process, such as the command line.
+    Python handles signals only between its own instructions, not while a compiled loop runs, so a
+    thread reads them from the system. It calls `on_first` at the first signal, and ends the process
+    PATIENCE later or at the second signal. For programs that own their process, such as the command
+    line.
 
     Args:
         on_first: Called at the first signal, by the thread.
-        say: Told before the process ends for lack of patience how to go on (`resumable`).
+        say: Called with the message of `resumable` before the process ends after PATIENCE.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -124,7 +125,7 @@ def immediate_signals(
 _STOPPED = "stopped"
 _TIMEOUT = -1
 _HOW: list[Callable[[], str]] = []
-"""What to say of the work that is going on, the innermost last."""
+"""The messages of the enclosing `resumable` contexts, the innermost last."""
 
 
 def _next_of(reader: socket.socket) -> int:
@@ -144,7 +145,7 @@ _OWN: set[object] = set()
 def _handled(
     handler: Callable[[int, FrameType | None], object], numbers: tuple[int, ...] = SIGNALS
 ) -> Iterator[None]:
-    """Handle those of the signals that have no handler of the program's own."""
+    """Handle those signals for which the program has no handler."""
     usual = {signal.SIG_DFL, signal.default_int_handler, *_OWN}
     previous = {}
     if threading.current_thread() is threading.main_thread():

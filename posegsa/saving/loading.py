@@ -1,4 +1,4 @@
-"""Finished runs written and read back, whatever they were tuned on."""
+"""Writes and reads finished runs, tuned on scenarios or recordings."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,21 +19,20 @@ def save(
     overwrite: bool = False,
     figures: Iterable[str] | None = None,
 ) -> Path:
-    """Write a result to the folder of a run: JSON, tables, and of simulations figures and report.
+    """Write a result to a folder: JSON and tables; if tuned on scenarios also figures and report.
 
     Args:
         result: From `tune`, `evaluate` or `by_hand`.
-        folder: Where; made if missing.
+        folder: Where; created if missing.
         overwrite: Replace another run's files there.
-        figures: Names of those to draw; by default all. Not of a result on recordings, which has
-            none.
+        figures: Names of those to draw; by default all. A result on recordings has none.
 
     Returns:
         The folder.
 
     Raises:
-        RunFolderError: It holds a run already, or can't be written.
-        ArgumentError: There is no figure of such a name, or the result is one on recordings.
+        RunFolderError: The folder contains a run already, or cannot be written.
+        ArgumentError: There is no figure with such a name, or the result is on recordings.
     """
     if not isinstance(result, RecordingResult):
         return run.save(result, folder, overwrite=overwrite, figures=figures)
@@ -45,12 +44,12 @@ def save(
 
 
 def load(folder: str | Path) -> TuneResult | RecordingResult:
-    """Read a run's folder back: a `RecordingResult` where it was tuned on recordings.
+    """Read a run's folder: a `RecordingResult` if it was tuned on recordings.
 
     Raises:
-        RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or
-            does not fit to the others; names the file and the field. Or a filter for inertial
-            sensors, which is no run.
+        RunFolderError: It is not a run's folder; or a file in it is damaged, has another format or
+            contradicts the others, which names the file and the field; or it contains a filter for
+            inertial sensors, which is not a run.
     """
     path = as_path("folder", folder)
     if path.name == imu.FILTER or ((path / imu.FILTER).exists() and not holds_run(path)):

@@ -1,4 +1,4 @@
-"""The files of a result on recordings: the result, and its table."""
+"""The files of a result on recordings: the result and its table."""
 
 from pathlib import Path
 
@@ -18,8 +18,8 @@ from posegsa.saving.records import from_json, to_json
 from posegsa.saving.run import RUN_FILES
 
 SCHEMA = 3
-"""Number of the layout of recorded.json; it changes with its records."""
-DATA, TABLE = FILES = RECORDED, RECORDED_TABLE
+"""Version of the format of recorded.json."""
+FILES = (RECORDED, RECORDED_TABLE)
 
 
 def write_recorded(
@@ -34,14 +34,14 @@ def write_recorded(
     Args:
         result: What is written.
         folder: Where.
-        same_run: Whether what else the folder holds belongs to the same run, and stays.
-        own_checkpoints: Whether the checkpoints do, at least.
+        same_run: Keep all other files: they belong to the same run.
+        own_checkpoints: Keep at least the checkpoints.
 
     Raises:
-        RunFolderError: They can't be written; the folder is as it was.
+        RunFolderError: They cannot be written; the folder is unchanged.
     """
-    files = {DATA: to_json(result, SCHEMA), TABLE: result.summary() + "\n"}
-    # Of another run that was there nothing may stay: it would be read instead.
+    files = {RECORDED: to_json(result, SCHEMA), RECORDED_TABLE: result.summary() + "\n"}
+    # Files of another run must go, or they would be read instead.
     stale = [] if same_run else [*RUN_FILES]
     if not (same_run or own_checkpoints):
         stale += [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
@@ -50,30 +50,31 @@ def write_recorded(
 
 
 def holds_recorded(folder: str | Path) -> bool:
-    """Whether a folder holds a result on recordings, and none of a run on scenarios."""
+    """Whether a folder contains a result on recordings, and none of a run on scenarios."""
     path = as_path("folder", folder)
-    return (path / DATA).exists() and not (path / RESULT).exists()
+    return (path / RECORDED).exists() and not (path / RESULT).exists()
 
 
 def load_recorded(folder: str | Path) -> RecordingResult:
-    """Read a result on recordings back.
+    """Read a result on recordings.
 
-    It is that of a search on recordings, or that of a run on simulated scenarios which was judged
-    on recordings later (`posegsa evaluate RUN --recording FILE`).
+    It is from a search on recordings, or from a run on simulated scenarios that was judged on
+    recordings later (`posegsa evaluate RUN --recording FILE`).
 
     Raises:
-        RunFolderError: It is none, is damaged or of another layout; names the file and the field.
+        RunFolderError: There is none, or it is damaged or has another format; names the file and
+            the field.
     """
     path = as_path("folder", folder)
-    text = read_text(path, DATA, of="result on recordings", limit=MAX_BYTES)
-    result = from_json(RecordingResult, text, SCHEMA, path / DATA)
+    text = read_text(path, RECORDED, of="result on recordings", limit=MAX_BYTES)
+    result = from_json(RecordingResult, text, SCHEMA, path / RECORDED)
     also = sorted(one.key for one in result.experiment.also)
     if sorted(result.filter.also) != also:
         raise RunFolderError(
-            f"{path / DATA}: filter.also = {sorted(result.filter.also)}; in experiment: {also}"
+            f"{path / RECORDED}: filter.also = {sorted(result.filter.also)}; in experiment: {also}"
         )
     try:
         _ = result.schedule, result.tuned
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise RunFolderError(f"{path / DATA}: filter: {error}") from None
+        raise RunFolderError(f"{path / RECORDED}: filter: {error}") from None
     return result

@@ -1,13 +1,13 @@
-"""The one codec of all that is stored: records as JSON, and records of columns as tables (CSV).
+"""Storage of records as JSON, and of records with columns as tables (CSV).
 
-What a record may hold is stated once, by the types of its fields. What is read is checked against
-them, strictly: a missing or unknown field, a value of another type, an array of another shape or a
-number that is not finite where the type does not say so is refused by the path of the field. Texts
-are printable lines, so that nothing from a file can steer a terminal. Nothing is ever unpickled.
+The types of a record's fields state what it may contain. Reading checks them strictly, and errors
+name the path of the field: no field may be missing or unknown, types and shapes of arrays must
+match, and numbers must be finite unless the type allows others. Texts must be printable, so that
+nothing in a file can control a terminal. Nothing is ever unpickled.
 
 Records are dataclasses, named tuples and typed dictionaries. Their fields are numbers, texts,
 arrays (`posegsa.settings.arrays`), sections of a configuration, records, and lists, dictionaries
-and unions of them. What is written reads back as the same numbers, bit for bit.
+and unions of these. Numbers are read back bit for bit.
 """
 
 import csv
@@ -34,16 +34,16 @@ from posegsa.settings.plain import decimal, json_text, plain
 Record = TypeVar("Record")
 
 _SHOWN = 3
-"""How many problems of one file an error names."""
+"""Maximum number of problems in one error message."""
 
 
 # JSON ---------------------------------------------------------------------------------------------
 
 
 def to_json(record: object, schema: int, summary: Mapping[str, Any] | None = None) -> str:
-    """A record as JSON, under the number of its layout.
+    """A record as JSON, with the version of its format.
 
-    `summary` is what follows from the record, for other readers; `from_json` passes over it.
+    `summary` is for other programs and follows from the record; `from_json` ignores it.
     """
     head = {"schema": schema} | ({} if summary is None else {"summary": plain(summary)})
     return json_text(head | plain(record)) + "\n"
@@ -53,10 +53,10 @@ def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Recor
     """Read what `to_json` wrote, from the file that errors name.
 
     Raises:
-        RunFolderError: It is not such a record, or one of another layout.
+        RunFolderError: It is not such a record, or has another format.
     """
 
-    def refuse(word: str) -> NoReturn:  # NaN and Infinity, which Python would take, are not JSON
+    def refuse(word: str) -> NoReturn:  # Python accepts NaN and Infinity, which are not JSON
         raise ValueError(word)
 
     try:
@@ -78,7 +78,7 @@ def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Recor
 
 
 def from_plain(kind: type[Record], data: object, source: Path) -> Record:
-    """A record from plain data, such as JSON holds.
+    """A record from plain data, in JSON's types.
 
     Raises:
         RunFolderError: It is not such a record.
@@ -99,7 +99,7 @@ def _words(problem: Mapping[str, Any]) -> str:
     given = "" if isinstance(given, dict | list) else f" = {reprlib.repr(given)}"
     reason = problem.get("ctx", {}).get("error") or problem["msg"]
     words = f"{path}{given}: {reason}"
-    # Names of fields come from the file: none may steer the terminal that the error is shown on.
+    # Names of fields come from the file and must not control the terminal.
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in words)
 
 
@@ -123,7 +123,7 @@ _SCALARS = {
 
 
 def _strict(kind: Any) -> Any:
-    """The type by which pydantic reads values of a type from plain data, and nothing else."""
+    """The type with which pydantic reads a type from plain data strictly."""
     origin: Any = typing.get_origin(kind)
     parts = typing.get_args(kind)
     if origin is Annotated:
@@ -141,7 +141,7 @@ def _strict(kind: Any) -> Any:
 
 
 def _section(kind: type[BaseModel], data: Any) -> BaseModel:
-    """A section of a configuration, which says in words of its own what is wrong with it."""
+    """A section of a configuration; its constructor explains what is wrong."""
     if not isinstance(data, dict):
         raise ValueError("allowed: a table")
     return kind(**data)
@@ -160,15 +160,15 @@ def _strict_record(kind: Any) -> Any:
 
 
 def to_csv(record: object, counted: str = "") -> str:
-    """A record of columns as CSV, a row for each sample or iteration under the columns' names.
+    """A record of columns as CSV, with a header and a row for each sample or iteration.
 
-    `counted` is the name of a first column, if there shall be one, that counts the rows from 1.
+    `counted` is the name of an optional first column that counts the rows from 1.
     """
     header, columns = [], []
-    for field, said in _columns(type(record)).items():
+    for field, spec in _columns(type(record)).items():
         array = decimal(np.asarray(getattr(record, field)))
         table = array.reshape(len(array), array[:1].size)
-        header += said.of(table.shape[1] // len(said.names))
+        header += spec.of(table.shape[1] // len(spec.names))
         columns += table.T.tolist()
     if counted:
         header, columns = [counted, *header], [range(1, len(columns[0]) + 1), *columns]
@@ -189,7 +189,7 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     first = [counted] if counted else []
     try:
         header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-        names = {field: said.of(_count(columns, first, header)) for field, said in columns.items()}
+        names = {field: spec.of(_count(columns, first, header)) for field, spec in columns.items()}
         needed = first + [name for some in names.values() for name in some]
         if header != needed:
             found = reprlib.repr(header)
@@ -203,16 +203,16 @@ def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> 
     except (csv.Error, ValueError) as error:
         raise RunFolderError(f"{source}: is not such a table: {error}") from None
     data, start = {}, len(first)
-    for field, said in columns.items():
+    for field, spec in columns.items():
         end = start + len(names[field])
-        alone = len(names[field]) == 1 and not said.each
+        alone = len(names[field]) == 1 and not spec.each
         data[field] = [row[start] if alone else row[start:end] for row in table]
         start = end
     return from_plain(kind, data, source)
 
 
 def _number(cell: str) -> int | float | str:
-    """The number in a cell; any other text stays, for the type to refuse."""
+    """The number in a cell; other text is returned for the type check to refuse."""
     try:
         return int(cell) if cell.isdecimal() else float(cell)
     except ValueError:
@@ -220,16 +220,16 @@ def _number(cell: str) -> int | float | str:
 
 
 def _count(columns: dict[str, Columns], first: list[str], header: list[str]) -> int:
-    """How many there are of what has some columns each, if the header is that of such a table."""
-    fixed = len(first) + sum(len(said.names) for said in columns.values() if not said.each)
-    for_each = sum(len(said.names) for said in columns.values() if said.each)
+    """The number of things that have columns of their own, from the length of the header."""
+    fixed = len(first) + sum(len(spec.names) for spec in columns.values() if not spec.each)
+    for_each = sum(len(spec.names) for spec in columns.values() if spec.each)
     return max(0, len(header) - fixed) // max(1, for_each)
 
 
 def _columns(kind: Any) -> dict[str, Columns]:
     return {
-        field: said
+        field: spec
         for field, hint in typing.get_type_hints(kind, include_extras=True).items()
-        for said in hint.__metadata__
-        if isinstance(said, Columns)
+        for spec in hint.__metadata__
+        if isinstance(spec, Columns)
     }

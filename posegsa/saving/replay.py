@@ -1,4 +1,4 @@
-"""The files of replays: a table, and for each recording its trajectories and figures."""
+"""The files of replays: a table, and trajectories and figures of each recording."""
 
 import re
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from posegsa.saving.folder import as_path, lock, replace_files, write_errors
 from posegsa.settings.plain import json_text, plain
 
 SCHEMA = 1
-"""Number of the layout of replay.json; it changes when a key changes its meaning."""
+"""Version of the format of replay.json; it changes when a key changes its meaning."""
 TABLE, DATA = "replay.txt", "replay.json"
 
 
@@ -28,14 +28,14 @@ def write_replays(
     overwrite: bool = False,
     figures: Sequence[str] = REPLAY_FIGURES,
 ) -> Path:
-    """Write replays to a folder, made if missing.
+    """Write replays to a folder, created if missing.
 
-    These are replay.txt and replay.json, and for each recording a folder with estimated.tum,
-    true.tum (wherever the truth is known), judged.tum (the part of it that is judged, where that is
-    not all) and those figures that are named.
+    The files are replay.txt and replay.json, and for each recording a folder with estimated.tum,
+    true.tum (where the truth is known), judged.tum (the judged part, if that is not all of it) and
+    the figures.
 
     Raises:
-        RunFolderError: It holds replays already, or can't be written.
+        RunFolderError: The folder contains replays already, or cannot be written.
     """
     folder = as_path("folder", folder)
     if not overwrite and (folder / DATA).exists():
@@ -53,7 +53,7 @@ def write_replays(
     described = [each.recording.describe() for each in replays]
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
     files[DATA] = (json_text(plain(data)) + "\n").encode()
-    # What another recording, or filter, had and this one has not.
+    # Files of an earlier replay that this one may not have.
     optional = "true.tum", "judged.tum", *(f"{name}.png" for name in REPLAY_FIGURES)
     with lock(folder):
         replace_files(
@@ -63,7 +63,7 @@ def write_replays(
 
 
 def folder_names(names: Sequence[str]) -> list[str]:
-    """Names of folders for names of recordings, all different."""
+    """A unique folder name for each name of a recording."""
     found: list[str] = []
     for name in names:
         plain_name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "recording"

@@ -1,4 +1,4 @@
-"""What a run may be resumed with: its own folder, and its own experiment or a longer one."""
+"""Checks for resuming a run: same folder, and the same experiment or a longer one."""
 
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,10 @@ from posegsa.settings.violations import Refused, Violation, violations_error
 
 
 def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool) -> Path:
-    """The folder of the run to go on with, if `tune`'s arguments make sense together.
+    """The folder of the run to resume, after checking that the arguments of `tune` fit together.
 
     Raises:
-        ArgumentError: They don't.
+        ArgumentError: They do not.
         RunFolderError: There is no such folder.
     """
     folder = as_path("resume", resume)
@@ -35,7 +35,7 @@ def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool
 
 
 def finished_result(folder: Path, experiment: config.Experiment) -> TuneResult | None:
-    """The result of this experiment, if the folder has it."""
+    """The result of this experiment, if it is in the folder."""
     try:
         result = load(folder)
     except RunFolderError:
@@ -45,7 +45,7 @@ def finished_result(folder: Path, experiment: config.Experiment) -> TuneResult |
 
 
 def check_same_recordings(stored: RecordedTask | None, asked: RecordedTask, folder: Path) -> None:
-    """Raise an ArgumentError unless a run was tuned on these recordings, and for the same."""
+    """Raise an ArgumentError unless a run was tuned on these recordings with these arguments."""
     if stored is None:
         refuse(f"recordings with resume = {folder}", "none: the run is on simulated scenarios")
     for name in ("schedule", "position_weight"):
@@ -65,7 +65,7 @@ def check_same_recordings(stored: RecordedTask | None, asked: RecordedTask, fold
 def finished_on_recordings(
     folder: Path, experiment: config.Experiment, task: RecordedTask
 ) -> RecordingResult | None:
-    """The result of this experiment on these recordings, if the folder has it."""
+    """The result of this experiment on these recordings, if it is in the folder."""
     try:
         result = load_recorded(folder)
     except RunFolderError:
@@ -78,12 +78,12 @@ def finished_on_recordings(
 
 
 def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) -> config.Experiment:
-    """The experiment to go on with: the stored one, with what may change as it is asked for.
+    """The experiment to resume: the stored one with the allowed changes.
 
-    That is when checkpoints are made, and more iterations, as the optimiser allows them.
+    Allowed are another [checkpoint] and, if the optimiser supports it, more iterations.
 
     Raises:
-        ConfigError: They differ in anything else, or fewer iterations are asked for; names it.
+        ConfigError: Something else differs, or there are fewer iterations; names it.
     """
     have, want = (
         _leaves(one.model_dump(mode="json", exclude={"search", "checkpoint"}))
@@ -107,6 +107,6 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
 
 
 def _leaves(data: dict[str, Any]) -> dict[str, Any]:
-    """Every value of nested plain data, by its dotted path."""
+    """The values of nested plain data by their dotted paths."""
     leaves = jax.tree_util.tree_leaves_with_path(data)
     return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}

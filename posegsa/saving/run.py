@@ -36,26 +36,25 @@ from posegsa.saving.folder import (
 from posegsa.saving.records import from_csv, from_json, to_csv, to_json
 
 SCHEMA = 4
-"""Number of the layout of result.json and evaluation.json; it changes with their records."""
+"""Version of the format of result.json and evaluation.json."""
 
 EVALUATION, TABLE, REPORT = "evaluation.json", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
 RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
-RUN_FILES = [RESULT, EVALUATION, TABLE, REPORT, HISTORY, TRAJECTORY, *RUN_FIGURES]
-"""All that a finished run's folder may hold beside checkpoints."""
+FILES = (REPORT, RESULT, EVALUATION, TABLE, HISTORY, TRAJECTORY)
+RUN_FILES = [*FILES, *RUN_FIGURES]
+"""All files of a finished run except checkpoints."""
 MAX_ROW = 2**10
-"""Size up to which trajectory.csv is read for each sample of its run, if that is more: a row has 26
-numbers of at most 25 characters."""
-
+"""Maximum size of a row of trajectory.csv: it has 26 numbers of at most 25 characters."""
 
 _ELSEWHERE = ("evaluation", "history", "trajectory")
-"""The fields of a result that have a file of their own."""
+"""The fields of a result that are stored in separate files."""
 _TYPES = get_type_hints(TuneResult, include_extras=True)
 _StoredResult: Any = make_dataclass(
     "StoredResult", [(name, kind) for name, kind in _TYPES.items() if name not in _ELSEWHERE]
 )
-"""The fields of a result that result.json holds."""
+"""The fields of a result that are stored in result.json."""
 
 
 def save(

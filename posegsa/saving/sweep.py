@@ -1,11 +1,11 @@
-"""The folder of a sweep: a file for each run, written when it is done, and what they come to.
+"""The folder of a sweep: a file for each finished run, with tables and figures of all runs.
 
-    runs/*.json               one run each, named after its experiment; nothing else is read
+    runs/*.json               one run each, named after its experiment; only these are read
     sweep.txt, sweep.csv      the settings, over seeds
-    runs.csv                  the runs one by one
-    figures/*.png             one for each key that is varied
+    runs.csv                  the single runs
+    figures/*.png             one for each varied key
 
-Several processes may write runs to one folder at once, as no two runs have the same file.
+Several processes may write to one folder at once, because each run has its own file.
 """
 
 import shutil
@@ -30,16 +30,17 @@ from posegsa.saving.folder import (
 from posegsa.saving.records import from_json, to_json
 
 SCHEMA = 1
-"""Number of the layout of a run's file; it changes with its record."""
+"""Version of the format of a run's file."""
 RUNS = "runs"
 TABLE, DATA, EACH = "sweep.txt", "sweep.csv", "runs.csv"
+FILES = (TABLE, DATA, EACH)
 
 
 def stored_runs(folder: Path) -> list[SweepRun]:
-    """The runs that a folder holds; none where there is no such folder.
+    """The runs in a folder; none if there is no such folder.
 
     Raises:
-        RunFolderError: One is damaged, of another layout or name, or they are not of one sweep.
+        RunFolderError: One is damaged or has another format or name, or they are not of one sweep.
     """
     runs = [_read(path) for path in sorted((folder / RUNS).glob("*.json"))]
     for run in runs:
@@ -60,7 +61,7 @@ def _read(path: Path) -> SweepRun:
 
 
 def _refuse_another(folder: Path, run: SweepRun, base: Experiment, keys: list[str]) -> None:
-    """Raise a RunFolderError unless a run in a folder is of this sweep."""
+    """Raise a RunFolderError unless a run in a folder belongs to this sweep."""
     if list(run.values) != keys:
         found, needed = (", ".join(names) for names in (run.values, keys))
         raise RunFolderError(f"{folder}: holds a sweep over {found}; needed: over {needed}")
@@ -74,7 +75,7 @@ def _refuse_another(folder: Path, run: SweepRun, base: Experiment, keys: list[st
 def prepare_sweep_folder(
     folder: Path, base: Experiment, keys: list[str], *, overwrite: bool = False
 ) -> list[SweepRun]:
-    """Make the folder of a sweep if it is missing; the runs that it holds already.
+    """Create the folder of a sweep if it is missing; the runs that it contains already.
 
     Args:
         folder: Where.
@@ -83,7 +84,7 @@ def prepare_sweep_folder(
         overwrite: Remove the runs of another sweep.
 
     Raises:
-        RunFolderError: It can't be written, or holds another sweep.
+        RunFolderError: It cannot be written, or contains another sweep.
     """
     with write_errors(folder):
         (folder / RUNS).mkdir(parents=True, exist_ok=True)
@@ -105,7 +106,7 @@ def write_sweep_run(folder: Path, run: SweepRun) -> None:
     """Write one run of a sweep to its folder.
 
     Raises:
-        RunFolderError: It can't be written.
+        RunFolderError: It cannot be written.
     """
     with write_errors(folder):
         path = folder / RUNS / f"{run_name(run.experiment)}.json"
@@ -116,7 +117,7 @@ def write_sweep(folder: Path, sweep: Sweep) -> None:
     """Write tables and figures of a sweep.
 
     Raises:
-        RunFolderError: They can't be written.
+        RunFolderError: They cannot be written.
     """
     texts = {TABLE: sweep.table() + "\n", DATA: sweep.csv(), EACH: sweep.runs_csv()}
     files = {name: text.encode() for name, text in texts.items()}
@@ -127,10 +128,10 @@ def write_sweep(folder: Path, sweep: Sweep) -> None:
 
 
 def load_sweep(folder: str | Path) -> Sweep:
-    """The sweep that a folder holds, finished or not.
+    """The sweep in a folder, finished or not.
 
     Raises:
-        RunFolderError: It holds none, or a file is damaged; names it, and the field.
+        RunFolderError: There is none, or a file is damaged; names the file and the field.
     """
     path = as_path("folder", folder)
     runs = stored_runs(path)
@@ -140,14 +141,14 @@ def load_sweep(folder: str | Path) -> Sweep:
 
 
 def merge_sweeps(folders: Iterable[str | Path], out: str | Path | None = None) -> Sweep:
-    """All runs of several folders of one sweep, such as its shards, with tables and figures.
+    """Merge the runs of several folders of one sweep, such as its shards; write tables and figures.
 
     Args:
-        folders: Where the runs are; a run that is in several of them counts once.
-        out: Where all runs, tables and figures are written; by default the first of the folders.
+        folders: Where the runs are; a run that is in several folders counts once.
+        out: Where all runs, tables and figures are written; by default the first folder.
 
     Raises:
-        RunFolderError: A folder holds no runs or those of another sweep, or `out` can't be written.
+        RunFolderError: A folder has no runs or those of another sweep, or `out` cannot be written.
     """
     given = [as_path("folder", folder) for folder in folders]
     if not given:
@@ -168,7 +169,7 @@ def merge_sweeps(folders: Iterable[str | Path], out: str | Path | None = None) -
 
 
 def in_order(runs: Iterable[SweepRun]) -> list[SweepRun]:
-    """Runs by their values, numbers by size and words by letters, then by seed."""
+    """Runs sorted by their values, numbers by size and words alphabetically, then by seed."""
 
     def rank(run: SweepRun) -> list[tuple[bool, float, str]]:
         values = [*run.values.values(), run.seed]

@@ -3,8 +3,7 @@
 import math
 import warnings
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,22 +15,22 @@ from jax.typing import DTypeLike
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
+from posegsa.filters.base import Filter, samples_of
+from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.cost import CostWeights
-from posegsa.model.family import Family, Occasions, draw_with_noise
-from posegsa.model.filter import FilterSettings, VectorBias, initial_state
+from posegsa.model.estimate import initial_state
+from posegsa.model.family import Family, Occasions, realise
 from posegsa.model.fuzzy import Rules
-from posegsa.model.rollout import Samples, samples_of
-from posegsa.model.scenario import Bursts, Scenario, Sines, Underway, sense_onward, underway
+from posegsa.model.scenario import Bursts, Scenario, Sines
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
 from posegsa.search.candidates import Schedules, SearchSpace
-from posegsa.search.equal_pieces import piece
+from posegsa.search.groups import in_groups, padded
 from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost
-from posegsa.stored_programs import stored
 
 
 class TuningProblem(NamedTuple):
@@ -95,88 +94,60 @@ def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch
     )
 
 
-DRAWN, PIECE = 16, 1024
-"""Scenarios and samples that are made at once, however many are wanted, so that one program makes
-those of every length."""
-
-
-def scenario_batch(experiment: config.Experiment, one: Scenario, keys: Array) -> ScenarioBatch:
+def scenario_batch(
+    experiment: config.Experiment, one: Scenario, keys: Array, filter: Filter | None = None
+) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
-    On the host, where taking some of the scenarios compiles nothing.
+    On the host, where taking some of the scenarios compiles nothing. They are made ready for a
+    filter, by default the experiment's own.
 
     Raises:
         ArgumentError: There are no keys, or they are another generator's.
     """
     dtype = jnp.dtype(experiment.run.dtype)
-    settings, drawn_from = filter_settings(experiment), family(experiment, dtype)
+    filter, drawn_from = filter or observer(experiment), family(experiment, dtype)
     words, count = np.asarray(jax.random.key_data(keys)), len(keys)
     if words.shape != (count, 2) or not count:
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
-    parts, samples = [], None
-    for first in range(0, count, DRAWN):
-        some = piece(words, first, DRAWN)
-        drawn, of_noise, at, kept = _drawn(replace(one, samples=PIECE), drawn_from, settings, some)
-        for start in range(0, one.samples, PIECE):
-            last = np.int32(min(PIECE, one.samples - start) - 1)
-            made, bias, at = _sensed(drawn, settings, of_noise, at, last)
-            made = jax.device_get(made)
-            if samples is None:  # all at once, as they may take most of the memory
-                samples = jax.tree.map(lambda a: np.empty((count, one.samples), a.dtype), made)
-            jax.tree.map(partial(_put, first=first, start=start), samples, made)
-        parts.append(jax.device_get(kept | {"bias": bias}))
-    kept = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    samples = one.samples
+    longer = replace(one, samples=padded(samples))
+
+    def some(index: np.ndarray) -> dict[str, Any]:
+        made = _drawn(longer, drawn_from, filter, words[index], np.int32(samples - 1))
+        return made | {"samples": jax.tree.map(lambda a: a[:, :samples], made["samples"])}
+
+    drawn = in_groups(some, count, longer.samples)
     if experiment.family.duration == "off":
-        kept["end"] = None
+        drawn["end"] = None
     return ScenarioBatch(
-        **kept,
-        samples=cast(Samples, samples),
-        weights=cost_weights(experiment.cost, one.samples, dtype),
-        settings=settings,
-        signal=signal_settings(experiment.gain, dtype),
+        **drawn, weights=cost_weights(experiment.cost, samples, dtype), filter=filter
     )
 
 
-def _put(whole: np.ndarray, part: np.ndarray, first: int, start: int) -> None:
-    """Write what is wanted of a part into the whole (S, N), at a scenario and a sample."""
-    place = whole[first : first + len(part), start : start + part.shape[1]]
-    place[:] = part[: place.shape[0], : place.shape[1]]
-
-
-@stored
+@jax.jit
 def _drawn(
-    scenario: Scenario, family: Family, settings: FilterSettings, keys: np.ndarray
-) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
-    """The scenarios of keys' data (S, 2), their noise's keys, and what is kept but the samples."""
+    scenario: Scenario, family: Family, filter: Filter, keys: Array, last: Array
+) -> dict[str, Any]:
+    """What a batch has of the scenarios of keys' data (S, 2), each with b at its `last` sample."""
 
-    def draw(key: Array) -> tuple[Scenario, Array, Underway, dict[str, Any]]:
-        drawn, of_noise = draw_with_noise(scenario, family, wrap_key_data(key, impl=GENERATOR))
-        initial = initial_state(
-            drawn.rotation_estimate,
-            drawn.position_estimate,
-            drawn.bias_estimate,
-            learnt_vectors=0 if settings.vector_bias is None else scenario.vectors.shape[0],
-        )
-        kept = {"initial": initial, "vector_bias": drawn.vector_bias, "end": drawn.end}
-        return drawn, of_noise, underway(drawn), kept
-
-    return jax.vmap(draw)(jnp.asarray(keys))
-
-
-@stored
-def _sensed(
-    scenarios: Scenario, settings: FilterSettings, keys: Array, at: Underway, last: np.int32
-) -> tuple[Samples, Array, Underway]:
-    """The next PIECE samples of each of S scenarios, and b at the one that is the `last` wanted."""
-
-    def sense(one: Scenario, key: Array, at: Underway) -> tuple[Samples, Array, Underway]:
-        truth, sensed, after = sense_onward(one, at, one.samples, key)
+    def draw(key: Array) -> dict[str, Any]:
+        drawn, truth, sensed = realise(scenario, family, wrap_key_data(key, impl=GENERATOR))
         samples = samples_of(
-            sensed.measurements, settings.vectors, truth.rotation, truth.position, truth.time
+            filter, sensed.measurements, truth.rotation, truth.position, truth.time
         )
-        return samples, sensed.bias[last], after
+        initial = initial_state(
+            drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate
+        )
+        return {
+            "samples": samples,
+            "initial": initial,
+            "bias": sensed.bias[last],
+            "vector_bias": drawn.vector_bias,
+            "end": drawn.end,
+        }
 
-    return jax.vmap(sense)(scenarios, keys, at)
+    return jax.vmap(draw)(keys)
 
 
 def _array(values: Any, dtype: DTypeLike) -> Array:
@@ -351,6 +322,15 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
         else None,
+    )
+
+
+def observer(experiment: config.Experiment) -> Observer:
+    """The observer that an experiment configures, without the schedule that is searched."""
+    return Observer(
+        schedule=None,
+        settings=filter_settings(experiment),
+        signal=signal_settings(experiment.gain, jnp.dtype(experiment.run.dtype)),
     )
 
 

@@ -2,98 +2,47 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from jax.typing import DTypeLike
 
-from posegsa.model.filter import FilterSettings
+from posegsa.filters.base import Filter
 from posegsa.model.schedules import GainSchedule
-from posegsa.model.signal import SignalSettings
 from posegsa.optimisers import Box
+
+FilterT = TypeVar("FilterT", bound=Filter)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidate:
-    """A gain schedule, and what it needs of the filter and its signal that others need not share.
+    """What one filter of a search has of its own; all else it shares with the others.
 
     Its leaves have no leading axis, or one of A candidates.
     """
 
-    schedule: GainSchedule
+    schedule: GainSchedule | None = None
+    """Of the gain; None where the filter has none."""
     values: tuple[Array, ...] = ()
     """Further numbers that were tuned, each in the unit of its key."""
     keys: tuple[str, ...] = field(default=(), metadata={"static": True})
-    """Their keys in the configuration (`config.tunable`)."""
+    """Their keys (`Filter.with_values`)."""
 
     def values_by_key(self) -> dict[str, float]:
         """The further numbers by key, of one candidate."""
         return {key: float(value) for key, value in zip(self.keys, self.values, strict=True)}
 
-    def applied(
-        self, settings: FilterSettings, signal: SignalSettings
-    ) -> tuple[FilterSettings, SignalSettings]:
-        """The settings of filter and signal with its own numbers in them (pure, jittable)."""
-        for key, value in zip(self.keys, self.values, strict=True):
-            settings, signal = _with_value(settings, signal, key, value)
-        return settings, signal
-
-
-def _with_value(
-    settings: FilterSettings, signal: SignalSettings, key: str, value: Array
-) -> tuple[FilterSettings, SignalSettings]:
-    """Settings with the number of one key of the configuration replaced."""
-    match key.split("."):
-        case ["gain", name]:
-            return settings, replace(signal, **{name: value})
-        case ["filter", "gamma"]:
-            return replace(settings, gamma_angular=value, gamma_linear=value), signal
-        case ["filter", "gamma", "0"]:
-            return replace(settings, gamma_angular=value), signal
-        case ["filter", "gamma", "1"]:
-            return replace(settings, gamma_linear=value), signal
-        case ["filter", "bias_bound", "0"]:
-            return replace(settings, per_angular_bias_bound=1 / value**2), signal
-        case ["filter", "bias_bound", "1"]:
-            return replace(settings, per_linear_bias_bound=1 / value**2), signal
-        case ["filter", "length"]:
-            return replace(settings, length=value), signal
-        case ["filter", "gain_limit"]:
-            return replace(settings, gain_limit=value), signal
-        case ["filter", "cross_vector_weight"]:
-            return replace(settings, vectors=replace(settings.vectors, cross_weight=value)), signal
-        case ["scenario", "vectors", index, "weight"]:
-            weights = _with_weight(settings.vectors.weights, index, value)
-            return replace(settings, vectors=replace(settings.vectors, weights=weights)), signal
-        case ["scenario", "landmarks", index, "weight"]:
-            weights = _with_weight(settings.landmark_weights, index, value)
-            return replace(settings, landmark_weights=weights), signal
-        case ["filter", name] if settings.vector_bias is not None:
-            field, number = _OF_VECTOR_BIAS[name](value)
-            learning = replace(settings.vector_bias, **{field: number})
-            return replace(settings, vector_bias=learning), signal
-    raise ValueError(f"{key}: is no tunable number of this filter")
-
-
-_OF_VECTOR_BIAS: dict[str, Callable[[Array], tuple[str, Array]]] = {
-    "vector_bias_gain": lambda gain: ("gain", gain),
-    "vector_bias_leak": lambda leak: ("leak", leak),
-    "vector_bias_bound": lambda bound: ("per_bound", 1 / bound**2),
-    "excitation": lambda turning: ("per_turning", 1 / turning**4),
-    "excitation_time": lambda time: ("excitation_time", time),
-}
-"""The field of `model.filter.VectorBias` that a key of [filter] sets, and to what."""
-
-
-def _with_weight(
-    weights: tuple[Array, ...] | None, index: str, value: Array
-) -> tuple[Array, ...] | None:
-    assert weights is not None  # settings that come from a configuration have them all
-    return tuple(value if i == int(index) else weight for i, weight in enumerate(weights))
+    def applied(self, shared: FilterT) -> FilterT:
+        """The filter with this candidate's schedule and numbers (pure, jittable)."""
+        own = shared.with_values(dict(zip(self.keys, self.values, strict=True)))
+        if self.schedule is None:
+            return own
+        return replace(cast(Any, own), schedule=self.schedule)
 
 
 class ScheduleSpace(Protocol):
@@ -109,8 +58,8 @@ class ScheduleSpace(Protocol):
         """(d,)."""
         ...
 
-    def schedule(self, vector: Array) -> GainSchedule:
-        """The schedule of a vector (d,) (pure, jittable)."""
+    def schedule(self, vector: Array) -> GainSchedule | None:
+        """The schedule of a vector (d,) (pure, jittable); None of a filter without one."""
         ...
 
     def valid(self, vector: Array) -> Array:
@@ -170,10 +119,10 @@ class SimpleSpace:
     """(d,)"""
     upper: Array
     """(d,)"""
-    make: Callable[[Array], GainSchedule] = field(metadata={"static": True})
+    make: Callable[[Array], GainSchedule | None] = field(metadata={"static": True})
     """Maps a vector (d,) to the schedule."""
 
-    def schedule(self, vector: Array) -> GainSchedule:
+    def schedule(self, vector: Array) -> GainSchedule | None:
         """The schedule of a vector (d,)."""
         return self.make(vector)
 
@@ -181,3 +130,13 @@ class SimpleSpace:
         """All are."""
         del vector
         return jnp.asarray(True)
+
+
+def without_schedule(dtype: DTypeLike) -> SimpleSpace:
+    """The space of a filter that has no schedule: only its own numbers are searched."""
+    none = jnp.zeros(0, dtype)
+    return SimpleSpace(none, none, _no_schedule)
+
+
+def _no_schedule(vector: Array) -> None:
+    del vector

@@ -6,20 +6,20 @@ an ordinary function, not a compiled one: a second for a candidate on a few minu
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from posegsa import steps
 from posegsa.config.imu import ImuConfig, ImuVectorsConfig
 from posegsa.optimisers import box, minimise
 from posegsa.optimisers.loop import Search
 from posegsa.recordings.accuracy import recording_errors
 from posegsa.recordings.imu import ImuRecording, with_vectors
 from posegsa.recordings.imu_filter import run_imu
-from posegsa.search.run import Progress
 
 
 class FoundImu(NamedTuple):
@@ -35,19 +35,13 @@ class FoundImu(NamedTuple):
     seconds: float
 
 
-def search_imu(
-    config: ImuConfig,
-    recordings: Sequence[ImuRecording],
-    seed: int,
-    progress: Callable[[Progress], object] | None = None,
-) -> FoundImu:
+def search_imu(config: ImuConfig, recordings: Sequence[ImuRecording], seed: int) -> FoundImu:
     """Search the numbers that a filter's `parameters.also` names.
 
     Args:
         config: The filter, what is searched and how.
         recordings: At least one, each with a truth.
         seed: Of the search.
-        progress: Called before the search, and after each iteration.
     """
     lower, upper = (np.array([getattr(one, end) for one in config.also]) for end in _ENDS)
     by_logarithm = np.array([one.scale == "logarithmic" for one in config.also])
@@ -73,8 +67,7 @@ def search_imu(
     begun, iterations = time.monotonic(), config.search.total_iterations
 
     def tell(iteration: int, best: float) -> None:
-        if progress is not None:
-            progress(Progress(iteration, iterations, best, time.monotonic() - begun))
+        steps.tell(steps.Step("searching", iteration, iterations, best_cost=best))
 
     def after(search: Search) -> None:
         tell(int(search.iteration), min(before, float(search.best_cost)))

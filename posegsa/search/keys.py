@@ -1,5 +1,6 @@
 """Random keys, named by use."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,6 @@ import jax.numpy as jnp
 from jax import Array, random
 
 from posegsa.arguments import check_whole
-from posegsa.stored_programs import stored
 
 GENERATOR = "threefry2x32"
 """Of random numbers, whatever JAX's default one is."""
@@ -24,8 +24,6 @@ class Keys(NamedTuple):
     """Of the scenarios that only judge."""
     validation: Array
     """Of the scenarios that choices between configurations are made on."""
-    open_loop: Array
-    """Not used any more; it keeps the numbers of those after it."""
     baselines: Array
     """Of the searches for the baselines."""
     endurance: Array
@@ -33,16 +31,27 @@ class Keys(NamedTuple):
 
 
 def keys(seed: int) -> Keys:
-    """The keys of a seed. A use added at the end changes none of those before it."""
+    """The keys of a seed, each by the number of its use."""
     return _for_uses(random.key(seed, impl=GENERATOR))
 
 
-@stored
+@jax.jit
 def _for_uses(root: Array) -> Keys:
-    return Keys(*(random.fold_in(root, use) for use in range(len(Keys._fields))))
+    return Keys(**{name: random.fold_in(root, use) for name, use in _USES.items()})
 
 
-@stored(static_argnums=(1,))
+_USES = {
+    "search": 0,
+    "training": 1,
+    "held_out": 2,
+    "validation": 3,
+    "baselines": 5,
+    "endurance": 6,
+}
+"""The number of each use, which never changes; 4 was another's."""
+
+
+@partial(jax.jit, static_argnums=(1,))
 def scenario_keys(key: Array, count: int) -> Array:
     """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
     return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))

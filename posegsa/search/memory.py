@@ -21,8 +21,8 @@ RECORDINGS = "recordings"
 PER_AGENT = 100
 """Numbers that one agent's simulation keeps on one scenario; measured: 92."""
 
-_MEMORY = Path("/proc/meminfo")
-_GROUP = Path("/sys/fs/cgroup")
+MEMINFO = Path("/proc/meminfo")
+CGROUP = Path("/sys/fs/cgroup")
 
 
 class RecordedSize(NamedTuple):
@@ -141,13 +141,13 @@ def available() -> int | None:
             return int(stats["bytes_limit"]) - int(stats.get("bytes_in_use", 0))
     found = []
     with suppress(OSError, ValueError):
-        found.append(1024 * _entry(_MEMORY, "MemAvailable:"))
+        found.append(1024 * _entry(MEMINFO, "MemAvailable:"))
     with suppress(OSError, ValueError):  # "max" is no number: no limit
-        limit = int((_GROUP / "memory.max").read_text("ascii"))
-        used = int((_GROUP / "memory.current").read_text("ascii"))
+        limit = int((CGROUP / "memory.max").read_text("ascii"))
+        used = int((CGROUP / "memory.current").read_text("ascii"))
         with suppress(OSError, ValueError):
             # Files that nobody has read for a while: the system drops them where memory is short.
-            used -= _entry(_GROUP / "memory.stat", "inactive_file")
+            used -= _entry(CGROUP / "memory.stat", "inactive_file")
         found.append(limit - used)
     return min(found, default=None)
 

@@ -27,7 +27,6 @@ from posegsa.errors import FuzzyError
 from posegsa.model.elementwise import choose
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 from posegsa.model.schedules import FuzzyGain, SearchedRulesGain
-from posegsa.stored_programs import stored
 
 HALF, WHOLE = len(PARAMETERS) // 2, len(PARAMETERS)
 """How many of the k's shape the input terms, and how many there are."""
@@ -165,7 +164,7 @@ NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
 """Stands where a controller needs a table that nobody looks at."""
 
 
-@stored
+@jax.jit
 def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
     # Number by number: where XLA:CPU makes one function of a whole search, a small one, it computes
     # what stands before the elements of an array are joined anew for each use. That is three to the

@@ -11,18 +11,16 @@ from jax import Array, lax
 
 from posegsa.arguments import refuse
 from posegsa.config import ObjectiveConfig
-from posegsa.model.cost import CostWeights, RecordedCost
-from posegsa.model.filter import FilterSettings, FilterState
-from posegsa.model.rollout import (
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.rollout import (
     ErrorTrack,
-    Samples,
     simulate_cost,
     simulate_errors,
     simulate_recorded_cost,
 )
-from posegsa.model.signal import SignalSettings
+from posegsa.model.cost import CostWeights, RecordedCost
+from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate, SearchSpace
-from posegsa.stored_programs import stored
 
 MEAN = ObjectiveConfig(name="mean")
 
@@ -61,7 +59,7 @@ def check_same_cost(cost: TrackCost | None, stored: str) -> None:
 
 
 class ScenarioBatch(NamedTuple):
-    """All that the cost of a schedule depends on, for S scenarios."""
+    """All that the cost of a filter depends on, for S scenarios."""
 
     samples: Samples
     """Leaves (S, N)."""
@@ -74,8 +72,8 @@ class ScenarioBatch(NamedTuple):
     end: Array | None
     """(S,) time from which on nothing counts [s]; None where all of every scenario does."""
     weights: CostWeights
-    settings: FilterSettings
-    signal: SignalSettings
+    filter: Filter
+    """What all candidates share of the filter."""
     recorded: RecordedCost | None = None
     """Leaves (S, ...): the cost where the scenarios are recordings; None where they are not."""
 
@@ -183,17 +181,13 @@ def agent_costs(
             weights = batch.weights.until(samples.time, end)
 
             def agent(one: Candidate) -> Array:
-                settings, signal = one.applied(batch.settings, batch.signal)
+                # Made here, so that only what a candidate has of its own is batched over agents.
+                filter = one.applied(batch.filter)
                 if cost is not None:
-                    track = simulate_errors(one.schedule, samples, initial, settings, signal)
-                    return cost(track, samples.time)
+                    return cost(simulate_errors(filter, samples, initial), samples.time)
                 if recorded is not None:
-                    return simulate_recorded_cost(
-                        one.schedule, samples, initial, recorded, settings, signal
-                    )
-                return simulate_cost(
-                    one.schedule, samples, initial, weights, settings, signal
-                ).total
+                    return simulate_recorded_cost(filter, samples, initial, recorded)
+                return simulate_cost(filter, samples, initial, weights).total
 
             return jax.vmap(agent)(some)
 
@@ -286,5 +280,5 @@ def costs_of_agents(
     return jnp.where(jax.vmap(space.valid)(vectors), together, jnp.inf)
 
 
-costs_by_scenario = stored(agent_costs, static_argnums=(2, 3))
+costs_by_scenario = jax.jit(agent_costs, static_argnums=(2, 3))
 evaluate_population = jax.jit(population_costs, static_argnames=("objective", "axis", "cost"))

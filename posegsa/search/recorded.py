@@ -20,10 +20,11 @@ from jax import Array
 from posegsa import config
 from posegsa.config.schedule import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
+from posegsa.filters.base import Filter, Samples, samples_of
+from posegsa.filters.observer import FilterSettings
 from posegsa.model.cost import CostWeights, RecordedCost
-from posegsa.model.filter import FilterSettings, FilterState
+from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Samples, samples_of
 from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain
 from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.recording import Recording
@@ -34,15 +35,14 @@ from posegsa.search.build import (
     TuningProblem,
     all_scenarios,
     filter_settings,
+    observer,
     parameter_space,
     scenario,
     search_space,
-    signal_settings,
 )
 from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.recorded_schedules import RecordedSchedule
-from posegsa.stored_programs import stored
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
@@ -244,22 +244,24 @@ def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:
 
 
 def recorded_batch(
-    experiment: config.Experiment, recordings: Sequence[Recording], position_weight: float
+    experiment: config.Experiment,
+    recordings: Sequence[Recording],
+    position_weight: float,
+    filter: Filter | None = None,
 ) -> ScenarioBatch:
-    """Recordings as S scenarios, at an experiment's dtype."""
+    """Recordings as S scenarios, at an experiment's dtype, for a filter, by default its own."""
     dtype = jnp.dtype(experiment.run.dtype)
     most = _most_sensors(recordings)
-    settings = settings_on(experiment, *most)
+    filter = filter or replace(observer(experiment), settings=settings_on(experiment, *most))
     length = max(one.samples for one in recordings)
     filled = [_filled(one, length, *most, position_weight) for one in recordings]
     together: dict[str, Any] = jax.tree.map(
         lambda *leaves: jnp.asarray(np.stack(leaves), dtype), *filled
     )
     samples = _prepared(
-        together["measurements"], together["rotation"], together["position"], settings
+        together["measurements"], together["rotation"], together["position"], filter
     )
-    learnt = 0 if settings.vector_bias is None else most[0]
-    starts: list[FilterState] = [state_of(one.initial(), learnt) for one in recordings]
+    starts: list[FilterState] = [state_of(one.initial()) for one in recordings]
     initial = jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(dtype), *starts)
     count, nothing = len(recordings), jnp.zeros((), dtype)
     return ScenarioBatch(
@@ -269,18 +271,17 @@ def recorded_batch(
         vector_bias=jnp.zeros((count, most[0], 3), dtype),
         end=None,
         weights=CostWeights(nothing, nothing, nothing > 0, nothing),
-        settings=settings,
-        signal=signal_settings(experiment.gain, dtype),
+        filter=filter,
         recorded=together["cost"],
     )
 
 
-@stored
+@jax.jit
 def _prepared(
-    measurements: Measurements, rotation: Array, position: Array, settings: FilterSettings
+    measurements: Measurements, rotation: Array, position: Array, filter: Filter
 ) -> Samples:
     def one(m: Measurements, R: Array, P: Array) -> Samples:
-        return samples_of(m, settings.vectors, R, P)
+        return samples_of(filter, m, R, P)
 
     return jax.vmap(one)(measurements, rotation, position)
 

@@ -24,12 +24,10 @@ from posegsa.optimisers import (
     start,
 )
 from posegsa.optimisers.driver import CHUNKS, Runner
-from posegsa.optimisers.loop import advance
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
-from posegsa.search.large_populations import PiecewiseCosts, is_large, most_work, work
 from posegsa.search.objective import SearchObjective, packed_batch
 from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
@@ -39,7 +37,7 @@ LONGEST_CHUNK = 2.0
 
 
 class Progress(NamedTuple):
-    """What a progress callback is told."""
+    """Where a search stands."""
 
     iteration: int
     """Iterations done."""
@@ -49,22 +47,22 @@ class Progress(NamedTuple):
     """Best cost so far, of a batch the lowest; infinite before any finite one."""
     seconds: float
     """Time since the search began or went on, compiling not counted."""
-    share: float = 0.0
-    """Share of the next iteration that is done, where it goes in pieces."""
+
+
+def tell_search(progress: Progress) -> None:
+    """Tell how far a search is that is a step of its own (`posegsa.steps`)."""
+    done, parts = progress.iteration, progress.iterations
+    steps.tell(steps.Step("searching", done, parts, best_cost=progress.best_cost))
 
 
 def tell_share(progress: Progress) -> None:
     """Tell how far a search is that is a part of something longer (`posegsa.steps`)."""
-    steps.share((progress.iteration + progress.share) / progress.iterations)
+    steps.share(progress.iteration / progress.iterations)
 
 
-Keep = Callable[[Search, float, float], object]
-"""Told the search before it begins and after each chunk, with the time that this process has
+AfterChunk = Callable[[Search, float, float], object]
+"""Called with the search before it begins and after each chunk, with the time that this process has
 searched and compiled [s]; what it raises stops the search."""
-
-
-Told = Callable[[float], object]
-"""Told what share of an iteration is done, where it goes in pieces."""
 
 
 class Found(NamedTuple):
@@ -76,36 +74,23 @@ class Found(NamedTuple):
 
 
 def run_timed(
-    make: Callable[[Told], Runner],
+    run: Runner,
     search: Search,
     iterations: int,
     progress: Callable[[Progress], object] | None,
-    keep: Keep | None = None,
-    pause: Callable[[], object] | None = None,
-    *,
-    piecewise: bool = False,
+    after_chunk: AfterChunk | None = None,
 ) -> Found:
     """Compile a search, run it in chunks from where it stands, and time both.
 
     Args:
-        make: Makes what takes the search on, or where it is there already only compiles.
+        run: Takes the search on; where it is there already, it only compiles.
         search: Where to begin; or R searches, leaves (R, ...).
         iterations: Where to end.
-        progress: As `tune`'s.
-        keep: Looks at the search on its way, such as to save it.
-        pause: Called between the pieces of an iteration; what it raises stops the search there.
-        piecewise: Its iterations have pieces, so that each is a chunk of its own.
+        progress: Called when it is compiled, and after each chunk of iterations.
+        after_chunk: Sees the search on its way, to save it.
     """
-
-    def told(share: float) -> None:
-        if pause is not None:
-            pause()
-        best, seconds = float(np.min(here.best_cost)), time.monotonic() - compiled
-        tell(Progress(done, iterations, best_cost=best, seconds=seconds, share=share))
-
-    run = make(told)
-    keep, tell = keep or (lambda *_: None), progress or (lambda _: None)
-    keep(collect(search), 0.0, 0.0)
+    tell, seen = progress or (lambda _: None), after_chunk or (lambda *_: None)
+    seen(collect(search), 0.0, 0.0)
     begun = time.monotonic()
     # No iterations yet: this compiles, unless a search of this structure has run in this process.
     search = jax.block_until_ready(run(search, 0))
@@ -115,7 +100,7 @@ def run_timed(
     tell(Progress(done, iterations, best_cost=float(np.min(here.best_cost)), seconds=0.0))
     even = -(-iterations // CHUNKS)
     alone = jax.process_count() == 1  # else all must stop at the same iterations
-    fits = 1 if alone or piecewise else even  # one iteration first, to learn the pace
+    fits = 1 if alone else even  # one iteration first, to learn the pace
 
     def size(done: int) -> int:
         return min(even - done % even, fits)
@@ -126,13 +111,13 @@ def run_timed(
         best = float(np.min(here.best_cost))
         reached = Progress(stop, iterations, best_cost=best, seconds=now - compiled)
         try:
-            keep(here, now - compiled, compiled - begun)
+            seen(here, now - compiled, compiled - begun)
         except SearchInterrupted:  # these iterations are done all the same
             with contextlib.suppress(Exception):  # how to go on matters more
                 tell(reached)
             raise
         tell(reached)
-        if alone and not piecewise:
+        if alone:
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
         done, before = stop, time.monotonic()
@@ -150,57 +135,65 @@ def run_search(
     progress: Callable[[Progress], object] | None = None,
     *,
     search: Search | None = None,
-    keep: Keep | None = None,
-    pause: Callable[[], object] | None = None,
+    after_chunk: AfterChunk | None = None,
 ) -> Found:
     """Search a problem's parameter space; nothing held out is looked at.
 
     Args:
         problem: What to search.
-        progress: As `tune`'s.
+        progress: As `run_timed`'s.
         search: A search of this problem to go on with; by default a new one.
-        keep: As `run_timed`'s.
-        pause: As `run_timed`'s.
+        after_chunk: As `run_timed`'s.
     """
     optimiser, search = problem.experiment.search, search or first_search(problem)
     for phase in optimiser.phases:
         if price := phase.price(len(problem.space.box.lower)):
             warnings.warn(price, PosegsaWarning, stacklevel=2)
-    iterations, large = optimiser.total_iterations, is_large(problem)
-    if large:
-        make = partial(_in_pieces, problem)
-    elif optimiser.on_host:
+    _warn_of_long_iterations(problem)
+    if optimiser.on_host:
         costs, box = on_all_devices(problem), problem.space.box
-        make = partial(_whole, runner(optimiser, costs, box, python_objective=True))
+        run = runner(optimiser, costs, box, python_objective=True)
     else:
         search, run = _on_devices(problem, search)
-        make = partial(_whole, run)
-    return run_timed(make, search, iterations, progress, keep, pause, piecewise=large)
+    return run_timed(run, search, optimiser.total_iterations, progress, after_chunk)
 
 
-def _whole(run: Runner, told: Told) -> Runner:
-    """What takes a search on in whole iterations, so that there is nothing to tell of parts."""
-    del told
-    return run
+SAMPLES_PER_SECOND = 4e7
+"""Samples of the recommended filter that two busy cores of 2.5 GHz simulate in a second."""
+LONG_ITERATION = 5.0
+"""Time of an iteration from which on it is said beforehand [s]: a signal is answered after it."""
 
 
-def _in_pieces(problem: TuningProblem, told: Told) -> Runner:
-    """What takes the search of a large population on."""
-    optimiser, box = problem.experiment.search, problem.space.box
-    costs = PiecewiseCosts(problem, *_objective(problem), told)
+def samples_per_iteration(problem: TuningProblem) -> int:
+    """Samples that an iteration simulates at most: agents x scenarios x samples."""
+    batches = [problem.training, *([] if problem.beside is None else [problem.beside])]
+    samples = sum(batch.samples.time.size for batch in batches)
+    dimensions = len(problem.space.box.lower)
+    return max(
+        # A gradient, by forward mode, takes one simulation for each dimension.
+        phase.agents * samples * (dimensions if phase.wants_gradients else 1)
+        for phase in problem.experiment.search.phases
+    )
 
-    def run(search: Search, stop: int) -> Search:
-        if stop == 0:
-            costs.compile()
-        return advance(optimiser, costs.objective, box, search, stop, between=costs.between)
 
-    return run
+def _warn_of_long_iterations(problem: TuningProblem) -> None:
+    """Say how long an iteration takes if that is long, because it can't be interrupted."""
+    samples = samples_per_iteration(problem)
+    seconds = samples / SAMPLES_PER_SECOND
+    if jax.default_backend() == "cpu" and seconds > LONG_ITERATION:
+        warnings.warn(
+            f"an iteration simulates {samples:.2g} samples (agents x scenarios x samples), some "
+            f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered, and checkpoints "
+            "written, between iterations",
+            PosegsaWarning,
+            stacklevel=3,
+        )
 
 
 def search_batch(
     problems: Sequence[TuningProblem], progress: Callable[[Progress], object] | None
 ) -> list[Found]:
-    """Search all problems in one compiled call, or one by one where that would be too much work."""
+    """Search all problems in one compiled call."""
     first = problems[0].experiment
     for name in ("search", "objective"):
         if any(getattr(problem.experiment, name) != getattr(first, name) for problem in problems):
@@ -211,10 +204,9 @@ def search_batch(
             f"search.optimiser = {optimiser.optimiser!r} can't be compiled, and so not run in a "
             "batch"
         )
+    # Of the overlaps that a larger reach adds none is there: it changes no result.
+    reach = max(problem.space.schedules.reach for problem in problems)
     try:
-        reach = max(
-            problem.space.schedules.reach for problem in problems
-        )  # more changes no bit of any
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves),
             *((problem.training, _with_reach(problem.space, reach)) for problem in problems),
@@ -226,17 +218,9 @@ def search_batch(
         ) from None
     search_keys = jnp.stack([keys(problem.experiment.run.seed).search for problem in problems])
     searches = jax.vmap(partial(start, optimiser))(space.box, search_keys)
+    searches, run = _on_devices(problems[0]._replace(training=training, space=space), searches)
+    found = run_timed(run, searches, optimiser.total_iterations, progress)
     share = len(problems)
-    large = share * work(problems[0]) > most_work() or is_large(problems[0])
-    if large:
-        alike = [one._replace(space=_with_reach(one.space, reach)) for one in problems]
-        make = partial(_one_by_one, alike)
-    else:
-        together = problems[0]._replace(training=training, space=space)
-        searches, run = _on_devices(together, searches)
-        make = partial(_whole, run)
-    iterations = optimiser.total_iterations
-    found = run_timed(make, searches, iterations, progress, piecewise=large)
     return [
         Found(
             jax.tree.map(lambda a, i=i: a[i], found.search),
@@ -257,32 +241,6 @@ def structure(problem: TuningProblem) -> Hashable:
 
 def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[ParameterSpace]:
     return replace(space, schedules=replace(space.schedules, reach=reach))
-
-
-def _one_by_one(problems: Sequence[TuningProblem], told: Told) -> Runner:
-    """What takes R searches on, leaves (R, ...), one after the other."""
-    runs = []
-    for i, problem in enumerate(problems):
-        if is_large(problem):
-            run, mesh = (
-                _in_pieces(problem, lambda share, i=i: told((i + share) / len(problems))),
-                None,
-            )
-        else:
-            _, run = _on_devices(problem, first_search(problem))
-            _, mesh = _objective(problem)
-        runs.append((run, mesh))
-
-    def run_all(searches: Search, stop: int) -> Search:
-        found = []
-        for i, (run, mesh) in enumerate(runs):
-            search = jax.tree.map(lambda a, i=i: a[i], searches)
-            found.append(collect(run(spread(search, mesh), stop)))
-            if stop > 0:
-                told((i + 1) / len(runs))
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
-
-    return run_all
 
 
 def _on_devices(problem: TuningProblem, search: Search) -> tuple[Search, Runner]:

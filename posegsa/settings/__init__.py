@@ -1,1 +1,1 @@
-"""What every settings type is made of: checked fields, and refusals in words."""
+"""The building blocks of all settings: checked fields, and error messages."""

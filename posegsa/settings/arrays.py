@@ -1,11 +1,11 @@
-"""What the numbers in a stored record may be, stated beside each of its fields.
+"""Annotations of record fields that state which numbers they may contain.
 
     training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
     position: Annotated[np.ndarray, Columns("x_m", "y_m", "z_m")]
     knots: Annotated[list[float], Numbers("knots")]
 
-pydantic reads such fields by these statements, strictly: text, true and null are no numbers. Those
-that are not finite, which JSON cannot write, are the texts that `float` reads: inf, -inf and nan.
+pydantic validates such fields strictly: text, true and null are not numbers. Infinity and NaN,
+which JSON does not have, are written as the strings "inf", "-inf" and "nan".
 """
 
 from typing import Annotated, Any, Literal
@@ -18,13 +18,13 @@ _NOT_FINITE = ("inf", "-inf", "nan")
 
 
 class Numbers:
-    """An array or list of numbers, or a single one where no length is given.
+    """An array or list of numbers, or a single number if no shape is given.
 
     Args:
-        shape: Its lengths. A length with a name is at least 1, and the same throughout a record;
-            None is any.
+        shape: Its lengths. A named length is at least 1 and the same throughout a record; None
+            allows any length.
         dtype: bool, int (64 bits) or float (64 bits).
-        allow: Which floats: finite ones, infinite ones too, or NaN too.
+        allow: Which floats: finite ones, also infinite ones, or any including NaN.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Numbers:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """How pydantic reads a field that is annotated with this: lists first, then as an array."""
+        """How pydantic reads an annotated field: as lists first, then as an array."""
         del handler
         schema: CoreSchema = core_schema.bool_schema(strict=True)
         if self.dtype is int:
@@ -60,7 +60,7 @@ class Numbers:
     def _array(self, numbers: Any, lengths: Any) -> np.ndarray:
         """Nested lists of the right type as an array, if shape and values are allowed.
 
-        `lengths` are the named ones that this record has shown so far; new ones are added.
+        `lengths` are the named lengths known so far in this record; new ones are added.
         """
         array = np.array(numbers, self.dtype)
         needed = [
@@ -80,12 +80,13 @@ class Numbers:
 
 
 class Columns(Numbers):
-    """An array over time or iterations, in a table one column or several side by side.
+    """An array over time or iterations, stored as one or several columns of a table.
 
     Args:
-        names: Their names, with units.
-        each: Each name stands for several, one for each of something: "#" in it is its number.
-        numbers: What they may hold, as of `Numbers`.
+        names: Names of the columns, with units.
+        each: There is a set of these columns for each of several things, such as vectors; "#" in a
+            name is replaced by the number of the thing.
+        numbers: Keyword arguments of `Numbers`.
     """
 
     def __init__(self, *names: str, each: bool = False, **numbers: Any) -> None:
@@ -94,7 +95,7 @@ class Columns(Numbers):
         self.names, self.each = names, each
 
     def of(self, count: int) -> list[str]:
-        """The names of all columns where there are `count` of what has some each."""
+        """The names of all columns for `count` things."""
         if not self.each:
             return list(self.names)
         return [name.replace("#", str(i)) for i in range(1, count + 1) for name in self.names]

@@ -1,4 +1,4 @@
-"""A field that holds one of several sections, told apart by a key that all of them have."""
+"""A field that is one of several sections, distinguished by a key that all of them have."""
 
 from collections.abc import Mapping
 
@@ -10,8 +10,8 @@ class Choice:
     """Marks such a field: `Annotated[Base, Choice("kind", {"this": This, "that": That})]`.
 
     Args:
-        key: The key; in each section a field that holds the section's name.
-        kinds: The sections by name. The first one is meant where a table has no such key.
+        key: The key, a field of each section that contains the section's name.
+        kinds: The sections by name. A table without the key is the first one.
     """
 
     def __init__(self, key: str, kinds: Mapping[str, type[BaseModel]]) -> None:
@@ -25,5 +25,5 @@ class Choice:
         return core_schema.no_info_before_validator_function(self._named, union)
 
     def _named(self, value: object) -> object:
-        """A table with the key."""
+        """The table with its key, by default that of the first section."""
         return {self.key: next(iter(self.kinds)), **value} if isinstance(value, Mapping) else value

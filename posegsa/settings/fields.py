@@ -1,8 +1,8 @@
-"""The types that configuration fields are made of, and the base of every section.
+"""The types of configuration fields, and the base class of all sections.
 
 Numbers are strict: `"1"` and `true` are not numbers, `1.0` is not an integer, nothing is infinite.
-All are bounded, so that nothing absurd is computed with, or allocated.
-Arrays become tuples, so that every section can be hashed, compared, and static under JAX's jit.
+All are bounded, to prevent absurd computations and allocations.
+Arrays become tuples, so sections can be hashed, compared, and static under JAX's jit.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,16 +22,16 @@ from pydantic import (
 from posegsa.settings.violations import Refused, Violation, config_error, refusal
 
 MAX_NUMBER, MIN_POSITIVE = 1e9, 1e-9
-"""Bounds of numbers: float32 holds these, and products of some of them, with room."""
+"""Bounds of numbers, chosen so that products of several of them fit into float32."""
 MAX_COUNT = 10**6
-"""Bound of counts; what all of them together need of memory is checked before a search."""
+"""Bound of counts. The memory that they need together is checked before a search."""
 MAX_SAMPLES = 10**7
 
 Number = Annotated[float, Strict(), Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 NonNegative = Annotated[float, Strict(), Field(ge=0, le=MAX_NUMBER)]
 Positive = Annotated[float, Strict(), Field(ge=MIN_POSITIVE, le=MAX_NUMBER)]
 Epsilon = Annotated[float, Strict(), Field(ge=float(np.finfo(np.float32).tiny), le=MAX_NUMBER)]
-"""What is added against division by zero: a smaller number would be 0 in float32."""
+"""A number added to avoid division by zero; smaller ones would be 0 in float32."""
 Share = Annotated[float, Strict(), Field(ge=0, le=1)]
 Count = Annotated[int, Strict(), Field(ge=1, le=MAX_COUNT)]
 Index = Annotated[int, Strict(), Field(ge=0, le=MAX_SAMPLES)]
@@ -48,15 +48,15 @@ def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 Ascending = AfterValidator(_ascending)
-"""Of a pair: its first value is not above the second."""
+"""Validates a pair: its first value is not above the second."""
 
 
 class Tunable:
     """Marks a number that a search may tune.
 
     Args:
-        name: Another field of the section, with which alone it has an effect; by default none.
-        value: What that field must be.
+        name: Another field of the section on which its effect depends; by default none.
+        value: The value of that field with which the number has an effect.
     """
 
     def __init__(self, name: str | None = None, value: object = None) -> None:
@@ -68,7 +68,7 @@ class Tunable:
 
 
 class Section(BaseModel):
-    """One table of the configuration: frozen, and closed to keys that it does not know.
+    """One table of the configuration: frozen, and without unknown keys.
 
     The docstring under each field is its description.
     """
@@ -78,7 +78,7 @@ class Section(BaseModel):
     )
 
     def described(self) -> Iterator[tuple[str, Any, str]]:
-        """Name, value as plain data and description of each field, of sections inside each key."""
+        """Name, value as plain data and description of each field, also of nested sections."""
         plain = self.model_dump(mode="json")
         for name, field in type(self).model_fields.items():
             if isinstance(section := getattr(self, name), Section):
@@ -90,13 +90,13 @@ class Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _with_numbers_of_python(cls, values: Any) -> Any:
-        """Strict fields would refuse NumPy's scalars."""
+        """Convert NumPy scalars, which strict fields refuse."""
         if not isinstance(values, Mapping):
             return values
         return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
 
     def _conflicts(self) -> Iterator[Violation]:
-        """What is wrong between the fields, each of them valid in itself."""
+        """Conflicts between fields that are valid on their own."""
         yield from ()
 
     @model_validator(mode="after")
@@ -108,13 +108,13 @@ class Section(BaseModel):
     if not TYPE_CHECKING:  # type checkers keep the signature that pydantic derives from the fields
 
         def __init__(self, /, **values: Any) -> None:
-            """Validates the values; what is wrong with them comes as a `ConfigError`."""
+            """Validate the values; a problem raises a `ConfigError`."""
             try:
                 super().__init__(**values)
             except ValidationError as error:
                 title = f"not a valid {type(self).__name__}"
                 raise config_error(title, error, type(self)) from None
 
-        # So marked, only calls from outside pass through here: pydantic validates sections inside
-        # sections directly, and what is wrong with them arrives above with its full key.
+        # With this mark pydantic validates nested sections without calling __init__, so that the
+        # outer section reports their errors with their full keys.
         __init__.__pydantic_base_init__ = True

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 
 def plain(value: Any) -> Any:
-    """The same in JSON's types; a number that is not finite becomes the text that `float` reads.
+    """The value in JSON's types; infinity and NaN become strings that `float` reads.
 
     Args:
         value: Numbers, texts, arrays, sections of a configuration, and containers of them; records
@@ -36,15 +36,15 @@ def plain(value: Any) -> Any:
 
 
 def decimal(array: np.ndarray) -> np.ndarray:
-    """Numbers of 32 bits as the shortest decimals that mean them, in float64; others as they are.
+    """Float32 numbers as the float64 nearest to their shortest decimal form; others unchanged.
 
-    So 0.01 is 0.01, and not 0.009999999776482582; at 32 bits they are, bit for bit, the same.
+    So 0.01 is written as 0.01, not as 0.009999999776482582. Converted back they are the same bits.
     """
     return array.astype(str).astype(np.float64) if array.dtype == np.float32 else array
 
 
 def json_text(value: Any, indent: str = "") -> str:
-    """Plain data as JSON, an object's keys on lines of their own, a list of numbers on one line."""
+    """Plain data as JSON with one key per line; a list of numbers is on one line."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         parts = [f"{json.dumps(key)}: {json_text(each, inner)}" for key, each in value.items()]

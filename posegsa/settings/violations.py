@@ -1,7 +1,7 @@
-"""What is wrong with a configuration: the key, the value, what is allowed.
+"""Messages for invalid configurations: the key, the value, what is allowed.
 
-Pydantic says what a field allows, and validators say with `Refused` what a type cannot say. Added
-here are the dotted key, the value as TOML writes it, and the nearest known word to a misspelt one.
+Pydantic reports what a field's type allows; validators raise `Refused` for everything else. This
+module adds the dotted key, the value in TOML, and for misspelt words the nearest known one.
 """
 
 import difflib
@@ -18,7 +18,7 @@ from posegsa.errors import ConfigError
 from posegsa.words import toml
 
 ABSENT = object()
-"""Stands for a value that was not given."""
+"""Marks a value that was not given."""
 
 _Path = tuple[int | str, ...]
 _Table = Mapping[Any, FieldInfo]
@@ -33,9 +33,9 @@ class Violation:
     key: str
     """Dotted path of the key, such as `filter.substeps`."""
     reason: str
-    """What is allowed instead, or what is wrong, in a few words."""
+    """What is wrong or what is allowed, in a few words."""
     value: object = ABSENT
-    """What was given."""
+    """The given value."""
 
     def __str__(self) -> str:
         given = "" if self.value is ABSENT else f" = {toml(self.value)}"
@@ -45,12 +45,12 @@ class Violation:
         return "\n    ".join([f"  {self.key or '(top level)'}{given}", *reason])
 
     def under(self, path: _Path) -> "Violation":
-        """The same with its key below the given one."""
+        """The violation with its key below the given one."""
         return replace(self, key=_dotted((*path, self.key) if self.key else path))
 
 
 class Refused(ValueError):
-    """Raised by validators: what is wrong, by keys relative to what they look at."""
+    """Raised by validators, with keys relative to the validated value."""
 
     def __init__(self, *violations: Violation) -> None:
         super().__init__(*violations)
@@ -58,7 +58,7 @@ class Refused(ValueError):
 
 
 def refusal(value: object, allowed: str) -> Refused:
-    """The exception by which the validator of one field refuses its value."""
+    """The exception that the validator of a single field raises."""
     return Refused(Violation("", f"allowed: {allowed}", value))
 
 
@@ -114,9 +114,9 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
 
 
 def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
-    """The keys and indices of an error's location, and the tables that may stand there.
+    """The keys and indices of an error's location, and the tables that are possible there.
 
-    The location also names members of unions, tables by their tag, which a file does not.
+    Pydantic's location also names the members of unions, which do not appear in a file.
     """
     path, tables = (), [model]
     for step in location:
@@ -132,7 +132,7 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
 
 
 def _tables_of(field: FieldInfo) -> list[_Table]:
-    """The tables that may stand in a field."""
+    """The tables that a field may be."""
     for choice in field.metadata:
         if kinds := getattr(choice, "kinds", None):  # `settings.choice`
             return [kind.model_fields for kind in kinds.values()]
@@ -140,14 +140,14 @@ def _tables_of(field: FieldInfo) -> list[_Table]:
 
 
 def _tables(annotation: Any) -> list[_Table]:
-    """The tables in a type, those of unions and arrays too."""
+    """The tables in a type, including those in unions and arrays."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation.model_fields]
     return [table for part in get_args(annotation) for table in _tables(part)]
 
 
 def _unknown_key(path: _Path, value: object, tables: list[_Table], model: _Table) -> str:
-    """Why a key is refused: with the nearest key beside it, or its like elsewhere, or all keys."""
+    """Why a key is refused: with the nearest known key, the same key elsewhere, or all keys."""
     *above, key = path
     if nearest := _nearest(key, [known for table in tables for known in table]):
         return f"unknown key; did you mean {_dotted((*above, nearest))}?"
@@ -160,7 +160,7 @@ def _unknown_key(path: _Path, value: object, tables: list[_Table], model: _Table
 
 
 def _nearest(word: object, known: Iterable[str]) -> str | None:
-    """The known word most like the given one, if any is."""
+    """The known word nearest to the given one, if any is near."""
     lowered = {candidate.lower(): candidate for candidate in known}
     found = difflib.get_close_matches(str(word).lower(), lowered, n=1, cutoff=0.6)
     return lowered[found[0]] if found else None

@@ -7,11 +7,8 @@ import pytest
 
 from posegsa import steps
 from posegsa.cli import progress
-from posegsa.cli.progress import CompareDisplay, Display, SweepDisplay, TuneDisplay, span
-from posegsa.comparing import Status
-from posegsa.search.run import Progress
+from posegsa.cli.progress import Display, span
 from posegsa.steps import Step
-from posegsa.sweeping import SweepStatus
 
 pytestmark = pytest.mark.quick
 
@@ -136,47 +133,35 @@ def test_quiet_is_quiet():
     assert stream.getvalue() == ""
 
 
-def test_a_long_search_says_after_its_first_iteration_how_long_it_takes(capsys):
-    with TuneDisplay("then seconds to judge what it finds") as show:
-        show(Progress(5, 105, 3.0, 0.0))
-        assert "about" not in capsys.readouterr().err
-        show(Progress(6, 105, 3.0, 2.0))
-        show(Progress(7, 105, 3.0, 4.0))
-    said = capsys.readouterr().err
-    assert said.count("about 3 min to search; then seconds to judge what it finds") == 1
-    with TuneDisplay("") as show:
-        show(Progress(0, 10, 3.0, 0.0))
-        show(Progress(1, 10, 3.0, 0.1))
-    assert "to search" not in capsys.readouterr().err
+def test_a_long_search_says_once_after_its_first_iteration_how_long_it_takes():
+    stream, clock = io.StringIO(), Clock()
+    with Display(after_search="then seconds to judge", stream=stream, clock=clock):
+        steps.begin("compiling")
+        clock.now = 50.0  # which does not count
+        for done in (5, 6, 7):
+            steps.tell(Step("searching", done, 105, best_cost=3.0))
+            assert ("about 3 min to search" in stream.getvalue()) == (done > 5)
+            clock.now += 2.0
+    assert stream.getvalue().count("about 3 min to search; then seconds to judge\n") == 1
 
 
-def test_the_pieces_of_a_first_iteration_say_how_long_it_takes(capsys):
-    with TuneDisplay("") as show:
-        show(Progress(0, 10, math.inf, 0.0))
-        show(Progress(0, 10, math.inf, 3.0, share=0.25))
-        assert "about" not in capsys.readouterr().err, "too early to tell"
-        show(Progress(0, 10, math.inf, 6.0, share=0.5))
-        assert "about 2 min to search" in capsys.readouterr().err
-        show(Progress(0, 10, math.inf, 11.5, share=0.96))
-    assert capsys.readouterr().err == "searching 0/10: done after under 1 s\n"
+def test_of_a_short_search_it_is_not_said_beforehand():
+    stream, clock = io.StringIO(), Clock()
+    with Display(after_search="then seconds to judge", stream=stream, clock=clock):
+        for done in range(3):
+            steps.tell(Step("searching", done, 10, best_cost=3.0))
+            clock.now += 0.1
+    assert "to search" not in stream.getvalue()
 
 
-def test_what_a_folder_held_of_a_comparison_counts_as_done(capsys):
-    with CompareDisplay(["gsa", "de"]) as show:
-        show(Status("de", 1, 2, 0.5, 3.0))
-        assert show.present is not None
-        assert (show.present.done, show.present.parts) == (3.5, 4)
-    assert "de 2/2" in capsys.readouterr().err
-
-
-def test_what_a_folder_held_of_a_sweep_counts_as_done(capsys):
-    with SweepDisplay() as show:
-        show(SweepStatus(done=2, runs=6, running=0.0, best_cost=math.inf))
-        show(SweepStatus(done=2, runs=6, running=1.5, best_cost=0.25))
-        assert show.present == Step("sweeping", 3.5, 6, best_cost=0.25)
-        show(SweepStatus(done=6, runs=6, running=0.0, best_cost=math.inf))
-    said = capsys.readouterr().err.splitlines()
-    assert said == ["sweeping 2/6", "sweeping: done after under 1 s"]
+def test_a_cost_is_shown_once_there_is_one():
+    stream, clock = Terminal(), Clock()
+    with Display(stream=stream, clock=clock):
+        steps.tell(Step("sweeping", 2, 6, best_cost=math.inf))
+        assert lines(stream) == ["sweeping [######..............] 2/6"]
+        clock.now = 3.0
+        steps.tell(Step("sweeping", 3.5, 6, best_cost=0.25))
+        assert lines(stream) == ["sweeping [###########.........] 3/6, best cost 0.25, 5 s left"]
 
 
 @pytest.mark.parametrize(
@@ -192,17 +177,3 @@ def test_what_a_folder_held_of_a_sweep_counts_as_done(capsys):
 )
 def test_times_are_said_as_people_say_them(seconds, words):
     assert span(seconds) == words
-
-
-def test_without_a_listener_steps_cost_nothing_and_with_one_it_is_told():
-    steps.begin("unheard")
-    told: list[Step] = []
-    with steps.listening(told.append):
-        assert list(steps.each("judging", ["a", "b"], str.upper)) == ["a", "b"]
-        steps.share(0.25)
-    steps.begin("unheard")
-    assert told == [
-        Step("judging", 0, 2, "A"),
-        Step("judging", 1, 2, "B"),
-        Step("judging", 1.25, 2, "B"),
-    ]

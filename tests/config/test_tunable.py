@@ -3,7 +3,8 @@
 import tomllib
 
 import pytest
-from experiments import BASE
+from helpers.experiments import BASE
+from helpers.messages import assert_told
 
 from posegsa import config
 from posegsa.config.tunable import AlsoTuned, tunable
@@ -78,9 +79,7 @@ def test_every_tunable_key_is_taken_and_written_back() -> None:
 
 def test_an_unknown_key_is_refused_with_those_there_are() -> None:
     said = refusal({"key": "filter.gama", "lower": 1.0, "upper": 2.0})
-    assert 'parameters.also.0.key = "filter.gama" cannot be tuned' in said
-    for key in tunable(PLAIN):
-        assert key in said
+    assert_told(said, 'parameters.also.0.key = "filter.gama"', *tunable(PLAIN))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +96,8 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
 def test_a_number_without_effect_is_refused(key) -> None:
     good = {"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}
     said = refusal(good, {"key": key, "lower": 1.0, "upper": 2.0})
-    assert f'parameters.also.1.key = "{key}" cannot be tuned, or has no effect here' in said
+    assert_told(said, f'parameters.also.1.key = "{key}"')
+    assert "parameters.also.0" not in said
 
 
 RECOMMENDED = {one.key for one in config.Experiment().parameters.also}
@@ -149,13 +149,12 @@ def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:
     base = config.override(PLAIN, ["filter.cross_vector=false", "scenario.vectors.0.weight=1.0"])
     alone = {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 3.0}
     said = refusal(alone, base=base)
-    assert "with all of them at their lower bound: " in said
-    assert "scenario" in said
+    assert_told(said, "lower bound", "scenario.vectors")
 
 
 def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:
     own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default's bounds
-    assert "has no effect here" in refusal(own)
+    assert_told(refusal(own), 'parameters.also.0.key = "filter.excitation"')
 
 
 def test_tuned_numbers_stay_within_their_bounds() -> None:
@@ -166,52 +165,48 @@ def test_tuned_numbers_stay_within_their_bounds() -> None:
     assert found.also == base.also
 
 
-def test_a_gain_limit_that_is_off_is_no_number() -> None:
-    off = config.override(PLAIN, ["filter.gain_limit=off"])
-    said = refusal({"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}, base=off)
-    assert "cannot be tuned" in said
-
-
 def test_a_key_twice_is_refused() -> None:
     one = {"key": "gain.smoothing", "lower": 1.0, "upper": 2.0}
-    said = refusal(one, one)
-    assert 'parameters.also.1.key = "gain.smoothing" allowed: each key once' in said
+    assert_told(refusal(one, one), 'parameters.also.1.key = "gain.smoothing"', "once")
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "facts"),
     [
         (
             {"key": "gain.smoothing", "lower": -1.0, "upper": 2.0},
-            "also.0.lower = -1.0 gain.smoothing should be greater than or equal to 0",
+            ["parameters.also.0.lower = -1.0", "gain.smoothing", "0"],
         ),
         (
             {"key": "filter.gamma.1", "lower": -1.0, "upper": 2.0},
-            "also.0.lower = -1.0 filter.gamma.1 should be greater than or equal to 0",
+            ["parameters.also.0.lower = -1.0", "filter.gamma.1", "0"],
         ),
         (
             {"key": "gain.error_scale", "lower": 0.0, "upper": 2.0},
-            "also.0.lower = 0.0 gain.error_scale should be greater than or equal to 1e-09",
+            ["parameters.also.0.lower = 0.0", "gain.error_scale", "1e-09"],
         ),
         (
             {"key": "filter.gain_limit", "lower": -3.0, "upper": 0.0},
-            "also.0.upper = 0.0 filter.gain_limit should be",
+            ["parameters.also.0.upper = 0.0", "filter.gain_limit"],
         ),
         (
             {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 2e9},
-            "also.0.upper = 2000000000.0 should be less than or equal to 1000000000",
+            ["parameters.also.0.upper = 2000000000.0", "1000000000"],
         ),
-        ({"key": "gain.smoothing", "lower": 3.0, "upper": 2.0}, "allowed: at most upper = 2.0"),
+        ({"key": "gain.smoothing", "lower": 3.0, "upper": 2.0}, ["at most upper = 2.0"]),
         (
             {"key": "gain.smoothing", "lower": 0.0, "upper": 2.0, "scale": "logarithmic"},
-            'allowed: above 0, because scale = "logarithmic"',
+            ["above 0", 'scale = "logarithmic"'],
         ),
-        ({"key": "gain.smoothing", "lower": 0.0}, "also.0.upper"),
-        ({"key": "gain.smoothing", "lower": 0.0, "upper": 1.0, "scale": "log"}, "'logarithmic'"),
+        ({"key": "gain.smoothing", "lower": 0.0}, ["parameters.also.0.upper"]),
+        (
+            {"key": "gain.smoothing", "lower": 0.0, "upper": 1.0, "scale": "log"},
+            ["log", "logarithmic"],
+        ),
     ],
 )
-def test_bounds_that_a_number_may_not_have_are_refused(entry, said) -> None:
-    assert said in refusal(entry)
+def test_bounds_that_a_number_may_not_have_are_refused(entry, facts) -> None:
+    assert_told(refusal(entry), *facts)
 
 
 def test_a_number_may_be_held_at_one_value() -> None:

@@ -10,8 +10,8 @@ import jax
 import matplotlib as mpl
 import numpy as np
 import pytest
-from experiments import tiny
-from schedules import K, tuned
+from helpers.experiments import tiny
+from helpers.schedules import K, tuned
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -31,7 +31,7 @@ def example(name: str) -> dict:
 @pytest.mark.quick
 def test_the_readme_names_each_and_each_is_a_page():
     files = sorted(EXAMPLES.glob("*.py"))
-    assert len(files) == 5
+    assert len(files) == 6
     for path in files:
         assert f"(examples/{path.name})" in README
         assert len(path.read_text(encoding="utf-8").splitlines()) <= 110
@@ -50,6 +50,15 @@ def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
     np.testing.assert_array_equal(load(tmp_path / "tuned").parameters, result.parameters)
     controller = posegsa.load_controller(tmp_path / "tuned" / "gain.fis", no_rule="hold")
     np.testing.assert_array_equal(controller.output_terms, result.controller.output_terms)
+
+
+def test_own_filter():
+    (degrees, metres), stream = example("own_filter")["main"](301)
+    for run, streamed in zip((degrees, metres), stream, strict=True):
+        np.testing.assert_allclose(streamed, run, atol=1e-3)
+    assert degrees[0] > 80
+    assert degrees[-1] < 0.2 * degrees[0]
+    assert metres[-1] < metres[0] + 0.1
 
 
 def test_own_arrays(monkeypatch, capsys):

@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from fuzzy_readers import (
+from helpers.fuzzy_readers import (
     CASES,
     by_midpoints,
     by_samples,
@@ -16,7 +16,7 @@ from fuzzy_readers import (
     needs_fuzzylite,
     with_fuzzylite,
 )
-from schedules import GAPS, MIDRANGE, K, tuned
+from helpers.schedules import GAPS, MIDRANGE, K, tuned
 
 import posegsa
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fuzzy_readers import (
+from helpers.fuzzy_readers import (
     CASES,
     by_midpoints,
     controller,
@@ -11,7 +11,7 @@ from fuzzy_readers import (
     needs_fuzzylite,
     with_fuzzylite,
 )
-from schedules import DRAWN, GAPS, MIDRANGE, tuned
+from helpers.schedules import DRAWN, GAPS, MIDRANGE, tuned
 
 import posegsa
 from posegsa.exchange.fll import RESOLUTION

@@ -5,8 +5,8 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from fuzzy_readers import CASES, controller
-from schedules import MIDRANGE, K, tuned
+from helpers.fuzzy_readers import CASES, controller
+from helpers.schedules import MIDRANGE, K, tuned
 
 import posegsa
 from posegsa.errors import ArgumentError, FuzzyError
@@ -136,7 +136,7 @@ def test_what_no_file_says_must_be_given(tmp_path):
 
 def test_what_is_no_such_file_is_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"ends in \.fis or \.fll"):
-        posegsa.load_controller(tmp_path / "gain.fcl")
+        posegsa.load_controller(tmp_path / "gain.txt")
     with pytest.raises(FuzzyError, match="is not there"):
         posegsa.load_controller(tmp_path / "gain.fis")
     with pytest.raises(ArgumentError, match="no_rule = 'zero'"):

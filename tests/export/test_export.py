@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluations import endurance
-from schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
+from helpers.results import endurance
+from helpers.schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa
 from posegsa import config
@@ -147,7 +147,7 @@ def test_a_resolution_below_two_is_refused():
 
 
 def test_formats_by_name():
-    assert list(FORMATS) == ["json", "csv", "c", "c-gain", "fis", "fll", "fcl", "fml"]
+    assert list(FORMATS) == ["json", "csv", "c", "c-gain", "fis", "fll"]
     result = tuned(K)
     assert export(result, "c-gain", name="own") == export_c_gain(result, name="own")
     assert export(result, "json") == export_json(result)

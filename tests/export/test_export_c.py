@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled_c import (
+from helpers.compiled_c import (
     COMPILERS,
     WARNINGS,
     Build,
@@ -32,21 +32,22 @@ from compiled_c import (
     run_c,
     sanitizers,
 )
-from compiled_c import build as build
-from evaluations import endurance, trust
-from filters import settings, state_of, vector_bias, vector_settings
-from schedules import K, tuned
+from helpers.compiled_c import build as build
+from helpers.controllers import fuzzy
+from helpers.filters import settings, state_of, vector_bias, vector_settings
+from helpers.results import endurance, trust
+from helpers.schedules import K, tuned
 from scipy.spatial.transform import Rotation
-from setups import fuzzy
 
 import posegsa
 from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import export_c, filter_to_c
+from posegsa.filters.base import samples_of
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.rollout import Estimates, simulate
 from posegsa.judging.result import TuneResult
-from posegsa.model.filter import FilterSettings, ready
 from posegsa.model.measurements import Measurements
-from posegsa.model.rollout import Estimates, samples_of, simulate
 from posegsa.model.schedules import (
     ConstantGain,
     Gains,
@@ -311,9 +312,8 @@ def in_python(case: Case, m: Measurements, dtype: str) -> Estimates:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rotation_matrices(START[None, :4])[0], START[4:]
         start = state_of(T, dtype=dtype)
-        samples = jax.jit(samples_of)(measured, at.settings.vectors)
-        start = ready(start, measured, at.settings)
-        found = simulate(at.schedule, samples, start, at.settings, at.signal)
+        observer = Observer(at.schedule, at.settings, at.signal)
+        found = simulate(observer, jax.jit(samples_of)(observer, measured), start)
         return jax.tree.map(np.asarray, found)
 
 
@@ -424,19 +424,50 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
         for value in (np.nan, np.inf, -np.inf):
             bad.append(good[100].copy())
             bad[-1][column] = value
-    for column, value in ((0, 0.0), (0, -0.01), (13, -1.0), (18, -1e-9)):
+    for column, value in (
+        *((0, 0.0), (0, -0.01), (0, 1e-10), (0, 61.0), (2, 1.1e3), (5, -1e26), (8, 1.1e6)),
+        *((13, -1.0), (16, 1.1e6), (18, -1e-9), (18, 1.1e6)),
+    ):
         bad.append(good[100].copy())
         bad[-1][column] = value
-    overflowing = good[100].copy()
-    overflowing[1:4] = 1e200
-    rows = np.concatenate([good[:100], bad, [overflowing], good[100:]])
+    rows = np.concatenate([good[:100], bad, good[100:]])
     program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
     mixed, alone = (run_c(program, case.layout, START, r) for r in (rows, good))
     expected = np.zeros(len(rows), int)
     expected[100 : 100 + len(bad)] = CODES["invalid input"]
-    expected[100 + len(bad)] = CODES["not finite"]
     np.testing.assert_array_equal(mixed.code, expected)
     np.testing.assert_array_equal(mixed.raw[expected == 0], alone.raw)
+
+
+@needs_cc
+def test_an_estimate_beyond_its_limit_is_refused(build: Build):
+    """A body at 1e9 m that moves outwards, and then the other way."""
+    case = everything()["recommended"]
+    rows = np.zeros((2, rows_of(case, exact_run("recommended")[0]).shape[1]))
+    rows[:, 0], rows[:, 4] = 0.01, [1000, -1000]
+    program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
+    found = run_c(program, case.layout, np.array([1, 0, 0, 0, 1e9, 0, 0]), rows)
+    np.testing.assert_array_equal(found.code, [CODES["not finite"], CODES["ok"]])
+
+
+@needs_cc
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_a_million_samples_of_garbage_spoil_nothing(tmp_path, real):
+    """What is checked stands in `fuzz_filter.c`."""
+    options = ("-std=c99", "-O1", f"-DPOSEGSA_REAL={real}", *sanitizers(COMPILERS[0]))
+    source = Path(__file__).parent / "fuzz_filter.c"
+    program = compile_c(tmp_path, header_of("recommended"), source, *options, compiler=COMPILERS[0])
+    assert subprocess.run([program], check=False).returncode == 0
+
+
+@needs_cc
+def test_a_limit_can_be_set_when_compiling(build: Build):
+    case = everything()["recommended"]
+    row = np.nan_to_num(rows_of(case, exact_run("recommended")[0])[:1])
+    row[0, 4] = 20.0  # a velocity [m/s]
+    for options, code in (((), "ok"), (("-DPOSEGSA_MAX_VELOCITY=10",), "invalid input")):
+        program = build(header_of("recommended"), *options_of(case, *options))
+        assert run_c(program, case.layout, START, row).code == CODES[code]
 
 
 @needs_cc
@@ -550,6 +581,8 @@ def test_what_does_not_fit_together_is_refused(x64):
         attempt(landmarks=[[0, 1, np.nan]])
     with pytest.raises(MeasurementError, match="vector_references: must not be zero"):
         attempt(vectors=[[0, 0, 0]])
+    with pytest.raises(MeasurementError, match=r"landmarks = 2e\+09; allowed: -1e\+09 to 1e\+09 m"):
+        attempt(landmarks=[[0, 1, 2e9]])
     with pytest.raises(ArgumentError, match="arrays of numbers; allowed: one made of scalars"):
         attempt(schedule=LookedUp(jnp.arange(3.0)))
     for time, log_gain in ((jnp.ones(2), jnp.ones(2)), (jnp.arange(3.0), jnp.ones(2))):
@@ -558,9 +591,7 @@ def test_what_does_not_fit_together_is_refused(x64):
     with pytest.raises(ArgumentError, match="schedule: a int"):
         attempt(schedule=5)
     varied = replace(case.settings, gamma_angular=jnp.ones(7))
-    with pytest.raises(
-        ArgumentError, match=r"gamma_angular: of the shape \(7,\); allowed: one num"
-    ):
+    with pytest.raises(ArgumentError, match="arrays of numbers; allowed: one made of scalars"):
         attempt(chosen=varied)
 
 

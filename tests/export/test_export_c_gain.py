@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluations import trust
-from schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
-from setups import corner_vectors
+from helpers.controllers import corner_vectors
+from helpers.results import trust
+from helpers.schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa
 from posegsa.export import export_c_gain

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled_c import COMPILERS, needs_cc
+from helpers.compiled_c import COMPILERS, needs_cc
 
 from posegsa.errors import ArgumentError
 from posegsa.export.scalar_c import Known, literal, written

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
+from helpers.figures import legend, lines
+from helpers.results import history, trajectory
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from pictures import history, legend, lines, trajectory
 
 from posegsa.figures import schedule, search
 from posegsa.figures import trajectory as paths

@@ -7,10 +7,10 @@ from functools import partial
 import matplotlib
 import numpy as np
 import pytest
-from evaluations import ANGLES, FILTERS, TIME, changed, evaluation, trust
+from helpers.figures import legend, lines
+from helpers.results import ANGLES, FILTERS, TIME, changed, evaluation, trust
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from pictures import legend, lines
 
 from posegsa.figures import evaluation as plots
 from posegsa.figures import schedule

@@ -2,20 +2,20 @@
 
 import json
 import shutil
-import sys
+import warnings
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
+from helpers.messages import assert_told
 from scipy import stats
 
 import posegsa
 from posegsa.cli.command import main
-from posegsa.comparing import Status, Subject, _search
-from posegsa.errors import ArgumentError, MemoryLimitError, RunFolderError
+from posegsa.errors import ArgumentError, MemoryLimitError, PosegsaWarning, RunFolderError
 from posegsa.figures.comparison import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
 from posegsa.optimisers import GSA, minimise
@@ -27,6 +27,7 @@ from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.steps import Step
 
 SPHERE = ClassicalFunction("sphere", 2)
 
@@ -75,8 +76,7 @@ def test_levels_evaluations_and_seconds() -> None:
     assert comparison.reached("a", 3.0 - 1e-8)[2] == 0.5
     assert comparison.reached("a", 3.0 - 1e-4)[2] < 0.5
     table = comparison.table([4.0])
-    for words in ("a minus this", "held out", "to 4", "30 (1.5 s)", "something: 6 repeats of 40"):
-        assert words in table
+    assert_told(table, "something", "6 repeats", "40", "held out", "to 4", "30 (1.5 s")
     assert comparison.markdown([4.0]).count("| --- ") == len(comparison.rows([4.0])[0])
 
 
@@ -106,7 +106,7 @@ def test_a_gradients_time_is_told_in_evaluations() -> None:
     comparison.gradients["g"] = Gradients(price=5, begin=20)
     # 4 gradients, from 20 to 40 evaluations, in the second half of 2 s; an evaluation: 2 s / 40.
     assert comparison.gradient_seconds("g") == pytest.approx(0.25)
-    assert "counts as 5 evaluations; it took 250 ms, as long as 5." in comparison.table()
+    assert_told(comparison.table(), "counts as 5 evaluations", "250 ms")
 
 
 def test_the_figure_shows_median_and_quartiles() -> None:
@@ -147,23 +147,17 @@ def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     assert third.held_out is None
     np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
     assert np.all(np.diff(third.times) >= 0)
-    assert told[-1] == Status(
-        "random_search", 2, 3, 1.0, comparison.repeats["random_search"][2].cost
-    )
+    searches = [step for step in told if step.name == "comparing"]
+    assert searches[0] == Step("comparing", 0, 6, "gsa 1/3")
+    assert searches[-1] == Step("comparing", 6, 6, "random_search 3/3")
 
 
-def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None:
+def test_the_folder_is_complete_and_gone_on_from(on_sphere) -> None:
     comparison, folder, _ = on_sphere
     assert load_comparison(folder) == comparison
     assert (folder / "comparison.txt").read_text().strip() == comparison.table()
     assert (folder / "comparison.png").read_bytes()[:4] == b"\x89PNG"
-    searched = []
-    search = _search
-    monkeypatch.setattr(
-        sys.modules["posegsa.comparing"],
-        "_search",
-        lambda *args: searched.append(args[1]) or search(*args),
-    )
+    told = []
     more = posegsa.compare(
         tiny(),
         optimisers=["random_search"],
@@ -171,8 +165,10 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere, monkeypatch) -> None
         evaluations=32,
         function=SPHERE,
         out=folder,
+        progress=told.append,
     )
-    assert len(searched) == 1, "only the fourth repeat is new"
+    abouts = {step.about for step in told if step.name == "comparing" and step.done < step.parts}
+    assert abouts == {"random_search 4/4"}, "only what is missing is searched"
     assert list(more.repeats) == ["random_search", "gsa"], "what the folder held is kept"
     assert more.repeats["gsa"] == comparison.repeats["gsa"]
     assert more.repeats["random_search"][:3] == comparison.repeats["random_search"]
@@ -187,20 +183,20 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
         {"evaluations": 31},
         {"evaluations": 32, "function": ClassicalFunction("sphere", 2, shift=0.1)},
     ):
-        with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
+        with pytest.raises(RunFolderError, match="another problem"):
             posegsa.compare(tiny(), **(same | changed))
-    with pytest.raises(RunFolderError, match="holds a comparison"):
+    with pytest.raises(RunFolderError, match="another problem"):
         posegsa.compare(tiny("search.g0=3.0"), evaluations=32, **same)
     (tmp_path / "comparison.json").write_text('{"schema": 1}')
-    with pytest.raises(RunFolderError, match=r"comparison\.json: schema = 1, written by"):
+    with pytest.raises(RunFolderError, match=r"comparison\.json.*schema = 1"):
         load_comparison(tmp_path)
     (tmp_path / "comparison.json").write_text("[" * 100000)
-    with pytest.raises(RunFolderError, match=r"comparison\.json: is not JSON"):
+    with pytest.raises(RunFolderError, match=r"comparison\.json.*JSON"):
         load_comparison(tmp_path)
-    with pytest.raises(RunFolderError, match="holds no comparison"):
+    with pytest.raises(RunFolderError, match="nowhere"):
         load_comparison(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunFolderError, match="is not a folder"):
+    with pytest.raises(RunFolderError, match=r"file.*not a folder"):
         posegsa.compare(tiny(), **(same | {"out": tmp_path / "file", "evaluations": 32}))
     with (
         locked_folder(folder, overwrite=True),
@@ -212,8 +208,8 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
 def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:
     same = {"repeats": 2, "evaluations": 32, "function": SPHERE, "out": tmp_path}
 
-    def interrupted(status: Status) -> None:
-        if status.repeat == 1:
+    def interrupted(step: Step) -> None:
+        if step.about == "gsa 2/2":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -228,9 +224,10 @@ def test_what_replaces_a_comparison_takes_its_table_and_figure_away(on_sphere, t
     folder = tmp_path / "copy"
     shutil.copytree(on_sphere[1], folder)
 
-    def look(status: Status) -> None:
-        assert not (folder / "comparison.txt").exists()
-        assert not (folder / "comparison.png").exists()
+    def look(step: Step) -> None:
+        if step.name == "comparing":
+            assert not (folder / "comparison.txt").exists()
+            assert not (folder / "comparison.png").exists()
 
     posegsa.compare(
         tiny(),
@@ -255,7 +252,7 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("posegsa.saving.folder.write_synced", full)
-    with pytest.raises(RunFolderError, match="cannot be written: No space left"):
+    with pytest.raises(RunFolderError, match="No space left"):
         posegsa.compare(
             tiny(),
             optimisers=["gsa"],
@@ -267,26 +264,31 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
     assert {p.name: p.read_bytes() for p in (tmp_path / "copy").iterdir()} == before
 
 
-def test_what_cannot_change_a_result_may_differ(monkeypatch, tmp_path) -> None:
+@pytest.fixture(scope="module")
+def on_filter(tmp_path_factory: pytest.TempPathFactory):
+    """One search of the filter and its folder."""
+    folder = tmp_path_factory.mktemp("compare") / "out"
+    same = {"optimisers": ["gsa"], "evaluations": 24, "out": folder}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)
+        return posegsa.compare(tiny(), repeats=1, **same), same
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_what_cannot_change_a_result_may_differ(on_filter) -> None:
     """How often checkpoints are made is not among a comparison's settings."""
-    monkeypatch.setattr(
-        sys.modules["posegsa.comparing"], "_search", lambda *_: repeat(cost=1.0, held_out=2.0)
-    )
-    monkeypatch.setattr(
-        sys.modules["posegsa.comparing"], "_filter", lambda _: Subject("a filter", None, None)
-    )
-    same = {"optimisers": ["gsa"], "evaluations": 40, "out": tmp_path}
-    posegsa.compare(tiny(), repeats=1, **same)
+    one, same = on_filter
     more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
+    assert more.repeats["gsa"][:1] == one.repeats["gsa"]
     assert len(more.repeats["gsa"]) == 2
-    with pytest.raises(RunFolderError, match="holds a comparison with another problem"):
+    with pytest.raises(RunFolderError, match="another problem"):
         posegsa.compare(tiny("filter.gamma=7.0"), repeats=2, **same)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_on_the_filter_all_searches_meet_the_same_scenarios() -> None:
-    experiment = tiny()
-    comparison = posegsa.compare(experiment, optimisers=["gsa"], repeats=2, evaluations=24)
+def test_on_the_filter_all_searches_meet_the_same_scenarios(on_filter) -> None:
+    experiment, (_, same) = tiny(), on_filter
+    comparison = posegsa.compare(experiment, repeats=2, **same)
     first, second = comparison.repeats["gsa"]
     assert first.cost != second.cost
     task = tuning_problem(experiment)
@@ -305,46 +307,42 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random_search"]
     assert main([*words, "--levels", "9000", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert "sphere, 2 dimensions: 2 repeats of 32 evaluations" in said.out
-    assert "to 9000" in said.out
-    assert "comparing 3/4, random_search 2/2" in said.err
-    assert "comparing: done" in said.err
+    assert_told(said.out, "sphere", "2 dimensions", "2 repeats", "32 evaluations", "to 9000")
+    assert_told(said.err, "3/4", "random_search 2/2", "done")
     assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "facts"),
     [
-        (["--optimisers", "gas"], "optimiser 'gas'"),
-        (["--optimisers", ","], "optimisers: none"),
-        (["--function", "spher"], "name = 'spher'"),
-        (["--function", "sphere", "--shift", "2"], "shift = 2.0"),
-        (["--evaluations", "10"], "evaluations = 10; allowed: at least 96, one iteration of gsa"),
+        (["--optimisers", "gas"], ["optimiser", "'gas'"]),
+        (["--optimisers", ","], ["optimisers", "none"]),
+        (["--function", "spher"], ["'spher'"]),
+        (["--function", "sphere", "--shift", "2"], ["shift = 2.0"]),
+        (["--evaluations", "10"], ["evaluations = 10", "96", "gsa"]),
     ],
 )
-def test_bad_input_is_one_readable_message(words: list[str], said: str, capsys) -> None:
+def test_bad_input_is_told_with_what_is_allowed(words, facts, capsys) -> None:
     assert main(["compare", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, *facts)
 
 
 @pytest.mark.parametrize("arguments", [{"repeats": 0}, {"evaluations": 2.5}, {"repeats": True}])
 def test_bad_numbers_are_refused_by_name(arguments: dict) -> None:
-    with pytest.raises(
-        ArgumentError, match=f"{next(iter(arguments))} = .*; allowed: a whole number"
-    ):
+    with pytest.raises(ArgumentError, match=f"{next(iter(arguments))} = .*whole number"):
         posegsa.compare(tiny(), **arguments)
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"optimisers": "gsa"}, r"optimisers = 'gsa'; allowed: several names, as in \['gsa'\]"),
-        ({"optimisers": 5}, "optimisers: a int; allowed: several names"),
-        ({"optimisers": [1]}, "optimisers: a int; allowed: several names"),
-        ({"function": len}, "function: a builtin_function_or_method; allowed: a ClassicalFunction"),
-        ({"levels": 3.0}, "levels: a float; allowed: several numbers"),
+        ({"optimisers": "gsa"}, r"optimisers = 'gsa'.*\['gsa'\]"),
+        ({"optimisers": 5}, r"optimisers.* int.*names"),
+        ({"optimisers": [1]}, r"optimisers.* int.*names"),
+        ({"function": len}, r"function.*ClassicalFunction"),
+        ({"levels": 3.0}, r"levels.* float.*numbers"),
         ({"levels": ["x"]}, "levels = 'x'"),
         ({"levels": [np.nan]}, "levels = nan"),
     ],
@@ -358,5 +356,5 @@ def test_what_would_not_fit_into_memory_is_refused_before_it_is_made(monkeypatch
     monkeypatch.setattr("posegsa.search.memory.available", lambda: memory.COMPILER + 2**26)
     with pytest.raises(MemoryLimitError):
         posegsa.compare(tiny(), optimisers=["gsa:agents=1000000"], evaluations=10**9)
-    with pytest.raises(ArgumentError, match=r"dimensions = 100000.*2 to 5000|5000"):
+    with pytest.raises(ArgumentError, match=r"dimensions = 100000.*5000"):
         ClassicalFunction("sphere", 100_000, rotation=1)

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import tiny
-from recorded_motion import bench
-from recorded_motion import short_parts as short_parts
+from helpers.experiments import tiny
+from helpers.messages import assert_told
+from helpers.recordings import bench
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config
@@ -23,6 +24,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.saving.run import write_run
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import Found, first_search
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
@@ -60,12 +62,13 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
 ) -> None:
     monkeypatch.setattr("posegsa.judging.kalman.MOST", 40)
     monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 40)
-    said: list[str] = []
+    told: list[Step] = []
     judged = posegsa.evaluate(
-        result, recordings=recordings[1], training=recordings[0], progress=said.append
+        result, recordings=recordings[1], training=recordings[0], progress=told.append
     )
     assert list(judged.baselines) == [CONSTANT, EKF]
-    assert said == [f"searching: {CONSTANT}", f"searching: {EKF}"]
+    searched = (step.about for step in told if step.name == "searching")
+    assert list(dict.fromkeys(searched)) == [CONSTANT, EKF]
     for (score,) in (judged.held_out, *judged.baselines.values()):
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
@@ -120,9 +123,9 @@ def noises(run: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     run: TuneResult, recordings: list[Recording]
 ) -> None:
-    said: list[str] = []
-    judged = posegsa.evaluate(run, recordings=recordings, progress=said.append)
-    assert said == [f"searching: {EKF}"]
+    told: list[Step] = []
+    judged = posegsa.evaluate(run, recordings=recordings, progress=told.append)
+    assert {(step.name, step.about) for step in told} == {("searching", EKF)}
     assert list(judged.baselines) == [CONSTANT, EKF]
     assert judged.filter == run.evaluation.contenders[TUNED].filter
     constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
@@ -145,11 +148,11 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     other = NOISES._replace(numbers=NOISES.numbers | {"landmark": [0.3]})
     known = own[CONSTANT]._replace(filter=other)
     wider = replace(run.evaluation, contenders=own | {EKF: known})
-    said.clear()
+    told.clear()
     again = posegsa.evaluate(
-        replace(run, evaluation=wider), recordings=recordings[0], progress=said.append
+        replace(run, evaluation=wider), recordings=recordings[0], progress=told.append
     )
-    assert not said
+    assert not told
     (estimates,) = recorded_kalman_estimates(other, run.experiment, recordings[:1])
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected
@@ -161,25 +164,25 @@ def test_weights_go_in_order_whatever_a_run_was_tuned_on(
 ) -> None:
     two = {"scenario.vectors.0.weight": 0.5, "scenario.landmarks.0.weight": 0.25}
     run = replace(run, experiment=run.experiment.replace(**two))
-    settings = run.settings_for(vectors=3, landmarks=2)
+    settings = run.filter_for(vectors=3, landmarks=2).settings
     assert [float(w) for w in settings.vectors.weights or ()] == [0.5, 1.0, 1.0]
     assert [float(w) for w in settings.landmark_weights or ()] == [0.25, 1.0]
-    fewer = run.settings_for(vectors=1, landmarks=0)
+    fewer = run.filter_for(vectors=1, landmarks=0).settings
     assert [float(w) for w in fewer.vectors.weights or ()] == [0.5]
     assert fewer.landmark_weights == ()
     given = replace(result, experiment=run.experiment, filter=result.filter._replace(also={}))
-    same, _ = given.settings(recordings[0])
-    assert same == run.settings_for(vectors=2, landmarks=1)
+    same = given.filter_on(recordings[0]).settings
+    assert same == run.filter_for(vectors=2, landmarks=1).settings
 
 
 def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
     run: TuneResult, recordings: list[Recording]
 ) -> None:
     for arguments, words in (
-        ({"training": recordings[:1]}, "training with a result that was tuned on scenarios"),
+        ({"training": recordings[:1]}, "training.*tuned on scenarios"),
         ({"scenarios": 7}, "scenarios with recordings"),
         ({"seed": 7}, "seed with recordings"),
-        ({"cost": lambda track, time: 0.0}, "cost = .*lambda.*; allowed: configured"),
+        ({"cost": lambda track, time: 0.0}, r"cost = .*lambda.*configured"),
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.evaluate(run, recordings=recordings[1:], **arguments)  # type: ignore[call-overload]  # wrong on purpose
@@ -213,14 +216,14 @@ def test_the_command_judges_runs_of_both_kinds(
     posegsa.save(run, folder, overwrite=True)
     assert not (folder / "recorded.json").exists(), "of another run it would be wrong"
     assert main(["evaluate", str(folder), "--training", files[0]]) == 2
-    assert "--training; allowed: with --recording" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--training", "with --recording")
     assert main(["evaluate", str(folder), "--bridge", "hold"]) == 2
-    assert "--bridge; allowed: with --recording" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--bridge", "with --recording")
     bridged = ["--recording", files[0], "--longest-gap", "0.5"]
     assert main(["evaluate", str(folder), *bridged]) == 2
-    assert "--longest-gap; allowed: with --bridge" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--longest-gap", "with --bridge")
     assert main(["evaluate", str(folder), "--recording", files[0], "--seed", "1"]) == 2
-    assert "--seed; allowed: without --recording" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--seed", "without --recording")
     folder = posegsa.save(result, tmp_path / "recorded")
     assert main(["evaluate", str(folder)]) == 2
     assert "allowed: with --recording" in capsys.readouterr().err

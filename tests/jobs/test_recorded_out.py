@@ -9,9 +9,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from compiled_c import Build, Layout, needs_cc, run_c
-from compiled_c import build as build
-from recorded_motion import motion
+from helpers.compiled_c import Build, Layout, needs_cc, run_c
+from helpers.compiled_c import build as build
+from helpers.messages import assert_told
+from helpers.recordings import motion
 
 import posegsa
 from posegsa import config
@@ -137,7 +138,7 @@ def test_the_c_is_the_estimate(
         (*attitude, Layout(2, 0, learns=True), ("-DATTITUDE_ONLY",)),
     ):
         text = export(result, "c")
-        assert "Root mean square errors on recordings" in text
+        assert_told(text, "Root mean square errors", "recordings")
         start, estimates = given.initial(), result.estimate(given)
         q = posegsa.tum_text([0.0], start.rotation[None]).split()[4:]
         begin = np.array([*q[-1:], *q[:-1]], float)
@@ -168,9 +169,9 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
         assert "v_3 = v_1 x v_2, weight 0.5" in texts[name]
     assert texts["csv"].startswith("error,rate,gain_1_s")
     smooth, _ = attitude
-    with pytest.raises(PosegsaError, match="format = 'fis' of a smooth gain; allowed: json, c, or"):
+    with pytest.raises(PosegsaError, match=r"format = 'fis' of a smooth gain.*json, c, or"):
         export(smooth, "fis")
-    with pytest.raises(ArgumentError, match="controller of a smooth gain"):
+    with pytest.raises(ArgumentError, match="smooth gain"):
         posegsa.export_fis(smooth)
     posegsa.save(fuzzy, tmp_path / "run")
     again = posegsa.load(tmp_path / "run")
@@ -185,13 +186,13 @@ def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
     attitude: tuple[RecordingResult, Recording],
 ) -> None:
     found = posegsa.PoseFilter(attitude[0], rotation=np.eye(3), position=np.zeros(3))
-    assert "found no vectors (weight above 0)" in found.why_unobservable
+    assert_told(found.why_unobservable, "no vectors")
     known = np.array(attitude[0].known_sensors.vectors)
     found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
     assert found.observable
     for _ in range(2):  # of two seconds, in which one vector is seen
         found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
-    assert "found 1 vector (weight above 0)" in found.why_unobservable
+    assert_told(found.why_unobservable, "1 vector")
 
 
 def test_the_controller_is_made_once(fuzzy: RecordingResult) -> None:
@@ -214,14 +215,14 @@ def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Recordin
     assert not beside(2.0, 0.5).warnings()
     behind = dataclasses.replace(beside(0.5, 0.5), non_finite=3)
     few, worse = behind.warnings()
-    assert few == "3 agents of the search had no finite cost"
-    assert worse.startswith("on what was held out it errs more than the best constant gains, ")
+    assert_told(few, "3 agents", "no finite cost")
+    assert_told(worse, "held out", "best constant gains")
     assert json.loads(export(behind, "json"))["warnings"] == [few, worse]
     for name in ("c", "c-gain", "fll"):
         head = " ".join(re.sub(r"(?m)^( \*|#)", " ", export(behind, name)).split())
         assert f"WARNING: {few}." in head
         assert f"WARNING: {worse}." in head
-    with pytest.warns(PosegsaWarning, match="the result says: 3 agents"):
+    with pytest.warns(PosegsaWarning, match="3 agents"):
         posegsa.PoseFilter(behind, rotation=np.eye(3), position=np.zeros(3))
 
 
@@ -236,11 +237,11 @@ def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
     assert differing.sensors is None
     tuned = dataclasses.replace(differing, training=differing.held_out)
     for each in (differing, tuned):
-        with pytest.raises(ArgumentError, match=r"references differ, or move; allowed: in Python"):
+        with pytest.raises(ArgumentError, match=r"references differ"):
             export(each, "c")
-    with pytest.raises(ArgumentError, match="references differ, or move"):
+    with pytest.raises(ArgumentError, match="references differ"):
         posegsa.PoseFilter(tuned, rotation=np.eye(3), position=np.zeros(3))
-    assert "differ in their vectors and landmarks" in export(tuned, "c-gain")
+    assert_told(export(tuned, "c-gain"), "vectors and landmarks")
     own = posegsa.PoseFilter(
         tuned,
         rotation=np.eye(3),

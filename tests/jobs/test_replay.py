@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import tiny
-from recorded_motion import bench, motion
-from recorded_motion import short_parts as short_parts
+from helpers.experiments import tiny
+from helpers.messages import assert_told
+from helpers.recordings import bench, motion
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main
@@ -51,9 +52,9 @@ def test_a_replay_is_the_estimates_and_their_errors(
     start = recording.initial()
     by_hand = result.estimate(recording, start.rotation, start.position, start.bias)
     np.testing.assert_array_equal(by_hand.rotation, found.estimates.rotation)
-    with pytest.raises(ArgumentError, match="rotation, position: not both given"):
+    with pytest.raises(ArgumentError, match=r"rotation, position.*both"):
         result.estimate(recording, rotation=start.rotation)
-    with pytest.raises(ArgumentError, match="rotation, position: not both given"):
+    with pytest.raises(ArgumentError, match=r"rotation, position.*both"):
         result.estimate(recording.measurements)
     table = replay_table([found])
     assert "bench" in table
@@ -100,11 +101,11 @@ def test_the_command_writes_what_it_found(
     rmse = posegsa.rmse(posegsa.position_errors(estimated, true))
     assert rmse == pytest.approx(data["rmse"]["judged"]["position"], rel=1e-6)
     assert main([*command, "--out", str(out)]) == 2
-    assert "holds replays already" in capsys.readouterr().err
+    assert "already" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 2
     with pytest.raises(SystemExit):
         main([*command, "--window", "3:1"])
-    with pytest.raises(RunFolderError, match="holds replays already"):
+    with pytest.raises(RunFolderError, match="already"):
         posegsa.replay(result, recording, out=out)
 
 
@@ -137,12 +138,12 @@ def test_what_a_file_lacks_is_bridged_by_name(
     (data,) = json.loads((out / "replay.json").read_text())["recordings"]
     table = (out / "replay.txt").read_text()
     expected = (
-        "1 sample dropped: stamps that do not go on",
-        "1 gap longer than 5 median steps",
-        "1 sample without velocities, the first at 300: bridged (interpolate)",
+        ["1 sample", "dropped"],
+        ["1 gap", "5 median steps"],
+        ["1 sample", "300", "bridged", "interpolate"],
     )
-    for note, words in zip(data["notes"], expected, strict=True):
-        assert note.startswith(words)
+    for note, facts in zip(data["notes"], expected, strict=True):
+        assert_told(note, *facts)
         assert note in said
         assert note in table
 
@@ -199,14 +200,14 @@ def test_the_true_trajectory_is_all_that_is_known(
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.png", "x", r"a\.png: is no recording; allowed: \.csv, \.npz, \.mat or the folder"),
-        ("none", None, "none: there is no such file or folder; allowed: "),
-        ("none.csv", None, r"none\.csv: there is no such file"),
-        ("folder", "", "is no EuRoC sequence: it holds none of .*; allowed: the folder of"),
-        ("empty.csv", "", r"empty\.csv: is empty; allowed: a line with the names of columns"),
-        ("head.csv", "time,wx\n", "holds no sample below its head line; allowed: a line with"),
-        ("a.csv", "a,b\n1,2\n", r"has no columns time wx wy wz; it has: a, b; allowed: these"),
-        ("t.csv", "time\n1\n", r"has no columns wx wy wz; it has: time; allowed: these columns"),
+        ("a.png", "x", r"a\.png.*\.csv, \.npz, \.mat.*folder"),
+        ("none", None, r"none: .*no such file or folder"),
+        ("none.csv", None, r"none\.csv: .*no such file"),
+        ("folder", "", r"folder.*EuRoC"),
+        ("empty.csv", "", r"empty\.csv.*empty"),
+        ("head.csv", "time,wx\n", r"head\.csv.*no sample"),
+        ("a.csv", "a,b\n1,2\n", r"no columns time wx wy wz.*a, b"),
+        ("t.csv", "time\n1\n", r"no columns wx wy wz.*time"),
     ],
 )
 def test_what_is_no_recording_is_named_with_what_is_allowed(
@@ -230,7 +231,7 @@ def test_what_is_of_a_folder_is_refused_without_one(
     result: TuneResult, recording: Recording, argument: dict
 ) -> None:
     (name,) = argument
-    with pytest.raises(ArgumentError, match=f"{name} without out; allowed: both, or neither"):
+    with pytest.raises(ArgumentError, match=f"{name} without out"):
         posegsa.replay(result, recording, **argument)
 
 

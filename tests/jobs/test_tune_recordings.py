@@ -11,13 +11,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import TINY as SCENARIOS
-from recorded_motion import bench
-from recorded_motion import short_parts as short_parts
+from helpers.experiments import TINY as SCENARIOS
+from helpers.messages import assert_told
+from helpers.recordings import bench
+from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config
-from posegsa.cli.command import _parser, main
+from posegsa.cli.command import main, parser
 from posegsa.errors import (
     ArgumentError,
     ConfigError,
@@ -34,7 +35,8 @@ from posegsa.saving.folder import CHECKPOINT_SUFFIX
 from posegsa.saving.resume import check_same_recordings
 from posegsa.search.build import rule_indices
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import Found, Progress, first_search
+from posegsa.search.run import Found, first_search
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
@@ -101,8 +103,7 @@ def test_a_search_without_a_finite_cost_is_no_result(recordings: list[Recording]
     )
     assert found.best_cost == np.inf
     assert found.non_finite == 24
-    assert "no agent had a finite cost" in found.summary()
-    assert "24 agents of the search had no finite cost" in found.summary()
+    assert_told(found.summary(), "no agent had a finite cost", "24 agents")
     assert found.held_out[0].errors["judged"].total == np.inf
 
 
@@ -124,9 +125,9 @@ def test_a_result_is_saved_and_read_back(
     np.testing.assert_array_equal(
         read.estimate(recordings[1]).rotation, result.estimate(recordings[1]).rotation
     )
-    with pytest.raises(ArgumentError, match="figures of a result on recordings; allowed: none"):
+    with pytest.raises(ArgumentError, match=r"figures of a result on recordings.*none"):
         posegsa.save(found, tmp_path / "other", figures=["gain"])
-    with pytest.raises(RunFolderError, match="holds a run already"):
+    with pytest.raises(RunFolderError, match="already"):
         posegsa.tune(config.from_dict(TINY), recordings=recordings[0], out=tmp_path)
     path = tmp_path / "recorded.json"
     whole = path.read_text()
@@ -163,7 +164,7 @@ def test_the_command_tunes_on_files(
     assert "Written to" in said
     # What it tells to type next is what it takes to judge the run beside others.
     (shown,) = re.findall(r"  posegsa (evaluate .*)", said)
-    options = _parser().parse_args(shlex.split(shown))
+    options = parser().parse_args(shlex.split(shown))
     assert options.run == str(tmp_path / "run")
     assert options.recording == [str(tmp_path / "b.npz")]
     assert (options.training, options.training_window) == ([str(tmp_path / "a.npz")], (0, 2))
@@ -173,13 +174,13 @@ def test_the_command_tunes_on_files(
     assert main([*again, *files, "--window", "0:2"]) == 0
     assert (tmp_path / "run" / "recorded.txt").read_text().strip() in capsys.readouterr().out
     assert main([*again, *files, "--window", "0:1"]) == 2
-    assert "recordings[0]: holds other numbers" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "recordings[0]", "other numbers")
     assert main(again) == 2
-    assert "without recordings; allowed: with those" in capsys.readouterr().err
+    assert "without recordings" in capsys.readouterr().err
     assert main([*command, *files[:2], "--held-out-window", "1:2"]) == 2
-    assert "--held-out-window; allowed: with --held-out" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--held-out-window", "with --held-out")
     assert main([*command, "--schedule", "constant"]) == 2
-    assert "--schedule; allowed: with --recording" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "--schedule", "with --recording")
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
     assert "no such file" in capsys.readouterr().err
 
@@ -190,7 +191,7 @@ def test_it_warns_where_the_gain_limit_sets_the_gain(recordings: list[Recording]
             posegsa.ConstantGain(gain), config.from_dict(TINY), recordings=recordings
         )  # type: ignore[arg-type]  # a number will do for an array
         assert [one.limited for one in found.held_out] == [limited, limited]
-        warned = [w for w in found.warnings() if "gain limit allows in 100 %" in w]
+        warned = [w for w in found.warnings() if "gain limit" in w and "100 %" in w]
         assert len(warned) == limited
 
 
@@ -200,7 +201,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     chosen = config.from_dict(TINY)
     mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]  # a number will do for an array
     assert mine.filter.numbers == {"gain": [8.0]}
-    assert "A constant gain made by hand" in mine.summary()
+    assert "by hand" in mine.summary()
     posegsa.save(mine, tmp_path / "run")
     read = posegsa.load_recorded(tmp_path / "run")
     assert read == mine
@@ -210,14 +211,14 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     assert exported["numbers"] == {"gain": [8.0]}
     assert exported["filter"]["cross_vector"] is False
     assert main_quietly(["export", str(tmp_path / "run"), "--format", "fis"]) == 2
-    assert "of a constant gain; allowed: json, c, or" in capsys.readouterr().err
+    assert_told(capsys.readouterr().err, "constant gain", "json", "c")
     space = posegsa.parameter_space(chosen)
     controller = space.controller(0.5 * (space.lower + space.upper))
     again = json.loads(export(posegsa.by_hand(posegsa.FuzzyGain(controller), chosen), "json"))
     assert again["controller"]["offset_1_s"] == 1.0
     assert len(again["numbers"]) == 22
     other = replace(controller, offset=0.0)
-    with pytest.raises(FuzzyError, match=r"controller.offset: .* 1\.0; allowed: a controller of"):
+    with pytest.raises(FuzzyError, match=r"controller.offset: .* 1\.0.*controller of"):
         posegsa.by_hand(posegsa.FuzzyGain(other), chosen)
     with pytest.raises(ArgumentError, match="schedule: a str"):
         posegsa.by_hand("fast")  # type: ignore[arg-type]  # wrong on purpose
@@ -226,21 +227,21 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
 def test_an_interrupted_search_goes_on_to_the_same_bits(
     result: RecordingResult, recordings: list[Recording], tmp_path: Path
 ) -> None:
-    def stop(progress: Progress) -> None:
-        if progress.iteration == 1:
+    def stop(step: Step) -> None:
+        if step.name == "searching" and step.done == 1:
             signal.raise_signal(signal.SIGINT)
 
     given = {"recordings": recordings[0], "held_out": recordings[1], "schedule": "constant"}
-    with pytest.raises(SearchInterrupted, match=r"iteration 2 of 3, .* --recording \.\.\. "):
+    with pytest.raises(SearchInterrupted, match=r"iteration 2 of 3.*--recording"):
         posegsa.tune(config.from_dict(TINY), out=tmp_path, progress=stop, **given)
-    with pytest.raises(RunFolderError, match="holds an unfinished run"):
+    with pytest.raises(RunFolderError, match="unfinished run"):
         posegsa.tune(config.from_dict(TINY), out=tmp_path, **given)
     for changes, words in (
         ({"recordings": None, "held_out": None, "schedule": "fuzzy"}, "without recordings"),
         ({"recordings": recordings[1], "held_out": recordings[0]}, r"recordings\[0\]: holds other"),
-        ({"held_out": None}, "held_out: 0 of them; allowed: the 1 of"),
-        ({"schedule": "smooth"}, "schedule = 'smooth'; allowed: 'constant'"),
-        ({"position_weight": 1.0}, "position_weight = 1.0; allowed: 100.0"),
+        ({"held_out": None}, r"held_out: 0 of them.*1 of"),
+        ({"schedule": "smooth"}, r"schedule = 'smooth'.*'constant'"),
+        ({"position_weight": 1.0}, r"position_weight = 1.0.*100.0"),
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.tune(resume=tmp_path, **(given | changes))
@@ -252,14 +253,14 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(
     for name in ("filter", "best_cost", "training", "held_out", "experiment"):
         assert getattr(found, name) == getattr(result, name), name
     assert posegsa.tune(resume=tmp_path, **given) == found, "it is finished"
-    with pytest.raises(ConfigError, match=r"iterations = 2\s+the run has 3; allowed: as many or"):
+    with pytest.raises(ConfigError, match=r"iterations = 2\s+the run has 3.*as many or"):
         posegsa.tune(resume=tmp_path, iterations=2, **given)
 
 
 @pytest.mark.quick
 def test_a_scenario_run_is_not_resumed_with_recordings(tmp_path: Path) -> None:
     task = RecordedTask(schedule="fuzzy", position_weight=1.0, training=["a"], held_out=[])
-    with pytest.raises(ArgumentError, match="allowed: none: the run is on simulated scenarios"):
+    with pytest.raises(ArgumentError, match="simulated scenarios"):
         check_same_recordings(None, task, tmp_path)
     check_same_recordings(task, task, tmp_path)
 
@@ -286,7 +287,7 @@ def test_scenarios_are_tuned_on_beside_recordings(
     both = 0.5 * alone + 0.5 * float(np.mean(found.simulated.training))
     assert found.best_cost == pytest.approx(both, rel=0.02)
     said = found.summary()
-    assert "on 1 recording and 3 simulated scenarios" in said
+    assert_told(said, "1 recording", "3 simulated scenarios")
     assert f"{np.mean(found.simulated.held_out):.4g}" in said
     assert posegsa.load_recorded(tmp_path) == found
 
@@ -321,7 +322,7 @@ def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
         data = json.loads(whole)
         data["filter"]["numbers"]["rules"] = [float(n) for n in wrong]
         path.write_text(json.dumps(data))
-        with pytest.raises(RunFolderError, match=r"rules = .*; allowed: 25 whole numbers"):
+        with pytest.raises(RunFolderError, match=r"rules = .*25 whole numbers"):
             posegsa.load_recorded(tmp_path)
 
 
@@ -346,7 +347,7 @@ def main_quietly(arguments: list[str]) -> int:
 def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None:
     for arguments, words in (
         ({"recordings": []}, "recordings: none"),
-        ({"recordings": recordings, "held_out": recordings[1]}, "held_out: bench is tuned on"),
+        ({"recordings": recordings, "held_out": recordings[1]}, "held_out: bench"),
         ({"recordings": recordings, "schedule": "best"}, "schedule = 'best'"),
         ({"recordings": recordings, "position_weight": -1.0}, "position_weight = -1.0"),
         ({"recordings": recordings, "cost": len}, "recordings with cost"),
@@ -361,7 +362,7 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
     for arguments, words in (
         ({"recordings": recordings, "seed": 3}, "seed with recordings"),
         ({"recordings": recordings, "scenarios": 7}, "scenarios with recordings"),
-        ({"recordings": recordings, "training": recordings}, "bench is in training too"),
+        ({"recordings": recordings, "training": recordings}, "bench.*training"),
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.evaluate(made, **arguments)  # type: ignore[call-overload]  # wrong on purpose

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
-from experiments import tiny
-from generated import configuration, not_numbers, structure
+from helpers.experiments import tiny
+from helpers.generated import configuration, not_numbers, structure
 
 import posegsa
 from posegsa import config
@@ -37,7 +37,7 @@ from posegsa.search.build import (
 )
 from posegsa.search.keys import keys, scenario_keys, training_keys
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import Progress
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -45,7 +45,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A finished run: its result, its folder and the progress it told."""
-    told: list[Progress] = []
+    told: list[Step] = []
     folder = tmp_path_factory.mktemp("run") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figure_style, "DPI", 15)
@@ -92,7 +92,7 @@ def test_neither_their_number_nor_their_length_changes_a_bit_of_what_scenarios_b
 def test_no_keys_or_those_of_another_generator_make_no_scenarios():
     experiment = tiny()
     for given in (training_keys(0, 2)[:0], jax.random.split(jax.random.key(0, impl="rbg"), 2)):
-        with pytest.raises(ArgumentError, match="allowed: at least one, of the generator threefry"):
+        with pytest.raises(ArgumentError, match="threefry"):
             scenario_batch(experiment, scenario(experiment), given)
 
 
@@ -108,10 +108,17 @@ def test_history_and_counts(run):
 
 
 def test_progress_begins_at_zero_and_ends_at_the_end(run):
-    _, _, told = run
-    assert [p.iteration for p in told] == [0, 1, 2, 3, 4]
-    assert told[0].best_cost == math.inf
-    assert told[-1].best_cost == run[0].best_cost
+    result, _, told = run
+    searching = [step for step in told if step.name == "searching"]
+    assert [step.done for step in searching] == [0, 1, 2, 3, 4]
+    assert {step.parts for step in searching} == {4}
+    assert searching[0].best_cost == math.inf
+    assert searching[-1].best_cost == result.best_cost
+
+
+def test_progress_is_told_of_every_step(run):
+    names = dict.fromkeys(step.name for step in run[2])
+    assert list(names) == ["preparing", "compiling", "searching", "judging", "drawing"]
 
 
 def test_the_same_seed_gives_the_same_result_and_progress_does_not_matter(run):
@@ -199,7 +206,7 @@ def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
         return read_text(folder, name, of, limit)
 
     monkeypatch.setattr(run_folder, "read_text", noted)
-    with pytest.raises(RunFolderError, match="sample of the last time = 199; in result"):
+    with pytest.raises(RunFolderError, match="199"):
         posegsa.load(tmp_path / "run")
     assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * 9_000_000 > run_folder.MAX_BYTES
     assert set(limits.values()) == {run_folder.MAX_BYTES}
@@ -223,7 +230,7 @@ def test_float64_is_one_setting_away(run):
 def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch):
     _, folder, _ = run
     monkeypatch.setattr("posegsa.tuning.run_search", lambda *_: pytest.fail("it searched"))
-    with pytest.raises(RunFolderError, match="holds a run already"):
+    with pytest.raises(RunFolderError, match="already"):
         posegsa.tune(tiny(), out=folder)
     assert posegsa.load(folder).best_cost == run[0].best_cost
 
@@ -254,23 +261,27 @@ def comparable(folder: Path) -> dict:
 
 
 def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
-    told: list[int] = []
+    told: list[float] = []
 
-    def interrupt(progress: Progress) -> None:
-        told.append(progress.iteration)
-        if progress.iteration == 1:
+    def iterations(step: Step) -> None:
+        if step.name == "searching":
+            told.append(step.done)
+
+    def interrupt(step: Step) -> None:
+        iterations(step)
+        if step.name == "searching" and step.done == 1:
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
         posegsa.tune(tiny(), out=tmp_path, progress=interrupt, figures=[])
     assert told == [0, 1, 2], "of what is done it is told too"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with pytest.raises(RunFolderError, match="unfinished run; go on with it"):
+    with pytest.raises(RunFolderError, match="unfinished run"):
         posegsa.tune(tiny(), out=tmp_path)
     with pytest.raises(RunFolderError, match="no finished run"):
         posegsa.load(tmp_path)
     told.clear()
-    posegsa.tune(resume=tmp_path, progress=lambda p: told.append(p.iteration), figures=[])
+    posegsa.tune(resume=tmp_path, progress=iterations, figures=[])
     assert told == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])
     # Once more: it is finished, and says so without searching.
@@ -300,17 +311,17 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
         (
             lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
-            "schema = 1, written by posegsa '0.1'; this version reads schema 4",
+            "schema = 1,.*'0.1'.*schema 4",
         ),
         (
             lambda f: (f / "history.csv").write_text("a,b\n1,2\n"),
-            "history.csv: is not such a table: the columns are",
+            "history.csv: .*columns",
         ),
         (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
         (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
         (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
         (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),
-        (lambda f: os.truncate(f / "history.csv", 2**27 + 1), "134217729 bytes; allowed"),
+        (lambda f: os.truncate(f / "history.csv", 2**27 + 1), "134217729 bytes"),
         (lambda f: (f / "history.csv").unlink() or os.mkfifo(f / "history.csv"), "regular file"),
         (
             lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
@@ -392,7 +403,7 @@ def test_a_batch_gives_what_single_runs_give(run):
         assert words in batch.summary()
 
 
-def test_a_batch_of_traced_values_is_compiled_once(monkeypatch):
+def test_a_batch_of_traced_values_is_compiled_once(monkeypatch, caplog):
     # What is found is judged in other tests.
     monkeypatch.setattr(
         "posegsa.tuning.judge", lambda _, found: SimpleNamespace(best_cost=found.search.best_cost)
@@ -400,15 +411,10 @@ def test_a_batch_of_traced_values_is_compiled_once(monkeypatch):
     many = [tiny(f"filter.gamma={g}", f"scenario.velocity_noise={g / 100}") for g in (2.0, 8.0)]
     costs = [r.best_cost for r in posegsa.tune_batch(many).results]
     assert costs[0] != costs[1]
-    traced: list[str] = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda event, _, **about: (
-            traced.append(about.get("fun_name", "")) if event.endswith("trace_duration") else None
-        )
-    )
     again = [config.override(one, ["gain.error_scale=0.7", "run.seed=9"]) for one in many]
-    posegsa.tune_batch(again)
-    assert "_advance" not in traced
+    with jax.log_compiles():
+        posegsa.tune_batch(again)
+    assert "Compiling" not in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -462,7 +468,7 @@ def test_a_searched_rule_table_is_that_of_all_that_shows_the_result(searched):
 
 def test_a_rule_table_of_a_folder_is_checked(searched):
     result, folder = searched
-    for wrong, said in (([5.0] * 25, "allowed: 25 whole numbers"), (None, "rules in it = False")):
+    for wrong, said in (([5.0] * 25, "25 whole numbers"), (None, "rules")):
         numbers = dict(result.evaluation.contenders[TUNED].filter.numbers)
         numbers.pop("rules") if wrong is None else numbers.update(rules=wrong)
         path = folder / "evaluation.json"
@@ -474,7 +480,7 @@ def test_a_rule_table_of_a_folder_is_checked(searched):
 
 
 def test_a_search_that_only_descends_cannot_choose_rules():
-    with pytest.raises(ConfigError, match=r'fuzzy.rules = "searched"\s+allowed: a table, because'):
+    with pytest.raises(ConfigError, match=r'fuzzy.rules = "searched"\s.*table'):
         tiny("fuzzy.rules=searched", "search.optimiser=adam")
     polished = ("search.optimiser=gsa+adam", "search.agents=40", "search.iterations=40")
     assert tiny("fuzzy.rules=searched", *polished).search.optimiser == "gsa+adam"

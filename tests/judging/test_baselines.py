@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 from posegsa import config
 from posegsa.judging import baselines
@@ -23,6 +23,7 @@ from posegsa.judging.baselines import (
     schedule_baselines,
     schedule_space,
     search_baseline,
+    searchable,
 )
 from posegsa.judging.evaluation import CONTENDERS, EKF, EKF_VECTORS, TUNED
 from posegsa.judging.metrics import error_tracks, metrics_of
@@ -127,10 +128,10 @@ def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_ev
     for name in ("adam", "gsa+adam", "pycma"):
         enough = ["search.agents=10", "search.iterations=100"]
         one = config.override(config.override(tiny(), enough), [f"search.optimiser={name}"])
-        assert baselines._searched(one).search.optimiser == "de"
+        assert searchable(one).search.optimiser == "de"
     few = ["search.optimiser=pycma", "search.agents=3", "search.iterations=8"]
-    assert baselines._searched(config.override(tiny(), few)).search.evaluations == 24
-    assert baselines._searched(tiny()) == tiny()
+    assert searchable(config.override(tiny(), few)).search.evaluations == 24
+    assert searchable(tiny()) == tiny()
 
 
 def test_learning_begins_later_only_where_biases_are_learnt() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
+from helpers.messages import assert_told
 from scipy import stats
 
 import posegsa
@@ -28,6 +29,7 @@ from posegsa.judging.evaluation import (
 from posegsa.saving.records import from_json, to_json
 from posegsa.saving.run import SCHEMA
 from posegsa.search.keys import held_out_keys, training_keys
+from posegsa.steps import Step
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -44,22 +46,24 @@ def evaluated():
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECKED", 20)
     patch.setattr(kalman, "MOST", 40)
-    told: list[str] = []
+    told: list[Step] = []
     tuned = posegsa.tune(tiny())
     result = evaluate(tuned, scenarios=3, progress=told.append)
     yield tuned, result, told
     patch.undo()
 
 
+def about(name: str, told: list[Step]) -> list[str]:
+    """What the parts of a step were about, in order."""
+    return list(dict.fromkeys(step.about for step in told if step.name == name))
+
+
 def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     _, result, told = evaluated
     contenders = result.evaluation.contenders
     assert tuple(contenders) == CONTENDERS
-    searched = {f"searching: {name}" for name in CONTENDERS} - {
-        f"searching: {name}" for name in (TUNED, CONSTANT)
-    }
-    assert set(told[: -len(CONTENDERS)]) == searched, "what `tune` found is not searched again"
-    assert told[-len(CONTENDERS) :] == [f"judging: {name}" for name in CONTENDERS]
+    assert set(about("searching", told)) == {*CONTENDERS} - {TUNED, CONSTANT}, "`tune` found those"
+    assert about("judging", told) == [*CONTENDERS]
     starts = [c.metrics.initial_angle for c in contenders.values()]
     assert all(len(s) == 3 for s in starts)
     for start in starts:
@@ -71,9 +75,10 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
 
 def test_what_was_found_is_not_searched_again(evaluated):
     _, result, _ = evaluated
-    told: list[str] = []
+    told: list[Step] = []
     again = evaluate(result, scenarios=3, progress=told.append)
-    assert told == [f"judging: {name}" for name in CONTENDERS]
+    assert {step.name for step in told} == {"preparing", "judging"}
+    assert about("judging", told) == [*CONTENDERS]
     for name, contender in again.evaluation.contenders.items():
         before = result.evaluation.contenders[name]
         assert contender.filter == before.filter
@@ -200,4 +205,4 @@ def test_the_table_holds_every_contender(evaluated):
     heads = [line[: len(max(CONTENDERS, key=len))].strip() for line in text.splitlines()]
     for name in CONTENDERS:
         assert heads.count(name) == 2
-    assert text.startswith("Cost on 3 scenarios of ")
+    assert_told(text.splitlines()[0], "Cost", "3 scenarios")

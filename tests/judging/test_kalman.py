@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from experiments import tiny
+from helpers.experiments import quietly, tiny
 
+from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.rollout import simulate_errors
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import Description
 from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune_kalman
-from posegsa.model.ekf import EkfNoise, ekf_errors
 from posegsa.search.keys import training_keys
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -25,7 +25,7 @@ def described(noises: dict[str, float]) -> Description:
 
 
 def test_the_noises_are_all_that_the_filter_has() -> None:
-    assert set(BOUNDS) == set(EkfNoise._fields)
+    assert set(BOUNDS) == set(KalmanNoise._fields)
     assert all(0 < low < high for low, high in BOUNDS.values())
 
 
@@ -55,17 +55,16 @@ def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
 
 
 def test_tracks_are_those_of_the_filter_one_by_one() -> None:
-    """Simulated 25 at a time: the last part is filled up."""
+    """Simulated in groups of 16: the last one is filled up."""
     noises = NOISES | {"vector": 0.1, "landmark": 0.1}
     batch = kalman_scenarios(TINY, quietly(TINY), training_keys(0, 3), vector_biases=False)
     several = jax.device_get(batch).select(np.arange(26) % 3)
-    assert kalman.SCENARIOS == 25
     tracks = kalman_tracks(described(noises), several)
-    noise = EkfNoise(**{name: jnp.float32(n) for name, n in noises.items()})
-    alone = jax.jit(ekf_errors)
+    noise = KalmanNoise(**{name: jnp.float32(n) for name, n in noises.items()})
+    filter, alone = KalmanFilter(noise, vector_biases=False), jax.jit(simulate_errors)
     for i in range(3):
         scenario = jax.tree.map(lambda a, i=i: a[i], (several.samples, several.initial))
-        for ours, theirs in zip(tracks, alone(*scenario, noise), strict=True):
+        for ours, theirs in zip(tracks, alone(filter, *scenario), strict=True):
             for same in range(i, 26, 3):
                 np.testing.assert_allclose(ours[same], theirs, rtol=1e-3, atol=1e-5)
     assert tracks.position.shape == (26, 200)
@@ -77,7 +76,8 @@ def test_only_with_vector_biases_are_there_such_states() -> None:
         batch = kalman_scenarios(
             TINY, quietly(TINY), training_keys(0, 3), vector_biases=vector_biases
         )
-        assert len(batch.initial.vector_biases) == 2 * vector_biases
+        start = batch.filter.start(jax.tree.map(lambda a: a[0], batch.initial), 2)
+        assert len(start.covariance) == (18 if vector_biases else 12)
         assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 200), (
             "each, as measured"
         )

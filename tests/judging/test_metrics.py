@@ -3,13 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
-from posegsa.judging import metrics
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
-from posegsa.model.rollout import ErrorTrack
 from posegsa.model.schedules import ConstantGain
+from posegsa.search import groups
 from posegsa.search.build import cost_weights, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
@@ -112,9 +112,9 @@ def test_the_bias_error_is_against_the_true_bias(posed, tracks):
     )
 
 
-def test_batches_give_what_one_call_gives(posed, tracks, monkeypatch):
-    monkeypatch.setattr(metrics, "SCENARIOS", 2)
-    monkeypatch.setattr(metrics, "SAMPLES", 70)
+def test_groups_give_what_one_call_gives(posed, tracks, monkeypatch):
+    monkeypatch.setattr(groups, "SCENARIOS", 4)  # of six: the last group begins again
+    monkeypatch.setattr(groups, "SHORTEST", 200)
     again = error_tracks(Candidate(ConstantGain(jnp.float32(20))), posed)
     for whole, parts in zip(tracks, again, strict=True):
         np.testing.assert_allclose(parts, whole, rtol=1e-4, atol=1e-6)

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import random_poses
+from helpers import reference
+from helpers.measurements import directions, random_poses
 from scipy.spatial.transform import Rotation
 
+from posegsa.filters.rollout import Estimates
 from posegsa.judging.trajectory import Trajectory, trajectory
-from posegsa.model.rollout import Estimates
 
 pytestmark = pytest.mark.quick
 
@@ -90,3 +90,15 @@ def test_everything_else_is_taken_as_it_is(dtype: str) -> None:
     vectors = {"euler": (3,), "euler_est": (3,), "position": (3,), "position_est": (3,)}
     biases = {"bias_est": (6,), "vector_bias_est": (6,), "vector_bias_error": (2,)}
     assert shapes == dict.fromkeys(shapes, ()) | vectors | biases
+
+
+def test_distances_of_half_a_turn_are_not_rounded_above_one() -> None:
+    turns = Rotation.random(1000, rng=np.random.default_rng(0))
+    half_turns = Rotation.from_rotvec(np.pi * directions(1000)) * turns
+    R, R_est = (jnp.asarray(r.as_matrix(), jnp.float32) for r in (turns, half_turns))
+    nothing = {name: jnp.zeros(1000) for name in ("time", "gain", "gain_used", "error", "rate")}
+    position, bias = jnp.zeros((1000, 3)), jnp.zeros((1000, 6))
+    none = jnp.zeros((1000, 0, 3))
+    estimates = Estimates(rotation=R_est, position=position, bias=bias, vector_bias=none, **nothing)
+    made = trajectory(R, position, estimates, np.zeros((0, 3)))
+    assert made.attitude_distance.max() == 1

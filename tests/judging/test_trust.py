@@ -5,8 +5,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from experiments import tiny
+from helpers import reference
+from helpers.experiments import tiny
 
 import posegsa
 from posegsa.judging.trust import rule_weights, uncovered

@@ -1,27 +1,22 @@
 """The cost: its windows by hand, against the reference, and run up inside a simulation."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import (
-    PAPER,
-    cost_of_estimates,
-    lasting,
-    paper,
-    search_vectors,
-    sensed,
-    space,
-    start,
-    tracked,
-)
+from helpers import reference
+from helpers.controllers import search_vectors
+from helpers.experiments import PAPER, lasting, paper, space
+from helpers.filters import start
+from helpers.measurements import cost_of_estimates, sensed, tracked, trajectory_cost
 
 from posegsa.config import CostConfig, ObjectiveConfig
-from posegsa.model.cost import SquaredErrors, sample_error, trajectory_cost
-from posegsa.model.rollout import simulate, simulate_cost
+from posegsa.filters.rollout import simulate, simulate_cost
+from posegsa.model.cost import SquaredErrors, sample_error
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import cost_weights, filter_settings, signal_settings
+from posegsa.search.build import cost_weights, observer
 from posegsa.search.population import over_scenarios
 
 HAND = CostConfig(
@@ -70,14 +65,13 @@ def test_the_papers_cost_against_the_reference() -> None:
 def test_the_trajectory_form_equals_the_running_form() -> None:
     experiment = paper(*lasting(2.0))
     truth, measurements = sensed(np.full(200, 0.01), [[0.6, 0, 0.8], [0, 1, 0]], [[0.5, 1.4, 1]])
-    settings = filter_settings(experiment)
-    scenario = tracked(measurements, truth, settings.vectors, "float64")
     schedule = FuzzyGain(space().controller(jnp.asarray(search_vectors(1, seed=1)[0])))
-    signal = signal_settings(experiment.gain, "float64")
+    filter = replace(observer(experiment), schedule=schedule)
+    scenario = tracked(measurements, truth, filter, "float64")
     weights = cost_weights(experiment.cost, 200, jnp.dtype("float64"))
-    given = schedule, scenario, start("float64")
-    running = jax.jit(simulate_cost)(*given, weights, settings, signal)
-    whole = cost_of_estimates(simulate(*given, settings, signal), scenario, weights)
+    given = filter, scenario, start("float64")
+    running = jax.jit(simulate_cost)(*given, weights)
+    whole = cost_of_estimates(simulate(*given), scenario, weights)
     np.testing.assert_allclose(running, whole, rtol=1e-12)
     assert float(running.transient) > 0 < float(running.steady)
 

@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import quietly
-from experiments import tiny
+from helpers.experiments import quietly, tiny
 from jax import Array
 
 from posegsa import config

@@ -8,13 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
 import skfuzzy
-from setups import (
+from helpers import reference
+from helpers.controllers import (
     GAPPED,
     INPUTS,
     OUTPUTS,
-    PAPER,
     RULES,
     corner_vectors,
     evaluated,
@@ -23,9 +22,10 @@ from setups import (
     repaired_terms,
     search_vectors,
 )
+from helpers.experiments import PAPER
 
 from posegsa.errors import FuzzyError
-from posegsa.model.fuzzy import FuzzyController, _compiled_gain
+from posegsa.model.fuzzy import FuzzyController
 from posegsa.search.build import rule_indices
 
 DTYPES = ("float32", "float64")
@@ -130,16 +130,6 @@ def test_gain_against_scikit_fuzzy_on_random_points(
     np.testing.assert_allclose(gains - 1, exact, rtol=0, atol=1e-9)
 
 
-@pytest.mark.usefixtures("x64")
-def test_gain_against_scikit_fuzzy_on_a_grid() -> None:
-    axis = np.linspace(0, 1, 6)
-    error, rate = (x.ravel() for x in np.meshgrid(axis, axis))
-    terms = [t[0] for t in repaired_terms(search_vectors(1, seed=3))]
-    expected = [by_scikit_fuzzy(e, r, *terms) for e, r in zip(error, rate, strict=True)]
-    gains = evaluated(fuzzy(*terms), error, rate)
-    np.testing.assert_allclose(gains, expected, rtol=0, atol=2e-3)  # measured: 9e-6
-
-
 # Under JAX's transformations ----------------------------------------------------------------------
 
 
@@ -163,17 +153,19 @@ def test_arrays_and_vmap_equal_single_calls() -> None:
     assert (np.asarray(each) == last).any()  # some held the last gain
 
 
-def test_inputs_are_clipped_and_broadcast() -> None:
+def test_inputs_are_clipped_and_broadcast(caplog: pytest.LogCaptureFixture) -> None:
     controller = fuzzy(INPUTS, OUTPUTS, "float32")
     ends = evaluated(controller, [0.0, 1.0], [1.0, 0.0])
     np.testing.assert_array_equal(evaluated(controller, [-3.0, 1.5], [7.0, -0.1]), ends)
     assert evaluated(controller, np.zeros((3, 2)), 0.5).shape == (3, 2)
     assert controller(0.3, 0.2).shape == ()
     # Outside of a compiled program a call is one, found again for other numbers and controllers.
-    before = _compiled_gain._cache_size()
     other = dataclasses.replace(controller, output_terms=0.5 * controller.output_terms)
-    assert controller(0.4, 0.1) != other(0.4, 0.1)
-    assert _compiled_gain._cache_size() == before
+    with jax.log_compiles():
+        assert float(controller(0.4, 0.1)) != float(other(0.4, 0.1))
+        assert "Compiling" not in caplog.text
+        controller(np.zeros(7), 0.1)
+        assert "Compiling" in caplog.text
 
 
 def test_the_surfaces_rows_are_the_rate() -> None:
@@ -196,14 +188,14 @@ def changed(terms: np.ndarray, i: int, values: list[float]) -> np.ndarray:
 REFUSED = {
     "shape": (
         {"inputs": np.zeros((5, 2))},
-        r"input_terms: must have the shape \(terms, 3\).*\(5, 2\)",
+        r"input_terms:.* \(terms, 3\).*\(5, 2\)",
     ),
     "one term flat": ({"outputs": np.zeros(3)}, r"output_terms: must have the shape.*\(3,\)"),
     "no terms": ({"outputs": np.zeros((0, 3))}, r"output_terms: must have the shape.*\(0, 3\)"),
-    "nan": ({"inputs": changed(INPUTS, 1, [0, np.nan, 0.2])}, "input_terms: must be finite.*nan"),
+    "nan": ({"inputs": changed(INPUTS, 1, [0, np.nan, 0.2])}, r"input_terms:.*finite.*nan"),
     "infinite": (
         {"outputs": changed(OUTPUTS, 4, [50, 100, np.inf])},
-        "output_terms: must be finite",
+        r"output_terms:.*finite",
     ),
     "triangle": (
         {"inputs": changed(INPUTS, 1, [0.1, 0.05, 0.2])},
@@ -213,8 +205,8 @@ REFUSED = {
         {"outputs": changed(OUTPUTS, 2, [0, 0, 0])},
         "output_terms: the a's, b's and c's must each ascend.*centroid=\"sampled\"",
     ),
-    "few rows": ({"rules": RULES[:4]}, "rules: must be 5 rows of 5"),
-    "short row": ({"rules": (*RULES[:4], (1, 2))}, "rules: must be 5 rows of 5"),
+    "few rows": ({"rules": RULES[:4]}, r"rules:.* 5 rows of 5"),
+    "short row": ({"rules": (*RULES[:4], (1, 2))}, r"rules:.* 5 rows of 5"),
     "unknown output": (
         {"rules": (*RULES[:4], (0, 0, 0, 0, 5))},
         "rules: entries must be output terms 0 to 4",
@@ -225,22 +217,22 @@ REFUSED = {
     ),
     "sampled_points": (
         {"centroid": "sampled", "sampled_points": 1},
-        "sampled_points: must be at least 2, got 1",
+        r"sampled_points:.* at least 2.* 1",
     ),
-    "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend, got \(100.0, 0.0\)"),
+    "range": ({"output_range": (100.0, 0.0)}, r"output_range: must ascend.* \(100.0, 0.0\)"),
     "ends that are no tuple": (
         {"output_range": [0.0, 100.0]},
-        r"output_range: must be a tuple of two finite numbers, got \[0.0, 100.0\]",
+        r"output_range:.* a tuple of two finite numbers.* \[0.0, 100.0\]",
     ),
     "rules as lists": (
         {"rules": [list(row) for row in RULES]},
-        "rules: must be a tuple of tuples of output terms",
+        r"rules:.* a tuple of tuples of output terms",
     ),
     "infinite offset": (
         {"offset": np.inf},
-        "offset: must be a finite number of at least 0, got inf",
+        r"offset:.* a finite number of at least 0.* inf",
     ),
-    "negative reach": ({"reach": -1}, "reach: must be a whole number from 0, or None, got -1"),
+    "negative reach": ({"reach": -1}, r"reach:.* a whole number from 0, or None.* -1"),
     "short reach": ({"reach": 0}, "reach: must not be 0, as output terms 1 apart overlap"),
 }
 
@@ -253,7 +245,7 @@ def test_what_is_refused(given: dict, message: str) -> None:
 
 def test_terms_as_numpy_arrays_are_checked_too() -> None:
     words: Any = [["small"] * 3] * 5
-    with pytest.raises(FuzzyError, match="input_terms: must be an array of numbers"):
+    with pytest.raises(FuzzyError, match=r"input_terms:.*array of numbers"):
         FuzzyController(words, OUTPUTS, RULES, (0.0, 100.0))
     with pytest.raises(FuzzyError, match="input_terms: each term must ascend"):
         FuzzyController(INPUTS[:, ::-1], OUTPUTS, RULES, (0.0, 100.0))

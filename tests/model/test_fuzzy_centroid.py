@@ -7,11 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from jax import Array
-from setups import (
+from helpers import reference
+from helpers.controllers import (
     GAPPED,
     INPUTS,
     OUTPUTS,
@@ -22,6 +19,9 @@ from setups import (
     repaired_terms,
     search_vectors,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax import Array
 
 from posegsa.model.fuzzy import FuzzyController, exact_integrals
 

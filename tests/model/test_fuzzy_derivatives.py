@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import Array
-from setups import (
+from helpers.controllers import (
     INPUTS,
     OUTPUTS,
     RULES,
@@ -18,6 +17,7 @@ from setups import (
     repaired_terms,
     search_vectors,
 )
+from jax import Array
 
 from posegsa.model.fuzzy import FuzzyController
 

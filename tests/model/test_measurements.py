@@ -6,10 +6,11 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from builders import as_arrays, random_measurements
-from filters import jitted_prepare, prepared
+from helpers.arrays import as_arrays
+from helpers.filters import jitted_prepare, prepared
+from helpers.measurements import random_measurements
 
-from posegsa.errors import MeasurementError
+from posegsa.errors import MeasurementError, PosegsaWarning
 from posegsa.model.measurements import Measurements
 
 pytestmark = pytest.mark.quick
@@ -114,7 +115,7 @@ def test_what_is_masked_is_missing() -> None:
         Measurements.from_arrays(**given).vector_weights,
     )
     hidden = np.ma.masked_equal(given["angular_velocity"], given["angular_velocity"][2, 1])
-    with pytest.raises(MeasurementError, match=r"angular_velocity: must be finite, got nan at"):
+    with pytest.raises(MeasurementError, match=r"angular_velocity:.*finite.* nan at"):
         Measurements.from_arrays(**given | {"angular_velocity": hidden})
 
 
@@ -173,73 +174,73 @@ ones = np.ones
 REFUSED = {
     "angular velocity, shape": (
         {"angular_velocity": ones((N, 2))},
-        "angular_velocity: must have the shape (N, 3), got (4, 2)",
+        "angular_velocity:... (N, 3)... (4, 2)",
     ),
     "angular velocity, axes": (
         {"angular_velocity": ones(3)},
-        "angular_velocity: must have the shape (N, 3), got (3,)",
+        "angular_velocity:... (N, 3)... (3,)",
     ),
     "angular velocity, text": (
         {"angular_velocity": "fast"},
-        "angular_velocity: must be an array of numbers",
+        "angular_velocity:...array of numbers",
     ),
     "angular velocity, ragged": (
         {"angular_velocity": [[1, 2, 3], [1, 2]]},
-        "angular_velocity: must be an array of numbers",
+        "angular_velocity:...array of numbers",
     ),
     "angular velocity, nan": (
         array_with("angular_velocity", (1, 2), np.nan),
-        "angular_velocity: must be finite, got nan at (1, 2)",
+        "angular_velocity:...finite... nan at (1, 2)",
     ),
     "angular velocity, infinite": (
         array_with("angular_velocity", (3, 0), -np.inf),
-        "angular_velocity: must be finite, got -inf at (3, 0)",
+        "angular_velocity:...finite... -inf at (3, 0)",
     ),
     "no samples": (
         {"angular_velocity": ones((0, 3))},
-        "angular_velocity: at least one sample is needed, got none",
+        "angular_velocity: at least one sample is needed... none",
     ),
     "velocity, length": (
         {"velocity": ones((N + 1, 3))},
-        "velocity: must have the shape (4, 3), got (5, 3)",
+        "velocity:... (4, 3)... (5, 3)",
     ),
     "velocity, nan": (
         array_with("velocity", (0, 1), np.nan),
-        "velocity: must be finite, got nan at (0, 1)",
+        "velocity:...finite... nan at (0, 1)",
     ),
     "time step, length": (
         {"time_step": ones(N - 1)},
-        "time_step: must have the shape ... got (3,)",
+        "time_step:... got (3,)",
     ),
     "time step, axes": (
         {"time_step": ones((N, 1))},
-        "time_step: must have the shape ... got (4, 1)",
+        "time_step:... got (4, 1)",
     ),
     "time step, nan": (
         {"time_step": [0.01, np.nan, 0.01, 0.01]},
-        "time_step: must be finite, got nan at (1,)",
+        "time_step:...finite... nan at (1,)",
     ),
-    "time step, infinite": ({"time_step": np.inf}, "time_step: must be finite, got inf at (0,)"),
-    "time step, text": ({"time_step": "short"}, "time_step: must be an array of numbers"),
+    "time step, infinite": ({"time_step": np.inf}, "time_step:...finite... inf at (0,)"),
+    "time step, text": ({"time_step": "short"}, "time_step:...array of numbers"),
     "time step, zero": (
         {"time_step": 0.0},
-        "time_step: must be positive, got 0 s at sample 0",
+        "time_step:...positive... 0 s at sample 0",
     ),
     "time step, back": (
         {"time_step": [0.01, 0.01, -0.02, 0.01]},
-        "time_step: must be positive, got -0.02 s at sample 2",
+        "time_step:...positive... -0.02 s at sample 2",
     ),
     "vectors alone": (
         {"vector_references": None},
-        "vectors and vector_references: give both or neither",
+        "vectors and vector_references:...both or neither",
     ),
     "vector references alone": (
         {"vectors": None},
-        "vectors and vector_references: give both or neither",
+        "vectors and vector_references:...both or neither",
     ),
     "landmarks alone": (
         {"landmark_references": None},
-        "landmarks and landmark_references: give both or neither",
+        "landmarks and landmark_references:...both or neither",
     ),
     "vector weights alone": (
         {"vectors": None, "vector_references": None, "vector_weights": 1.0},
@@ -251,63 +252,63 @@ REFUSED = {
     ),
     "vectors, shape": (
         {"vectors": ones((N, 3))},
-        "vectors: must have the shape ... got (4, 3)",
+        "vectors:... got (4, 3)",
     ),
     "vectors, length": (
         {"vectors": ones((N + 2, VECTORS, 3))},
-        "vectors: must have the shape ... got (6, 3, 3)",
+        "vectors:... got (6, 3, 3)",
     ),
     "vectors, infinite": (
         array_with("vectors", (1, 2, 0), np.inf),
-        "vectors: must not be infinite, got inf at (1, 2, 0)",
+        "vectors:...infinite... inf at (1, 2, 0)",
     ),
     "landmarks, infinite": (
         array_with("landmarks", (3, 1, 2), -np.inf),
-        "landmarks: must not be infinite, got -inf at (3, 1, 2)",
+        "landmarks:...infinite... -inf at (3, 1, 2)",
     ),
     "vector references, count": (
         {"vector_references": ones((VECTORS - 1, 3))},
-        "vector_references: must have the shape (3, 3), got (2, 3)",
+        "vector_references:... (3, 3)... (2, 3)",
     ),
     "vector references, samples": (
         {"vector_references": ones((N - 1, VECTORS, 3))},
-        "vector_references: must have the shape (4, 3, 3), got (3, 3, 3)",
+        "vector_references:... (4, 3, 3)... (3, 3, 3)",
     ),
     "vector references, nan": (
         array_with("vector_references", (1, 1), np.nan),
-        "vector_references: must be finite, got nan at (1, 1)",
+        "vector_references:...finite... nan at (1, 1)",
     ),
     "vector references, text": (
         {"vector_references": "up"},
-        "vector_references: must be an array of numbers",
+        "vector_references:...array of numbers",
     ),
     "landmark references, nan": (
         array_with("landmark_references", (0, 2), np.nan),
-        "landmark_references: must be finite, got nan at (0, 2)",
+        "landmark_references:...finite... nan at (0, 2)",
     ),
     "landmark references, ragged": (
         {"landmark_references": [[1, 2, 3], [1, 2]]},
-        "landmark_references: must be an array of numbers",
+        "landmark_references:...array of numbers",
     ),
     "vector weights, shape": (
         {"vector_weights": ones(N)},
-        "vector_weights: must be a scalar or have the shape (3,) or (4, 3), got (4,)",
+        "vector_weights:... a scalar or have the shape (3,) or (4, 3)... (4,)",
     ),
     "vector weights, negative": (
         {"vector_weights": [1.0, -0.5, 1.0]},
-        "vector_weights: must be finite and not negative, got -0.5",
+        "vector_weights:...not negative... -0.5",
     ),
     "vector weights, nan": (
         {"vector_weights": [1.0, np.nan, 1.0]},
-        "vector_weights: must be finite and not negative, got nan",
+        "vector_weights:...not negative... nan",
     ),
     "landmark weights, infinite": (
         {"landmark_weights": [1.0, np.inf]},
-        "landmark_weights: must be finite and not negative, got inf",
+        "landmark_weights:...not negative... inf",
     ),
     "landmark weights, text": (
         {"landmark_weights": "heavy"},
-        "landmark_weights: must be an array of numbers",
+        "landmark_weights:...array of numbers",
     ),
 }
 
@@ -383,3 +384,23 @@ def test_prepare_in_float32_with_64_bits_allowed_stays_in_float32() -> None:
         assert {a.dtype for a in jax.tree.leaves(jax.eval_shape(prepared, m))} == {
             np.dtype(np.float32)
         }
+
+
+# Precision ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("x64")
+def test_measurements_below_the_filters_precision_are_told_by_field_and_dtypes() -> None:
+    m = Measurements.from_arrays(**arrays(), dtype=np.float64)
+    assert all(a is b for a, b in zip(m.at_least(np.dtype("float64")), m, strict=True))
+    mixed = m._replace(velocity=m.velocity.astype(np.float32))
+    with pytest.warns(PosegsaWarning, match=r"measurements\.velocity: float32.* float64"):
+        raised = mixed.at_least(np.dtype("float64"))
+    assert raised.velocity.dtype == np.float64
+    np.testing.assert_array_equal(raised.velocity, mixed.velocity)
+
+
+@pytest.mark.usefixtures("x64")
+def test_measurements_above_the_filters_precision_are_left_as_they_are() -> None:
+    m = Measurements.from_arrays(**arrays(), dtype=np.float64)
+    assert all(a is b for a, b in zip(m.at_least(np.dtype("float32")), m, strict=True))

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from helpers.messages import assert_told
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,7 +58,7 @@ def test_observable(directions: object, positions: object) -> None:
     ],
 )
 def test_not_observable(directions: object, positions: object) -> None:
-    with pytest.raises(ScenarioError, match=r"the pose is not observable: found .*; needed are"):
+    with pytest.raises(ScenarioError, match=r"not observable.*found"):
         check_observability(directions, positions)
 
 
@@ -71,11 +72,11 @@ def test_only_weights_above_zero_count() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([[1.0, 2.0]], CORNERS), r"directions has shape \(1, 2\); needed is \(n, 3\)"),
+        (([[1.0, 2.0]], CORNERS), r"directions has shape \(1, 2\).*\(n, 3\)"),
         (([UP], CORNERS[0]), r"positions has shape \(3,\)"),
         (([UP], CORNERS, [1.0, 1.0]), r"directions has 1 rows, its weights have shape \(2,\)"),
-        (([(0.0, 0.0, 0.0)], CORNERS), "directions holds a zero vector"),
-        (([(0.0, 0.0, np.nan)], CORNERS), "directions or their weights are not finite"),
+        (([(0.0, 0.0, 0.0)], CORNERS), "directions.*zero vector"),
+        (([(0.0, 0.0, np.nan)], CORNERS), "directions.*not finite"),
     ],
 )
 def test_arrays_that_make_no_sense_are_refused(arguments: tuple[object, ...], message: str) -> None:
@@ -116,6 +117,4 @@ def test_two_vectors_fix_the_attitude() -> None:
         ([UP, (0.0, 0.0, -3.0)], None, "2 collinear vectors"),
         ([UP, EAST], [1.0, 0.0], "1 vector"),
     ):
-        assert why_attitude_unobservable(directions, weights) == (
-            f"found {found} (weight above 0); needed are two non-collinear vectors"
-        )
+        assert_told(why_attitude_unobservable(directions, weights), found, "two non-collinear")

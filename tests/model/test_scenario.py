@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import AT_REST, experiment, quietly
+from helpers import reference
+from helpers.experiments import AT_REST, experiment, quietly
 from jax import Array
 from scipy.spatial.transform import Rotation
 
@@ -23,8 +23,6 @@ from posegsa.model.scenario import (
     Truth,
     integrate,
     measure,
-    sense_onward,
-    underway,
 )
 from posegsa.search.build import scenario
 
@@ -427,21 +425,6 @@ def test_vmap_over_keys_equals_a_loop() -> None:
     together = jax.jit(jax.vmap(measure, in_axes=(None, None, 0)))(s, truth, keys)
     loop = [jitted_sense(s, truth, key) for key in keys]
     same(together, jax.tree.map(lambda *a: np.stack(a), *loop), atol=1e-13)
-
-
-@pytest.mark.usefixtures("x64")
-def test_pieces_are_the_whole() -> None:
-    given = {"angular_velocity_drift": 0.3, "landmark_period": 7, "rest": ((0.1, 0.2),), **START}
-    s, key = quietly(experiment(duration=0.6, **given)), jax.random.key(5)
-    onward = jax.jit(lambda at: sense_onward(s, at, 20, key))
-    at, pieces = underway(s), []
-    for _ in range(3):
-        truth, sensed, at = onward(at)
-        pieces.append((truth, sensed))
-    joined = jax.tree.map(lambda *a: np.concatenate(a), *pieces)
-    truth = jitted_integrate(s)
-    same(joined, (truth, jitted_sense(s, truth, key)), atol=1e-13)
-    assert at.sample == 60
 
 
 def test_numbers_change_without_compiling_again() -> None:

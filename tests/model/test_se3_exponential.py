@@ -1,4 +1,4 @@
-"""The exponential, the adjoint and rigid motions, against SciPy, jaxlie and exact series."""
+"""The exponential and rigid motions, against SciPy, jaxlie and exact series."""
 
 import math
 from fractions import Fraction
@@ -6,12 +6,12 @@ from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 import pytest
-import reference
 import scipy.linalg
-from builders import directions, epsilon
+from helpers import reference
+from helpers.arrays import epsilon
+from helpers.measurements import directions
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -94,20 +94,6 @@ def test_second_derivatives_of_exp_at_no_angle_are_those_of_the_series() -> None
     got = jax.jit(jax.jacfwd(jax.jacfwd(along, argnums=0), argnums=1))(0.0, 0.0)
     A, B = reference.wedge(a), reference.wedge(b)
     np.testing.assert_allclose(got, (A @ B + B @ A) / 2, atol=8 * epsilon(np.float64))
-
-
-@pytest.mark.usefixtures("x64")
-def test_exp_equals_jaxlies() -> None:
-    # From half a radian on to rounding. Below, jaxlie itself is off by up to 2e-8 (at 1e-8 rad,
-    # against expm), because it puts 1e-8 or so in the place of small squares.
-    def translation_first(xi: Array) -> Array:
-        return jaxlie.SE3.exp(jnp.concatenate([xi[3:], xi[:3]])).as_matrix()
-
-    xi = twists(ANGLES, np.float64)
-    angle = np.linalg.norm(xi[:, :3], axis=-1)
-    want = np.asarray(jax.jit(jax.vmap(translation_first))(xi))
-    allowed = np.where(angle < 0.5, 1e-7, tolerance(xi, np.float64))
-    assert_each_close(jitted_exp(xi), want, allowed)
 
 
 def test_exp_without_rotation_is_a_translation_exactly(dtype) -> None:
@@ -196,34 +182,6 @@ def test_coefficients_at_many_turns_are_as_good_as_their_angle(dtype) -> None:
     got = np.stack(jax.jit(se3.exp_coefficients)(t2), axis=-1).astype(np.float64)
     allowed = 2 * epsilon(dtype) * t[:, None] * np.stack([t**0, 1 / t, 2 / t**2, 1 / t**2], axis=-1)
     assert (np.abs(got - want) <= allowed).all()
-
-
-# The adjoint --------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("x64")
-def test_adjoint_equals_jaxlies_and_the_references() -> None:
-    T = np.asarray(jitted_exp(twists(np.array([0.0, 0.5, 2.0, 3.0]), np.float64)))
-    swap = np.r_[3:6, 0:3]  # jaxlie's tangent vectors are translation first
-    theirs = np.asarray(jax.jit(lambda t: jaxlie.SE3.from_matrix(t).adjoint())(T))
-    theirs = theirs[:, swap][:, :, swap]
-    got = jax.jit(se3.adjoint)(T)
-    np.testing.assert_allclose(got, theirs, atol=1e-14)
-    np.testing.assert_allclose(got, [reference.adjoint(t) for t in T], atol=1e-15)
-
-
-@pytest.mark.usefixtures("x64")
-def test_adjoint_takes_body_motions_to_spatial_ones() -> None:
-    # T exp(xi) = exp(Ad(T) xi) T: the property that it is for.
-    T = jitted_exp(twists(np.array([0.0, 0.3, 2.0, 3.0]), np.float64))
-    xi = twists(np.array([1.0, 0.2, 2.0, 0.0]), np.float64)
-    spatial = np.einsum("nij,nj->ni", jax.jit(se3.adjoint)(T), xi)
-    np.testing.assert_allclose(T @ jitted_exp(xi), jitted_exp(spatial) @ T, atol=1e-12)
-
-
-def test_hat_equals_the_references() -> None:
-    xi = twists(np.array([1.0]), np.float32)
-    assert (np.asarray(se3.hat(xi)) == [reference.wedge(x) for x in xi]).all()
 
 
 # Group axioms -------------------------------------------------------------------------------------

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from builders import as_arrays, random_measurements, reference_sample
-from filters import vector_settings
+from helpers import reference
+from helpers.arrays import as_arrays
+from helpers.filters import vector_settings
+from helpers.measurements import random_measurements, reference_sample
 from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st

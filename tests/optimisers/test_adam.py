@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
-from experiments import tiny
+from helpers.arrays import assert_same
+from helpers.experiments import tiny
 from jax import Array, random
 
 from posegsa.errors import ConfigError

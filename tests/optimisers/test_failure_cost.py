@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from searches import AGENTS, FIXED_BOX, ITERATIONS, Fixed, fixed_search, steered
+from helpers.searches import AGENTS, FIXED_BOX, ITERATIONS, Fixed, fixed_search, steered
 
 from posegsa.optimisers import (
     GSA,

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.reference import gsa_acceleration, gsa_masses
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array, lax
-from reference import gsa_acceleration, gsa_masses
 from scipy import stats
 
 from posegsa.errors import ConfigError
@@ -33,7 +33,7 @@ def pull(
 ) -> Array:
     """The acceleration with the random weights given as an array (i, j, d), as in the reference."""
     by_attractor = rand.transpose(1, 2, 0)
-    total = pulls(x, masses(costs), 0, k_best, lambda j: by_attractor[j], **powers)
+    total = pulls(x, masses(costs), k_best, lambda j: by_attractor[j], **powers)
     return gravity * total.T
 
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
+from helpers.arrays import assert_same
+from helpers.searches import AGENTS, ITERATIONS, steered
 from jax import Array
-from searches import AGENTS, ITERATIONS, steered
 
 from posegsa.optimisers import (
     Adam,

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
+from helpers.arrays import assert_same
+from helpers.searches import AGENTS, ITERATIONS, Fixed, fixed_search, sphere, steered
 from hypothesis import given
 from hypothesis import strategies as st
 from jax import Array
-from searches import AGENTS, ITERATIONS, Fixed, fixed_search, sphere, steered
 
 from posegsa.optimisers import (
     GSA,

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
-from experiments import tiny
+from helpers.arrays import assert_same
+from helpers.experiments import tiny
 
 import posegsa
 from posegsa.errors import ArgumentError, CheckpointError, ConfigError, PosegsaWarning

@@ -5,8 +5,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from experiments import tiny
-from searches import AGENTS, ITERATIONS, steered
+from helpers.experiments import tiny
+from helpers.searches import AGENTS, ITERATIONS, steered
 
 from posegsa import config
 from posegsa.comparing import USUAL, specify

@@ -9,10 +9,10 @@ import pytest
 from contenders import c, learning, numpy_vectorised, plain_loop
 from contenders.posegsa_worker import parameter_vectors, recommended_task, scene_of
 from contenders.scene import Scene, load
+from helpers.experiments import lasting, paper
 from machine import cpu
 from readme import ROOT
 from run_tables import POSEGSA, C, Row, duration, overview, table
-from setups import lasting, paper
 
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population

@@ -64,16 +64,6 @@ def test_help_lists_and_refused_arguments_need_nothing_heavy(arguments):
     assert loaded(command(*arguments)) == set()
 
 
-def test_the_help_of_compare_names_what_only_the_registry_knows(capsys):
-    from posegsa.cli.command import _parser
-
-    with pytest.raises(SystemExit):
-        _parser().parse_args(["compare", "--help"])
-    words = " ".join(capsys.readouterr().out.split())
-    assert "gsa,random_search,pso,de" in words
-    assert "rastrigin, ackley" in words
-
-
 def test_import_posegsa_needs_nothing_heavy():
     assert loaded("import posegsa; dir(posegsa); posegsa.__version__; posegsa.__all__") == set()
     assert "numpy" in loaded("import posegsa; posegsa.box"), "the check sees what is loaded"
@@ -104,13 +94,16 @@ def test_every_name_is_found_and_listed(package):
 
 @pytest.mark.parametrize("package", [posegsa, config, export])
 def test_a_name_that_is_not_there_is_an_attribute_error(package):
-    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nam'"):
+    with pytest.raises(AttributeError, match=f"No {package.__name__} attribute nam"):
         _ = package.nam
     assert not hasattr(package, "__wrapped__")
 
 
-def test_modules_are_found_without_an_import_of_their_own():
-    assert posegsa.model is import_module("posegsa.model")
+@pytest.mark.parametrize("name", ["config", "runtime"])
+def test_public_modules_need_no_import_of_their_own(name):
+    code = f"import posegsa; posegsa.{name}.__name__"
+    assert "pydantic" not in loaded(code)
+    assert getattr(posegsa, name) is import_module(f"posegsa.{name}")
 
 
 def test_the_stubs_are_installed_beside_the_packages():

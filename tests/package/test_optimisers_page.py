@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from optimisers import FILTER, FUNCTIONS, ON_FUNCTIONS, SPENT, VARIANTS, registered
 
-from posegsa.cli.command import _parser
+from posegsa.cli.command import parser
 
 ROOT = Path(__file__).parent.parent.parent
 TEXT = (ROOT / "docs" / "optimisers.md").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def test_the_list_is_that_of_the_registry() -> None:
 def test_commands_and_files_that_it_names() -> None:
     for command in re.findall(r"`posegsa ((?:tune|compare) [^`]*)`", TEXT):
         words = command.replace("[CONFIG]", "configs/paper.toml").split()
-        _parser().parse_args(words)
+        parser().parse_args(words)
     for path in re.findall(r"\]\(\.\./([\w./]+)\)", TEXT):
         assert (ROOT / path).exists(), path
 

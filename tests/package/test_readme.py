@@ -4,10 +4,10 @@ import re
 from pathlib import Path
 
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 from posegsa import config
-from posegsa.cli.command import _parser
+from posegsa.cli.command import parser
 
 ROOT = Path(__file__).parent.parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -39,7 +39,7 @@ def test_commands_that_it_names_parse():
     commands = re.findall(r"\.venv/bin/posegsa ([^\n#]*)", TEXT)
     assert len(commands) >= 3
     for command in commands:
-        _parser().parse_args(command.split())
+        parser().parse_args(command.split())
 
 
 def test_the_results_are_there():

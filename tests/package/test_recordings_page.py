@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import recordings as benchmark
-from recorded_motion import LANDMARKS, motion
+from helpers.recordings import LANDMARKS, motion
 
 import posegsa
 from posegsa.recordings.table import COLUMNS

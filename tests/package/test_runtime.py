@@ -54,6 +54,40 @@ def test_flags_are_set_once_however_often_they_are_asked_for():
     assert runtime.fast_path_flags(once) == once
 
 
+def test_the_name_of_a_file_with_flags_stays_as_it_is():
+    assert runtime.fast_path_flags("/etc/xla flags") == "/etc/xla flags"
+
+
+def test_a_file_with_flags_is_read_and_a_warning_says_so(tmp_path):
+    file = tmp_path / "flags"
+    file.write_text("--xla_force_host_platform_device_count=3", encoding="utf-8")
+    code = """
+import posegsa, warnings
+with warnings.catch_warnings(record=True, action="always") as said:
+    assert posegsa.enable_fast_path()
+import jax
+print(len(jax.devices()), *(str(one.message) for one in said))
+"""
+    assert python(code, XLA_FLAGS=str(file)).startswith(f"3 XLA_FLAGS names a file, {file}, ")
+
+
+def test_the_command_line_leaves_a_file_with_flags_alone(tmp_path):
+    file = tmp_path / "flags"
+    file.write_text("--xla_force_host_platform_device_count=3", encoding="utf-8")
+    code = """
+import warnings
+warnings.simplefilter("always")  # a line on standard error
+from posegsa.cli import main
+import posegsa.cli.export
+def run(options):
+    import jax
+    print(len(jax.devices()))
+posegsa.cli.export.run = run
+main(["export", ".", "--format", "c"])
+"""
+    assert python(code, XLA_FLAGS=str(file)) == "3"
+
+
 def test_import_changes_nothing_in_the_process():
     code = """
 import os, jax
@@ -84,6 +118,7 @@ print(float(jnp.sum(jnp.ones(3))), os.environ["XLA_FLAGS"])
 
 def test_too_late_it_warns_and_changes_nothing(monkeypatch):
     jnp.ones(1).block_until_ready()
+    monkeypatch.setattr(runtime, "enable_compilation_cache", lambda: None)
     monkeypatch.setenv("XLA_FLAGS", "--as_it_was")
     with pytest.warns(PosegsaWarning, match="before the first array"):
         assert not runtime.enable_fast_path()

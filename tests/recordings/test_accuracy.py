@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
-from posegsa.model.rollout import Estimates
+from posegsa.filters.rollout import Estimates
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -81,10 +81,10 @@ def test_root_mean_squares() -> None:
     )
     assert np.isnan(posegsa.rmse([1.0], np.array([False])))
     assert posegsa.rmse([1.0, np.nan]) == np.inf  # a filter that diverged has no small error
-    with pytest.raises(RecordingError, match="mask: must be bool"):
+    with pytest.raises(RecordingError, match=r"mask:.* bool"):
         posegsa.rmse([1.0], np.array([1]))
     np.testing.assert_allclose(posegsa.position_errors([[1, 2, 2]], [[0, 0, 0]]), [3])
-    with pytest.raises(MeasurementError, match=r"true: must have the shape \(1, 3, 3\)"):
+    with pytest.raises(MeasurementError, match=r"true:.* \(1, 3, 3\)"):
         posegsa.attitude_errors(np.eye(3)[None], np.eye(3))
     blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
     with pytest.raises(RecordingError, match="has no truth"):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 
 from posegsa.config import ImuVectorsConfig
 from posegsa.recordings.fingerprint import fingerprint

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.messages import assert_told
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -61,9 +62,9 @@ def test_a_mapping_names_the_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.measurements.vectors[2], [[0, 1, 2]])
     np.testing.assert_array_equal(recording.measurements.vector_weights, 0.5)
     assert recording.name == "b"
-    with pytest.raises(RecordingError, match="no column 'gyro', for angular_velocity; it has: t"):
+    with pytest.raises(RecordingError, match=r"no column 'gyro', for angular_velocity.*t"):
         Recording.from_csv(path, columns | {"angular_velocity": ["gyro", "gy", "gz"]})
-    with pytest.raises(RecordingError, match="time_unit = 'h'; allowed: s, ms, us, ns"):
+    with pytest.raises(RecordingError, match=r"time_unit = 'h'.*s, ms, us, ns"):
         Recording.from_csv(path, columns, time_unit="h")
 
 
@@ -93,7 +94,8 @@ def test_vectors_and_landmarks_have_usual_names_and_references_beside_the_file(
     np.testing.assert_array_equal(m.landmarks[0, 0], [2, 3, 4])
     np.testing.assert_array_equal(m.landmark_references[0], [[5, 6, 7]])
     assert m.landmark_weights[1, 0] == 0  # an empty cell is not seen
-    assert recording.notes == ("columns that nothing is made of: pressure",)
+    (note,) = recording.notes
+    assert_told(note, "pressure")
     # What Python says goes before it.
     other = Recording.from_csv(tmp_path / "flight.csv", landmark_references=[[1, 1, 1]])
     np.testing.assert_array_equal(other.measurements.landmark_references[0], [[1, 1, 1]])
@@ -119,14 +121,14 @@ def test_the_file_beside_it_may_name_the_columns_and_the_start(tmp_path: Path) -
     [
         (
             "",
-            r"nothing says where they point; allowed: the line vector_references = \[\[x, y, z\]\]",
+            r"vector_references = \[\[x, y, z\]\]",
         ),
-        ("vector_references = [[0, 0, 1]]", "nothing says where they are; allowed: the line land"),
-        ("references = 1", "'references'; allowed: columns, time_unit"),
-        ("time_unit = 1", "time_unit = 1; allowed: a text"),
-        ("columns = 1", "columns = 1; allowed: a table"),
-        ("[columns]\nlandmark = 'a'", "columns.landmark; allowed: time, "),
-        ("[columns]\ntime = [3]", r"columns.time = \[3\]; allowed: names of columns"),
+        ("vector_references = [[0, 0, 1]]", r"landmark_references"),
+        ("references = 1", r"'references'.*columns, time_unit"),
+        ("time_unit = 1", r"time_unit = 1.*text"),
+        ("columns = 1", r"columns = 1.*table"),
+        ("[columns]\nlandmark = 'a'", r"columns.landmark.*time, "),
+        ("[columns]\ntime = [3]", r"columns.time = \[3\].*names of columns"),
         ("[columns]\ntime = 'time'", "columns: lacks angular_velocity"),
         ("columns = [", "not valid TOML"),
         (REFERENCES.replace("[[5, 6, 7]]", "[[5, 6]]"), "landmark_references"),
@@ -150,11 +152,7 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
     path = tmp_path / "drone.csv"
     path.write_text("time,wx,wy,wz,vx,vy,vz,beacon_x\n0,0,0,0,1,0,0,0\n0.1,0,0,0,1,0,0,0\n")
     recording = Recording.read(path)
-    words = (
-        "drone: has no vectors and no landmarks, so that nothing corrects an estimate "
-        r"\(columns that nothing is made of: beacon_x\); allowed in a CSV file: columns v0_x .* "
-        r"drone.csv.toml"
-    )
+    words = r"drone.*beacon_x.*v0_x.*drone.csv.toml"
     with pytest.raises(RecordingError, match=words):
         recording.initial()
     with pytest.raises(RecordingError, match=words):
@@ -166,11 +164,11 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
     [
         ("", "is empty"),
         ("time,wx,wy,wz\n", "holds no sample"),
-        ("time,wx,wy\n1,2,3\n", "has no columns wx wy wz; it has: time, wx, wy"),
-        ("time,wx,wy,wz\n0,1,2,3\n1,2\n", "sample 1 has 2 cells, the head 4"),
-        ("time,wx,wy,wz\n0,1,2,3\n1,2,x,3\n", "'x' in column 'wy' of sample 1 is no number"),
-        ("time,wx,wy,wz\n0,1,2,3\n", "a recording has 1 sample"),
-        ("time,wx,wy,wz,judged\n0,1,2,3,1\n1,1,2,3,0.5\n", "judged: must be a mask"),
+        ("time,wx,wy\n1,2,3\n", r"no columns wx wy wz.*time, wx, wy"),
+        ("time,wx,wy,wz\n0,1,2,3\n1,2\n", "sample 1 .*2 .*4"),
+        ("time,wx,wy,wz\n0,1,2,3\n1,2,x,3\n", "'x'.*'wy'.*sample 1"),
+        ("time,wx,wy,wz\n0,1,2,3\n", "1 sample"),
+        ("time,wx,wy,wz,judged\n0,1,2,3,1\n1,1,2,3,0.5\n", r"judged:.*mask"),
     ],
 )
 def test_what_no_csv_file_can_be_is_refused(tmp_path: Path, text: str, words: str) -> None:
@@ -242,7 +240,7 @@ def test_a_saved_recording_is_read_back(tmp_path: Path, start: str) -> None:
 def test_an_npz_file_holds_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     for arrays, words in (
-        ({"gyro": np.zeros((3, 3))}, "holds 'gyro'; allowed: time"),
+        ({"gyro": np.zeros((3, 3))}, r"holds 'gyro'.*time"),
         ({"time": np.zeros(3)}, "holds no angular_velocity"),
         ({"angular_velocity": np.zeros((3, 3)), "start_rotation": np.eye(3)}, "a start needs"),
         ({"angular_velocity": np.array([{}])}, "cannot be read"),
@@ -283,7 +281,8 @@ def test_euroc_is_read_and_says_what_was_made_of_the_truth(tmp_path: Path) -> No
     quiet = {"landmark_noise": 0.0, "velocity_noise": 0.0, "velocity_bias": (0, 0, 0)}
     recording = Recording.from_euroc(tmp_path, **quiet)
     assert recording.samples == 390
-    assert recording.notes == ("10 IMU samples before and after the reference left out",)
+    (note,) = recording.notes
+    assert_told(note, "10 IMU samples", "left out")
     m = recording.measurements
     assert recording.truth is not None
     np.testing.assert_allclose(recording.truth.rotation, R.as_matrix(), atol=1e-9)
@@ -300,7 +299,7 @@ def test_euroc_is_read_and_says_what_was_made_of_the_truth(tmp_path: Path) -> No
     noisy = Recording.from_euroc(tmp_path, seed=1, landmark_rate=200)
     assert noisy.sources["angular velocity"].startswith("measured")
     assert "synthetic" in noisy.sources["landmarks"]
-    assert "white noise of 0.05 m per axis, seed 1" in noisy.sources["landmarks"]
+    assert_told(noisy.sources["landmarks"], "0.05 m", "seed 1")
     assert "synthetic" in noisy.describe()
     errors = np.asarray(noisy.measurements.landmarks) - np.einsum(
         "kji,knj->kni",
@@ -313,7 +312,7 @@ def test_euroc_is_read_and_says_what_was_made_of_the_truth(tmp_path: Path) -> No
 
 
 def test_euroc_files_that_do_not_fit(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="holds none of mav0/imu0"):
+    with pytest.raises(RecordingError, match="mav0/imu0"):
         Recording.read(tmp_path)
     with pytest.raises(RecordingError, match="no such folder"):
         Recording.from_euroc(tmp_path / "no")

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_motion import GRAVITY, motion
+from helpers.messages import assert_told
+from helpers.recordings import GRAVITY, motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -40,7 +41,8 @@ def test_a_recording_holds_what_it_was_given() -> None:
         "rest": 100,
         "motion": 300,
     }
-    assert "400 samples, 4 s at 100 Hz, 2 vectors, 3 landmarks, pose" in recording.describe()
+    facts = ("400 samples", "4 s", "100 Hz", "2 vectors", "3 landmarks", "pose")
+    assert_told(recording.describe(), *facts)
 
 
 def test_what_is_masked_is_missing() -> None:
@@ -71,7 +73,7 @@ def test_attitude_only_has_no_position() -> None:
     assert recording.truth is not None
     assert recording.truth.position is None
     np.testing.assert_array_equal(recording.initial().position, 0)
-    with pytest.raises(RecordingError, match="velocity: None beside landmarks"):
+    with pytest.raises(RecordingError, match=r"velocity.*landmarks"):
         Recording.from_arrays(**motion(velocity=None))
 
 
@@ -102,13 +104,13 @@ def broken(**changes: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("policy", ["hold", "interpolate"])
 def test_what_is_bridged_is_counted_and_told(policy: Any) -> None:
-    with pytest.warns(PosegsaWarning, match="1 sample dropped") as told:
+    with pytest.warns(PosegsaWarning, match=r"1 sample.*dropped") as told:
         recording = Recording.from_arrays(**broken(), bridge=policy)
     assert len(recording.notes) == 3
     assert all(note in str(told[0].message) for note in recording.notes)
-    assert "1 gap longer than 5 median steps, the longest 0.2 s after 1.99 s" in recording.notes[1]
-    assert f"bridged by 19 samples ({policy})" in recording.notes[1]
-    assert "3 samples without velocities, the first at 300" in recording.notes[2]
+    assert_told(recording.notes[1], "1 gap", "5 median steps", "0.2 s", "1.99 s")
+    assert_told(recording.notes[1], "19 samples", policy)
+    assert_told(recording.notes[2], "3 samples", "velocities", "300")
     assert recording.samples == 400 - 1 + 19
     np.testing.assert_allclose(np.diff(recording.time)[49], 0.02)  # the one dropped
     np.testing.assert_allclose(np.delete(np.diff(recording.time), 49), 0.01, atol=1e-9)
@@ -127,13 +129,13 @@ def test_what_is_bridged_is_counted_and_told(policy: Any) -> None:
 
 def test_nothing_is_bridged_unless_it_is_asked_for() -> None:
     for name, spoil, words in (
-        ("stamps", lambda g: g["time"].__setitem__(50, 0), "1 stamp not after the one before"),
+        ("stamps", lambda g: g["time"].__setitem__(50, 0), "1 stamp"),
         (
             "gap",
             lambda g: g["time"].__setitem__(slice(200, None), g["time"][200:] + 10**9),
             "1 gap",
         ),
-        ("NaN", lambda g: g["angular_velocity"].__setitem__(3, np.nan), "1 sample without veloc"),
+        ("NaN", lambda g: g["angular_velocity"].__setitem__(3, np.nan), "1 sample.*velocities"),
     ):
         given = motion()
         spoil(given)
@@ -165,18 +167,18 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
         ({"time": None}, "give one of both"),
         ({"time_step": 0.01}, "give one of both"),
         ({"time": np.zeros(3, int)}, r"must have the shape \(400,\)"),
-        ({"time": None, "time_step": -0.01}, "time_step: must be positive"),
+        ({"time": None, "time_step": -0.01}, r"time_step:.*positive"),
         ({"velocity": np.zeros((4, 3))}, r"velocity: must have the shape"),
-        ({"vectors": np.zeros((4, 2, 3))}, "vectors: must have 400 rows, got 4"),
-        ({"vector_weights": -1.0}, "vector_weights: must be finite and not negative"),
+        ({"vectors": np.zeros((4, 2, 3))}, r"vectors: must have 400 rows.* 4"),
+        ({"vector_weights": -1.0}, r"vector_weights:.*not neg"),
         ({"truth_rotation": np.tile(2 * np.eye(3), (400, 1, 1))}, "must be rotations"),
         ({"truth_rotation": None}, "without a truth_rotation"),
         ({"truth_quaternion": np.ones((400, 4))}, "give one of both"),
-        ({"truth_rotation": None, "truth_quaternion": np.ones((400, 4))}, "the length 1, got 2"),
-        ({"judged": np.full(400, 0.5)}, "judged: must be a mask"),
-        ({"phases": {"rest": np.ones(3, bool)}}, r"phases\['rest'\]: must be a mask"),
+        ({"truth_rotation": None, "truth_quaternion": np.ones((400, 4))}, r"the length 1.* 2"),
+        ({"judged": np.full(400, 0.5)}, r"judged:.*mask"),
+        ({"phases": {"rest": np.ones(3, bool)}}, r"phases\['rest'\]:.*mask"),
         ({"start": "north"}, "start = 'north'"),
-        ({"start": (2 * np.eye(3), np.zeros(3))}, "start rotation: must be rotations"),
+        ({"start": (2 * np.eye(3), np.zeros(3))}, r"start rotation:.* rotations"),
         ({"bridge": "guess"}, "bridge = 'guess'"),
         ({"longest_gap": np.inf, "bridge": "hold"}, "longest_gap = inf"),
     ],
@@ -223,17 +225,17 @@ def test_one_vector_alone_turns_the_start_as_little_as_it_can() -> None:
 def test_a_start_needs_what_it_is_made_of() -> None:
     nothing = {name: None for name in motion() if "vector" in name or "landmark" in name}
     blind = Recording.from_arrays(**motion(**nothing))
-    with pytest.raises(RecordingError, match="has no vectors and no landmarks"):
+    with pytest.raises(RecordingError, match="no vectors and no landmarks"):
         blind.initial()
     one = {"landmarks": np.ones((2, 1, 3)), "landmark_references": [[1, 1, 1]]}
     still = {"time_step": 0.1, "angular_velocity": np.zeros((2, 3)), "velocity": np.zeros((2, 3))}
-    with pytest.raises(RecordingError, match=r"no vector and no two landmarks .* FILE.csv.toml"):
+    with pytest.raises(RecordingError, match=r"no vector.*FILE.csv.toml"):
         Recording.from_arrays(**still, **one).initial()
     moving = motion(start="rest")
     moving["phases"]["rest"] = ~moving["phases"]["rest"]
     with pytest.raises(RecordingError, match="begins in motion"):
         Recording.from_arrays(**moving).initial()
-    with pytest.raises(RecordingError, match="not known at the first sample"):
+    with pytest.raises(RecordingError, match="first sample"):
         blind.window(0, 1).off(10) if blind.truth is None else Recording.from_arrays(
             **motion(truth_rotation=None, truth_position=None)
         ).off(10)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inertial_motion import BIAS, RATE, inertial_motion
+from helpers.recordings import BIAS, RATE, inertial_motion
 
 from posegsa.recordings.rest import MARGIN, WINDOW, rest_at_start
 

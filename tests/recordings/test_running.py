@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recorded_motion import motion
-from recorded_motion import short_parts as short_parts
-from scipy.spatial.transform import Rotation
+from helpers.recordings import motion
+from helpers.recordings import short_parts as short_parts
+from helpers.schedules import K, tuned
 
 import posegsa
-from posegsa.errors import ArgumentError
-from posegsa.model import rollout
-from posegsa.model.filter import FilterSettings
+from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.filters import rollout
+from posegsa.filters.observer import Observer
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings
@@ -22,7 +22,7 @@ from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
-GAIN = ConstantGain(jnp.float32(8.0))
+GAIN = Observer(ConstantGain(jnp.float32(8.0)))
 
 
 @pytest.fixture(scope="module")
@@ -48,66 +48,9 @@ def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
     parts = posegsa.run_filter(GAIN, recording)
     m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
     initial = running.state_of(recording.initial())
-    whole = rollout.run_filter(GAIN, Measurements(*m), initial, FilterSettings(), SignalSettings())
+    whole = rollout.run_filter(GAIN, Measurements(*m), initial)
     for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
-
-
-def test_a_gamma_for_each_sample_is_that_of_its_step() -> None:
-    recording = Recording.from_arrays(**motion(350), landmark_weights=0.1).off(40, 0.5)
-    rng = np.random.default_rng(0)
-    angular, linear = rng.uniform(0.5, 40, (2, 350))
-    varied = FilterSettings(gamma_angular=angular, gamma_linear=3.0)
-    estimates = posegsa.run_filter(GAIN, recording, settings=varied)
-    both = replace(varied, gamma_linear=jnp.asarray(linear))
-    arrays = [np.asarray(a, np.float32) for a in recording.measurements]
-    measurements, each_sample = Measurements(*map(jnp.asarray, arrays)), Measurements(*arrays)  # type: ignore[arg-type]  # NumPy arrays will do
-    state = again = running.state_of(recording.initial())
-    whole = posegsa.run_filter(GAIN, measurements, state, both, SignalSettings())
-    for k in range(120):  # more than a part
-        for each, found in ((state, estimates), (again, whole)):
-            (w, *xyz), bias = each.attitude, (*each.bias_angular, *each.bias_linear)
-            rotation = Rotation.from_quat(np.array([*xyz, w])).as_matrix()
-            np.testing.assert_allclose(found.position[k], each.place, atol=1e-5)
-            np.testing.assert_allclose(found.rotation[k], rotation, atol=1e-5)
-            np.testing.assert_allclose(found.bias[k], bias, atol=1e-5)
-        now = each_sample.at(k)
-        own = FilterSettings(gamma_angular=float(angular[k]), gamma_linear=3.0)
-        state = posegsa.step(state, now, 8.0, own)
-        again = posegsa.step(again, now, 8.0, replace(own, gamma_linear=float(linear[k])))
-    one = posegsa.run_filter(GAIN, recording, settings=FilterSettings(gamma_linear=3.0))
-    assert np.abs(one.bias[-1] - estimates.bias[-1]).max() > 1e-3, "gamma matters here"
-
-
-def test_gammas_of_another_number_are_refused(recording: Recording) -> None:
-    for gamma, words in (
-        (
-            np.ones(349),
-            r"gamma_angular: of the shape \(349,\); allowed: one number, or 350 of them",
-        ),
-        (np.ones((350, 1)), r"gamma_angular: of the shape \(350, 1\)"),
-    ):
-        with pytest.raises(ArgumentError, match=words):
-            posegsa.run_filter(GAIN, recording, settings=FilterSettings(gamma_angular=gamma))
-    each = FilterSettings(gamma_linear=np.ones(350))
-    state = running.state_of(recording.initial())
-    signal = SignalSettings()
-    known = {"vectors": np.eye(3)[:2], "landmarks": np.eye(3)}
-    for call in (
-        lambda: posegsa.step(state, Measurements(*recording.measurements).at(0), 8.0, each),
-        lambda: posegsa.filter_to_c(GAIN, each, signal, **known),
-        lambda: posegsa.PoseFilter(
-            8.0,
-            rotation=np.eye(3),
-            position=np.zeros(3),
-            vector_references=known["vectors"],
-            landmark_references=known["landmarks"],
-            settings=each,
-            signal=signal,
-        ),
-    ):
-        with pytest.raises(ArgumentError, match=r"gamma_linear: .* \(350,\); allowed: one number$"):
-            call()
 
 
 def test_attitude_only_has_no_position() -> None:
@@ -118,10 +61,34 @@ def test_attitude_only_has_no_position() -> None:
     assert posegsa.recording_errors(estimates, recording).rmse()["judged"].total < 2
 
 
+@pytest.mark.usefixtures("x64")
+def test_float32_measurements_for_a_float64_filter_are_told(recording: Recording) -> None:
+    fields = recording.measurements._asdict()
+    rounded = Measurements.from_arrays(**fields, dtype=np.float32)
+    exact = Measurements.from_arrays(**fields, dtype=np.float64)
+    gain = Observer(ConstantGain(jnp.float64(8.0)))
+    initial = running.state_of(recording.initial())
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+        estimates = posegsa.run_filter(gain, rounded, initial)
+    assert told[0].filename == __file__
+    assert estimates.position.dtype == np.float64
+    error = np.abs(estimates.position - posegsa.run_filter(gain, exact, initial).position).max()
+    assert 0 < error < 1e-4
+
+
+def test_float32_measurements_for_a_float64_result_are_told(recording: Recording) -> None:
+    result = tuned(K, dtype="float64")
+    with jax.enable_x64(True):
+        measurements = Measurements.from_arrays(**recording.measurements._asdict())
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+        result.estimate(measurements, rotation=np.eye(3), position=np.zeros(3))
+    assert told[0].filename == __file__
+
+
 def test_what_does_not_fit_is_refused(recording: Recording) -> None:
     with pytest.raises(ArgumentError, match="initial: None"):
         posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]  # wrong on purpose
     with pytest.raises(ArgumentError, match='signal "pose"'):
-        posegsa.run_filter(GAIN, recording, signal=SignalSettings(signal="pose"))
-    with pytest.raises(ArgumentError, match="schedule: a str"):
+        posegsa.run_filter(replace(GAIN, signal=SignalSettings(signal="pose")), recording)
+    with pytest.raises(ArgumentError, match="filter: a str"):
         posegsa.run_filter("fast", recording)  # type: ignore[arg-type]  # wrong on purpose

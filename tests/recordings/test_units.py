@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inertial_motion import RATE, inertial_motion
+from helpers.recordings import RATE, inertial_motion
 
 from posegsa.errors import RecordingError
 from posegsa.recordings.units import check_units, gyroscope_unit
@@ -24,7 +24,7 @@ def test_the_gyroscope_s_unit_is_seen_in_the_acceleration(shaking: float) -> Non
 def test_degrees_per_second_are_refused() -> None:
     given = inertial_motion(1.0, 10.0, noise=1.0, shaking=2.0)
     check_units(given["gyr"], given["acc"], STEP)
-    with pytest.raises(RecordingError, match=r"gyr: .* deg/s; allowed: rad/s"):
+    with pytest.raises(RecordingError, match=r"gyr: .* deg/s.*rad/s"):
         check_units(np.degrees(given["gyr"]), given["acc"], STEP)
 
 
@@ -38,7 +38,7 @@ def test_where_little_turns_nothing_is_said_of_the_gyroscope() -> None:
 def test_acceleration_in_g_without_gravity_or_missing_is_refused() -> None:
     given = inertial_motion(1.0, 1.0)
     gyr, acc = given["gyr"], given["acc"]
-    with pytest.raises(RecordingError, match=r"acc: .*multiples of g; allowed: m/s\^2"):
+    with pytest.raises(RecordingError, match=r"acc: .*multiples of g.*m/s\^2"):
         check_units(gyr, acc / 9.80665, STEP)
     with pytest.raises(RecordingError, match=r"acc: .*with gravity in it"):
         check_units(gyr, 0.01 * acc, STEP)

@@ -4,22 +4,26 @@ import base64
 import html
 import re
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import jinja2
 import numpy as np
 import pytest
-from evaluations import (
+from helpers.messages import assert_told
+from helpers.results import (
     ANGLES,
     FILTERS,
+    PARAMETERS,
     changed,
+    consistent,
     contender,
     description,
     endurance,
     evaluation,
+    result,
     trust,
 )
-from reports import PARAMETERS, PICTURE, Page, consistent, page, result, values
 
 import posegsa
 from posegsa import config
@@ -35,11 +39,76 @@ from posegsa.judging.evaluation import (
     SWITCH,
     TUNED,
 )
+from posegsa.judging.result import TuneResult
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
 from posegsa.report.words import filter_words, verdict
 
 pytestmark = pytest.mark.quick
+
+PICTURE = b"\x89PNG\r\n\x1a\n not more than that"
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """What a reader finds in a page; refuses elements that are not closed in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[tuple[str, dict]] = []
+        self.elements: list[tuple[str, dict]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs)))
+        if tag == "table":
+            self.rows: list[list[str]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        inside = [tag for tag, _ in self.open]
+        if "style" in inside:
+            return
+        self.texts.append(data)
+        if "caption" in inside:
+            self.tables[data] = self.rows
+        elif "td" in inside or "th" in inside:
+            self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return spaced(" ".join(self.texts))
+
+    def table(self, caption: str) -> list[list[str]]:
+        (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
+        return [[spaced(cell) for cell in row] for row in found]
+
+
+def spaced(text: str) -> str:
+    """A text as a browser shows it: spaces and ends of lines in a row are one space."""
+    return re.sub(r"[ \n]+", " ", text).strip(" ")
+
+
+def page(given: TuneResult | None = None, pictures=None) -> Page:
+    return Page(report_html(given or result(), pictures or {"costs": PICTURE}))
+
+
+def values(cell: str) -> list[float]:
+    """The numbers in a cell."""
+    cell = cell.replace("\u2212", "-").replace("\u221e", "inf")
+    return [float(found) for found in re.findall(r"[-+]?(?:inf|\d[\d.]*(?:e[-+]\d+)?)", cell)]
 
 
 def test_it_needs_nothing_else():
@@ -132,28 +201,25 @@ def test_training_stands_beside_held_out():
     for name, level in ((TUNED, 43.0), (CONSTANT, 45.0)):
         given = changed(given, name, **costs(level))
     text = page(result(evaluation=given)).text
-    assert "43.00" in text
-    assert "in training 41.25 on 2 scenarios" in text
-    assert "in training 45.00 on 2 scenarios with K = 53.5 1/s" in text
-    assert "\u22122.00" in text
-    assert "The tuned schedule costs 2.00 less (4.4\u00a0%; 95 % interval 2.00 to 2.00)" in text
+    assert_told(text, "43.00", "training 41.25", "training 45.00", "53.5", "\u22122.00")
+    assert_told(text, "2.00 less", "4.4", "95 %", "2.00 to 2.00")
 
 
 @pytest.mark.parametrize(
-    ("shift", "said"),
+    ("shift", "facts"),
     [
-        (-1.0, "costs 1.00 less"),
-        (1.0, "costs 1.00 more"),
-        (0.0, "cannot be told apart"),
-        (np.inf, "40 and 0 of their costs are infinite. Their medians are \u221e and "),
+        (-1.0, ["1.00 less"]),
+        (1.0, ["1.00 more"]),
+        (0.0, ["cannot be told apart"]),
+        (np.inf, ["40", "0", "infinite", "medians", "\u221e"]),
     ],
 )
-def test_the_verdict_is_that_of_the_paired_interval(shift, said):
+def test_the_verdict_is_that_of_the_paired_interval(shift, facts):
     given = evaluation((TUNED, CONSTANT))
     rng = np.random.default_rng(0)
     difference = shift + 0.01 * rng.permutation(np.linspace(-1, 1, 40))
     given = changed(given, TUNED, cost=given.contenders[CONSTANT].metrics.cost + difference)
-    assert said in verdict(given)
+    assert_told(verdict(given), *facts)
 
 
 def test_the_verdict_of_one_scenario_is_that_there_is_none():
@@ -169,15 +235,12 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     order = ("What it is for", "What is minimised", "What came out", "What to do next", "Held out:")
     places = [text.index(words) for words in order]
     assert places == sorted(places)
-    assert "plus 0.2 for each metre" in text
-    assert "From 0 to 1 s it counts 0.3 times, from 4 to 59 s 1 times" in text
-    assert "bias error, linear (0.500 against 0.250 m/s)" in text
-    assert "The schedule pays" in text
-    assert "posegsa evaluate RUN judges it" in text
+    assert_told(text, "0.2 for each metre", "0 to 1 s", "0.3 times", "4 to 59 s", "1 times")
+    assert_told(text, "bias error, linear", "0.500", "0.250 m/s")
+    assert_told(text, "The schedule pays", "posegsa evaluate RUN")
     other = changed(better, TUNED, cost=np.linspace(5, 6, 40))
     text = page(result(evaluation=other, cost="mine.cost")).text
-    assert "take the constant gain of 53.5 1/s" in text
-    assert "the function mine.cost" in text
+    assert_told(text, "constant gain of 53.5 1/s", "mine.cost")
     assert "posegsa evaluate RUN" not in page().text
 
 
@@ -193,16 +256,13 @@ def test_it_says_which_other_filters_do_better():
     rare[-3:] = 500
     given = changed(given, EKF_VECTORS, cost=rare)
     text = page(result(evaluation=given)).text
-    assert "invariant EKF, vector biases by a lower median (9.50 against 11.00)." in text
-    assert "The schedule pays" in text
-    assert "look at the medians: invariant EKF, vector biases has a lower one" in text
+    assert_told(text, "invariant EKF, vector biases", "lower median", "9.50", "11.00")
+    assert_told(text, "The schedule pays")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
-    assert "best open-loop gains by 1.25 on average (95 % interval 1.20 to 1.30)" in found.text
+    assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.20 to 1.30")
     assert "The schedule pays" not in found.text
-    assert "Better here by the mean: best open-loop gains. Gains by the clock" in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
-    assert "RUN is the folder of this page." in found.text
 
 
 def test_where_nothing_is_worse_nothing_is_said_and_without_figures_no_box_is_left():
@@ -228,20 +288,19 @@ def test_warnings_are_shown_before_all_else():
         assert warning[1:] in found.text
     assert found.text.index("SENSITIVE") < found.text.index("Held out: tuned")
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert "Sensitive: these costs differ by more than 1 %" in found.text
-    assert "No rule fires for 20.0 %" in found.text
+    assert_told(found.text, "Sensitive", "more than 1 %", "No rule fires", "20.0 %")
 
 
 def test_nothing_is_warned_of_where_nothing_is_wrong():
     found = page()
     assert not any(a.get("class") == "warnings" for _, a in found.elements)
-    assert "Not sensitive: the costs agree within 1 %." in found.text
+    assert_told(found.text, "Not sensitive", "within 1 %")
 
 
 def test_an_oracle_signal_is_labelled():
     found = page(result("gain.signal=pose"))
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert "ignal pose: the gain looks at the true errors" in found.text
+    assert_told(found.text, "Signal pose")
 
 
 def test_the_trust_checks_are_shown():
@@ -265,8 +324,7 @@ def test_every_rule_is_shown_with_its_weight():
             term, weight = cell.split(" ")
             assert term == printed[4 - r][4 - e]
             assert float(weight) == pytest.approx(trust().rule_weights[r, e], rel=0.05)
-    assert "2 of 25 rules carry 1 % or more of the weight, and 23 never fire" in page().text
-    assert "error S and rate VS" in page().text
+    assert_told(page().text, "2 of 25 rules", "1 %", "23 never fire", "error S and rate VS")
 
 
 def test_every_parameter_is_shown_as_the_corner_that_it_is():
@@ -296,19 +354,19 @@ def test_the_whole_configuration_is_there():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ([], ['law = "gradient"', "gain_limit = 1.5", 'name = "mean"', "differ in their noise."]),
+        ([], ['law = "gradient"', "gain_limit = 1.5", 'name = "mean"', "noise"]),
         (["search.optimiser=random_search"], ["Random search with 96 agents"]),
         (["objective.name=cvar"], ['name = "cvar", level = 0.75']),
         (["filter.law=printed", "filter.gain_limit=off"], ['"printed"', 'gain_limit = "off"']),
         (["filter.gamma=[1.0, 2.0]"], ["gamma = [1.0, 2.0]"]),
         (["gain.smoothing=2.0"], ["smoothing = 2.0"]),
         (["fuzzy.centroid=sampled"], ['centroid = "sampled", sampled_points = 101']),
-        (["family.attitude_error=[0.0, 180.0]"], ["attitude_error = [0.0, 180.0]."]),
+        (["family.attitude_error=[0.0, 180.0]"], ["attitude_error = [0.0, 180.0]"]),
         (
             ["family.position_error=[0.0, 10.0]", "family.noise_scale=[0.5, 2.0]"],
-            ["their noise, position_error = [0.0, 10.0], noise_scale = [0.5, 2.0]."],
+            ["position_error = [0.0, 10.0]", "noise_scale = [0.5, 2.0]"],
         ),
-        (["family.random_phase=true"], ["their noise, random_phase = true."]),
+        (["family.random_phase=true"], ["random_phase = true"]),
     ],
 )
 def test_what_was_run_is_told_in_words(settings, words):
@@ -338,20 +396,20 @@ def described(section, key):
 
 
 def test_the_held_out_set_is_named():
-    assert "the run's own held-out set" in page().text
-    assert "held-out set number 7" in page(result(evaluation=evaluation(seed=7))).text
+    assert_told(page().text, "own held-out set")
+    assert_told(page(result(evaluation=evaluation(seed=7))).text, "held-out set number 7")
 
 
 def test_what_the_contenders_are():
     rows = dict(page().table("What each contender is")[1:])
     assert list(rows) == list(CONTENDERS)
-    assert rows[CONSTANT] == "constant: gain = 53.5"
-    assert rows[TUNED] == "fuzzy, k1 to k22"
-    assert rows[SWITCH] == "switch: before = 80, after = 20, time = 1.5, learning_time = 0"
-    assert rows[OPEN_LOOP] == "3 knots of K(t) from 0 to 15 s, open loop"
-    assert rows[EKF].startswith("Kalman: ")
+    assert_told(rows[CONSTANT], "constant", "gain = 53.5")
+    assert_told(rows[TUNED], "fuzzy", "k1 to k22")
+    assert_told(rows[SWITCH], "before = 80", "after = 20", "time = 1.5", "learning_time = 0")
+    assert_told(rows[OPEN_LOOP], "3 knots", "0 to 15 s", "open loop")
+    assert_told(rows[EKF], "Kalman")
     also = description("constant", gain=2)._replace(also={"filter.gamma": 2.5})
-    assert filter_words(also) == "constant: gain = 2; filter.gamma = 2.5"
+    assert_told(filter_words(also), "constant", "gain = 2", "filter.gamma = 2.5")
     assert "posegsa evaluate" in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
 
 
@@ -361,7 +419,7 @@ def test_what_was_tuned_too_is_shown_with_its_bounds():
     found = page(result(*settings, also={"filter.gamma": 2.345678}))
     (row,) = found.table("What was tuned beside k1 to k22")[1:]
     assert row[0] == "filter.gamma"
-    assert "Tuned , and so other than listed: gamma = 2.346." in found.text
+    assert_told(found.text, "gamma = 2.346")
     assert values(row[1]) == [pytest.approx(2.345678, rel=1e-3)]
     assert not any(caption.startswith("What was tuned") for caption in page().tables)
 
@@ -378,7 +436,7 @@ def test_endurance_is_shown_by_windows_and_warned_of():
         atol=0.0051,
     )
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert "worse than constant gains: attitude from 60 to 120 s" in found.text
+    assert_told(found.text, "worse than constant gains", "attitude from 60 to 120 s")
 
 
 def test_every_text_that_comes_from_data_is_escaped():
@@ -401,7 +459,7 @@ def test_the_templates_mark_nothing_as_safe():
 
 
 def test_a_name_that_a_template_is_not_given_is_an_error():
-    with pytest.raises(jinja2.UndefinedError, match="'missing' is undefined"):
+    with pytest.raises(jinja2.UndefinedError, match="missing"):
         templates().from_string("{{ missing }}").render()
 
 
@@ -425,7 +483,7 @@ def test_infinite_costs_and_missing_intervals_are_shown_as_such():
     assert behaviour[CONSTANT][3] == "\u221e"
     cells = [cell for rows in found.tables.values() for row in rows for cell in row]
     assert not any(re.search(r"\b(nan|inf)\b", cell) for cell in cells)
-    assert "in training \u221e on 2 scenarios" in found.text
+    assert_told(found.text, "training \u221e")
 
 
 @pytest.mark.parametrize(
@@ -451,9 +509,9 @@ def test_large_costs_are_written_short():
 
 
 def test_the_angles_are_explained_where_they_do_not_differ():
-    assert "All scenarios start at an attitude error of 174.8 deg" in page().text
+    assert_told(page().text, "174.8 deg")
     found = page(result(evaluation=evaluation(initial_angle=ANGLES)))
-    assert "All scenarios start" not in found.text
+    assert "174.8 deg" not in found.text
 
 
 def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
@@ -472,7 +530,7 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
     for names in (["gain", "rules"], []):
         posegsa.save(whole, folder, overwrite=True, figures=names)
         assert {path.stem for path in (folder / "figures").iterdir()} == set(names)
-    with pytest.raises(ArgumentError, match="figures: 'gian'; allowed: costs, bands"):
+    with pytest.raises(ArgumentError, match=r"figures.*gian.*costs, bands"):
         posegsa.save(whole, folder, overwrite=True, figures=["gian"])
 
 
@@ -492,29 +550,26 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     posegsa.save(replace(first, evaluation=evaluation(seed=3)), tmp_path, overwrite=True)
     assert not (tmp_path / "figures" / "angles.png").exists(), "it would be another evaluation's"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "held-out set number 3" in text
+    assert_told(text, "held-out set number 3")
     assert "figure-costs" in text
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
     (tmp_path / "figures").write_text("a file in the place of a folder")
-    with pytest.raises(RunFolderError, match="cannot be written: Not a directory"):
+    with pytest.raises(RunFolderError, match="Not a directory"):
         posegsa.save(result(), tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("seed", "held_out", "said"),
+    ("seed", "held_out", "facts"),
     [
-        (None, 40, "40 scenarios of the same family, the run's own held-out set, drawn"),
-        (
-            *(None, 16),
-            "the run's own held-out set, which begins with the 16 scenarios that tune judged on,",
-        ),
-        (5, 16, "40 scenarios of the same family, held-out set number 5, drawn"),
+        (None, 40, ["40 scenarios", "own held-out set"]),
+        (None, 16, ["40 scenarios", "own held-out set", "16 scenarios"]),
+        (5, 16, ["40 scenarios", "held-out set number 5"]),
     ],
 )
-def test_it_says_which_scenarios_judged(seed, held_out, said):
+def test_it_says_which_scenarios_judged(seed, held_out, facts):
     given = replace(evaluation(), seed=seed)
     text = page(result(f"run.held_out_scenarios={held_out}", evaluation=given)).text
-    assert said in text
+    assert_told(text, *facts)

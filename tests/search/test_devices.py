@@ -7,9 +7,10 @@ processes of their own `test_joined_processes`.
 import jax
 import numpy as np
 import pytest
+from helpers.controllers import search_vectors
+from helpers.experiments import paper, posed, searched
 from hypothesis import given
 from hypothesis import strategies as st
-from setups import paper, posed, search_vectors, searched
 
 from posegsa.search import devices
 from posegsa.search.population import LANES, PIECE, partition, population_costs

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_motion import motion
+from helpers.recordings import motion
 
 from posegsa import config
 from posegsa.errors import ArgumentError
@@ -84,12 +84,12 @@ def test_two_processes_find_what_one_finds():
     [
         (("127.0.0.1:1", None, None), "all three"),
         (("127.0.0.1", 2, 0), "HOST:PORT"),
-        (("127.0.0.1:1", 2, 2), "process = 2; allowed: a whole number from 0 to 1"),
-        (("127.0.0.1:1", 2, 0.5), "process = 0.5; allowed: a whole number from 0 to 1"),
-        (("127.0.0.1:1", 0, 0), "processes = 0; allowed: a whole number from 1"),
-        (("127.0.0.1:1", "2", 0), "processes = '2'; allowed: a whole number from 1"),
-        (("127.0.0.1:1", True, 0), "processes = True; allowed: a whole number from 1"),
-        ((9, 2, 0), "coordinator: a int; allowed: text, HOST:PORT"),
+        (("127.0.0.1:1", 2, 2), r"process = 2.*whole number from 0 to 1"),
+        (("127.0.0.1:1", 2, 0.5), r"process = 0.5.*whole number from 0 to 1"),
+        (("127.0.0.1:1", 0, 0), r"processes = 0.*whole number from 1"),
+        (("127.0.0.1:1", "2", 0), r"processes = '2'.*whole number from 1"),
+        (("127.0.0.1:1", True, 0), r"processes = True.*whole number from 1"),
+        ((9, 2, 0), r"coordinator:.* int.*text, HOST:PORT"),
     ],
 )
 def test_processes_that_cannot_join_are_told_why(given, message):

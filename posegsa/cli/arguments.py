@@ -1,0 +1,165 @@
+"""What commands of the command line share: their arguments, and what is made of them.
+
+As in the modules of the commands, what takes long to import is imported inside functions: help and
+refused arguments come at once.
+"""
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal, get_args
+
+from posegsa.errors import ArgumentError
+from posegsa.recordings.frames import UP
+from posegsa.recordings.policies import LONGEST_GAP, Policy
+
+if TYPE_CHECKING:
+    from posegsa.recordings.recording import Recording
+
+RECORDING = (
+    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
+    "the folder of a EuRoC sequence"
+)
+
+
+def add_search_arguments(
+    parser: argparse.ArgumentParser, *, config: str, setting: str, out: str, replaced: str
+) -> None:
+    """CONFIG, --set, --out, --overwrite and --quiet, for a command that searches.
+
+    Args:
+        parser: The command's.
+        config: What is meant without a CONFIG, in words.
+        setting: An example for --set.
+        out: What is said of the folder to write to.
+        replaced: What --overwrite replaces, in words.
+    """
+    words = f"TOML file of the experiment, or a name of `posegsa configs`; without it, {config}"
+    parser.add_argument("config", nargs="?", metavar="CONFIG", help=words)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help=f"replaces a value of the experiment, e.g. {setting}; may be given again",
+    )
+    parser.add_argument("--out", metavar="DIR", help=out)
+    parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
+    add_quiet(parser)
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """--quiet, for a command that takes long."""
+    parser.add_argument("--quiet", action="store_true", help="show no progress")
+
+
+def add_figures(parser: argparse.ArgumentParser) -> None:
+    """--figures and --no-figures, for a command that draws: `options.figures` is None for all."""
+    group = parser.add_mutually_exclusive_group()
+    words = "draw these figures only, names with commas between"
+    group.add_argument("--figures", type=_names, metavar="NAMES", help=words)
+    words = "draw none"
+    group.add_argument("--no-figures", action="store_const", const=[], dest="figures", help=words)
+
+
+def drawn(options: argparse.Namespace, files: str = "figures/") -> str:
+    """What is said of figures at the end of a list of files that were written."""
+    return "" if options.figures == [] else f", {files}"
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
+def add_count(parser: argparse.ArgumentParser, name: str, default: int, words: str) -> None:
+    """A whole number from 1, with what it counts in words."""
+    words = f"{words} (default: %(default)s)"
+    parser.add_argument(name, type=whole_number(1), default=default, metavar="N", help=words)
+
+
+def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:
+    """What reads an argument as a whole number in [minimum, maximum], or without an upper bound."""
+    allowed = f"a whole number from {minimum}" + ("" if maximum is None else f" to {maximum}")
+
+    def read(text: str) -> int:
+        number = int(text) if text.isdecimal() else -1
+        if number < minimum or (maximum is not None and number > maximum):
+            raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
+        return number
+
+    return read
+
+
+def add_window(parser: argparse._ActionsContainer) -> None:
+    """--window, which part of each recording is used."""
+    words = "only these seconds of each recording, such as 0:40, 40: or :40"
+    parser.add_argument("--window", metavar="A:B", type=window, help=words)
+
+
+def window(text: str) -> tuple[float, float]:
+    """What reads a window in seconds."""
+    begin, colon, end = text.partition(":")
+    try:
+        found = float(begin or 0.0), float(end or "inf")
+    except ValueError:
+        found = (1.0, 0.0)
+    if not colon or not 0 <= found[0] < found[1]:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: A:B in seconds, such as 0:40 or 40:")
+    return found
+
+
+def add_imu(parser: argparse._ActionsContainer) -> None:
+    """--frame and --rest, of the filter for inertial sensors."""
+    words = "of imu: the inertial frame, x y z (default: %(default)s)"
+    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
+    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
+    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
+
+
+def add_bridge(parser: argparse._ActionsContainer) -> None:
+    """--bridge and --longest-gap, what is done where a recording does not go on."""
+    parser.add_argument(
+        "--bridge",
+        choices=get_args(Policy),
+        help="what is done about gaps, stamps that go back and samples without velocities: "
+        "refused (default), the last velocities held, or interpolated",
+    )
+    words = f"time up to which anything is bridged [s] (default: {LONGEST_GAP:g})"
+    parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
+
+
+def _rest(text: str) -> float | Literal["auto"]:
+    """What reads --rest."""
+    if text == "auto":
+        return "auto"
+    try:
+        return float(text)
+    except ValueError:
+        words = f"{text!r}; allowed: auto, or a time in seconds"
+        raise argparse.ArgumentTypeError(words) from None
+
+
+def refuse_imu_options(options: argparse.Namespace) -> None:
+    """Raise an ArgumentError where --frame or --rest is given, for a filter that has neither."""
+    if options.frame != "ENU" or options.rest != "auto":
+        raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
+
+
+def read(
+    paths: list[str],
+    part: tuple[float, float] | None,
+    bridge: Policy | None = None,
+    longest_gap: float | None = None,
+) -> "list[Recording]":
+    """The recordings of some paths, bridged as stated, cut to a window.
+
+    Raises:
+        ArgumentError: A longest gap is given, and none is bridged.
+    """
+    from posegsa.recordings.recording import Recording
+
+    if longest_gap is not None and bridge in (None, "refuse"):
+        raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
+    stated = {"bridge": bridge, "longest_gap": longest_gap}
+    more = {name: value for name, value in stated.items() if value is not None}
+    found = [Recording.read(path, **more) for path in paths]
+    return found if part is None else [each.window(*part) for each in found]

@@ -1,0 +1,1 @@
+"""Filters, each a file, and the one loop that runs them all (`rollout`)."""

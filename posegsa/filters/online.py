@@ -1,0 +1,214 @@
+"""A filter compiled for one sample after another, on a few flat arrays.
+
+`rollout.step` takes some fifty small arrays, and passing them costs more than the step. Here the
+state and a sample travel as one array, all numbers of the filter as a second, and the result as a
+third. The program is compiled once for all filters of one structure: their numbers are its
+arguments.
+"""
+
+import pickle
+import zlib
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from posegsa.filters.base import Filter, Samples
+from posegsa.model.estimate import FilterState
+from posegsa.model.measurements import Measurements
+
+
+class OnlineParameters(NamedTuple):
+    """Everything that is constant from sample to sample."""
+
+    filter: Filter
+    vector_references: np.ndarray
+    """(n, 3) v_i^I."""
+    landmark_references: np.ndarray
+    """(m, 3) p_i [m]."""
+
+
+class OnlineSample(NamedTuple):
+    """One sample, as in `Measurements`, and its time."""
+
+    time: np.ndarray
+    """Since the first sample [s]."""
+    time_step: np.ndarray
+    """To the next sample [s]."""
+    angular_velocity: np.ndarray
+    """(3,) [rad/s], body frame."""
+    velocity: np.ndarray
+    """(3,) [m/s], body frame."""
+    vectors: np.ndarray
+    """(n, 3), body frame; any number except NaN where the weight is 0."""
+    vector_weights: np.ndarray
+    """(n,)"""
+    landmarks: np.ndarray
+    """(m, 3) [m], body frame; any number except NaN where the weight is 0."""
+    landmark_weights: np.ndarray
+    """(m,)"""
+
+
+class OnlineRecord(NamedTuple):
+    """The filter after a sample, and what happened there."""
+
+    state: Any
+    """The filter's own."""
+    estimate: FilterState
+    """At the next sample."""
+    rotation: Any
+    """(3, 3) the same R_est, as a matrix."""
+    gain: Any
+    """The gain K that the schedule asked for [1/s]; None of a filter without one."""
+    gain_used: Any
+    """K after the gain limit [1/s]; likewise."""
+
+
+class Layout:
+    """The positions of a record's arrays in one flat array.
+
+    Args:
+        record: An example: any pytree of arrays of one dtype.
+    """
+
+    def __init__(self, record: Any) -> None:
+        leaves, self._structure = jax.tree.flatten(record)
+        self._shapes = tuple(np.shape(leaf) for leaf in leaves)
+        self._sizes = tuple(int(np.prod(shape)) for shape in self._shapes)
+        self.size = sum(self._sizes)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple:
+        return self._structure, self._shapes
+
+    def pack(self, record: Any, dtype: np.dtype) -> np.ndarray:
+        """The record as a flat NumPy array."""
+        flat = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(record)]
+        return np.concatenate([np.zeros(0), *flat]).astype(dtype)
+
+    def unpack(self, flat: Any) -> Any:
+        """The record from a flat array of NumPy or JAX; of a NumPy array it holds views."""
+        leaves, start = [], 0
+        for shape, size in zip(self._shapes, self._sizes, strict=True):
+            leaves.append(flat[start : start + size].reshape(shape))
+            start += size
+        return jax.tree.unflatten(self._structure, leaves)
+
+
+class OnlineLoop:
+    """One filter, compiled for one sample after another (which takes a second or two).
+
+    Args:
+        parameters: All numbers at the filter's dtype.
+        example: Any estimate; its dtype is the filter's.
+    """
+
+    def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
+        self._made_of = parameters, example
+        self._filter = parameters.filter
+        self._vectors = len(parameters.vector_references)
+        self.dtype = np.dtype(example.place[0].dtype)
+        layout = Layout(parameters)
+        sample = _sample_layout(self._vectors, len(parameters.landmark_references))
+        state = Layout(self._filter.start(example, self._vectors))
+        self._program, after = _compiled(layout, state, sample, self.dtype.name)
+        self.record: Layout = after
+        self.parameters = layout.pack(parameters, self.dtype)
+        """All numbers of the parameters, packed."""
+        self.structure = zlib.crc32(str(jax.tree.structure(parameters)).encode())
+        """Checksum of their structure: laws, switches, rules, sub-steps."""
+        self._on_device = jnp.asarray(self.parameters)
+        self._before = state.size
+        self.sample_size = sample.size
+        """Numbers in a packed sample."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments, because a compiled program cannot be pickled."""
+        # As bytes pickled here: outside of enable_x64 JAX would make float32 of float64.
+        with jax.enable_x64(self.dtype == np.float64):
+            return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
+
+    def start(self, initial: FilterState) -> np.ndarray:
+        """The packed record before the first sample, at an estimate; no gain is known of it."""
+        with jax.enable_x64(self.dtype == np.float64):
+            state = self._filter.start(initial, self._vectors)
+            estimate = self._filter.ready().estimate(state)
+            unknown = self.record.unpack(np.full(self.record.size, np.nan, self.dtype))
+            first = unknown._replace(state=state, estimate=estimate, rotation=estimate.rotation)
+            return self.record.pack(first, self.dtype)
+
+    def __call__(self, record: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """The packed record after one packed `OnlineSample`, from the one before it."""
+        given = np.concatenate([record[: self._before], sample])
+        with jax.enable_x64(self.dtype == np.float64):
+            return np.asarray(self._program(given, self._on_device))
+
+
+def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
+    """The loop from its pickled arguments."""
+    with jax.enable_x64(dtype == "float64"):
+        return OnlineLoop(*pickle.loads(made_of))
+
+
+def _sample_layout(vectors: int, landmarks: int) -> Layout:
+    number, vector = np.zeros(()), np.zeros(3)
+    return Layout(
+        OnlineSample(
+            time=number,
+            time_step=number,
+            angular_velocity=vector,
+            velocity=vector,
+            vectors=np.zeros((vectors, 3)),
+            vector_weights=np.zeros(vectors),
+            landmarks=np.zeros((landmarks, 3)),
+            landmark_weights=np.zeros(landmarks),
+        )
+    )
+
+
+@lru_cache(maxsize=32)
+def _compiled(
+    parameters: Layout, state: Layout, sample: Layout, dtype: str
+) -> tuple[jax.stages.Compiled, Layout]:
+    """The program of all filters whose arrays have these layouts, and what it returns."""
+
+    def step(given: Array, numbers: Array) -> OnlineRecord:
+        p = parameters.unpack(numbers)
+        now = sample.unpack(given[state.size :])
+        measurement = Measurements(
+            time_step=now.time_step,
+            angular_velocity=now.angular_velocity,
+            velocity=now.velocity,
+            vectors=now.vectors,
+            vector_references=p.vector_references,
+            vector_weights=now.vector_weights,
+            landmarks=now.landmarks,
+            landmark_references=p.landmark_references,
+            landmark_weights=now.landmark_weights,
+        )
+        ready = p.filter.ready()
+        samples = Samples(now.time, p.filter.prepare(measurement), None)
+        after, record = ready.step(state.unpack(given[: state.size]), samples)
+        estimate = ready.estimate(after)
+        return OnlineRecord(after, estimate, estimate.rotation, record.gain, record.gain_used)
+
+    def program(given: Array, numbers: Array) -> Array:
+        leaves = jax.tree.leaves(step(given, numbers))
+        return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
+
+    with jax.enable_x64(dtype == "float64"):
+        shapes = [
+            jax.ShapeDtypeStruct((size,), dtype)
+            for size in (state.size + sample.size, parameters.size)
+        ]
+        after = Layout(jax.eval_shape(step, *shapes))
+        return jax.jit(program).lower(*shapes).compile(), after

@@ -1,0 +1,13 @@
+"""What a message must tell: the field, the value, what is allowed; in whatever sentence."""
+
+import re
+
+
+def assert_told(text: str, *facts: str) -> None:
+    """Check that a message has each of these names, numbers and words as a word of its own.
+
+    A bound of 1 is then not found in the value -1 or 0.1. Line breaks are as good as spaces.
+    """
+    said = " ".join(text.split())
+    for fact in facts:
+        assert re.search(rf"(?<![\w.-]){re.escape(fact)}(?!\.?\w)", said), (fact, said)

@@ -1,0 +1,23 @@
+"""What a search says before it begins; that it goes on to the same bits: `saving/test_resume`."""
+
+import warnings
+
+import pytest
+from helpers.experiments import tiny
+
+from posegsa.errors import PosegsaWarning
+from posegsa.search import run
+from posegsa.search.build import tuning_problem
+
+pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
+
+
+def test_an_iteration_that_takes_long_is_announced(monkeypatch) -> None:
+    task = tuning_problem(tiny())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run.run_search(task)
+    # 6 agents x 3 scenarios x 200 samples
+    monkeypatch.setattr(run, "SAMPLES_PER_SECOND", 100.0)
+    with pytest.warns(PosegsaWarning, match=r"an iteration simulates 3\.6e\+03 samples.* 36 s"):
+        run.run_search(task)
