@@ -6,6 +6,7 @@ the user. So a folder of another user, or one that others can write to, is neith
 
 import math
 import os
+import re
 import stat
 import warnings
 from contextlib import suppress
@@ -21,6 +22,8 @@ LEAST_SECONDS = 0.1
 """Time that a program must take to compile to be kept [s]. JAX's default is 1, but most here take
 less, and together they are most of a short run."""
 _LOCAL = "file://"
+_BUCKET = re.compile("[a-z][a-z0-9+.-]*://")
+"""How a place begins that JAX reads and writes itself, such as gs://bucket/folder."""
 
 
 def enable_compilation_cache() -> None:
@@ -36,7 +39,7 @@ def enable_compilation_cache() -> None:
         return
     given = config.jax_compilation_cache_dir
     least = min(LEAST_SECONDS, config.jax_persistent_cache_min_compile_time_secs)
-    if not given or "://" not in given.removeprefix(_LOCAL):  # else JAX's own, such as a bucket
+    if not given or not _BUCKET.match(given.removeprefix(_LOCAL)):
         try:
             # Resolved once and for all: a link might lead elsewhere after the check.
             folder = (Path(given.removeprefix(_LOCAL)) if given else _own_folder()).resolve()
@@ -97,22 +100,8 @@ def _check_own(place: Path, *, above: bool = False, shut: bool = False) -> None:
     if about.st_uid != os.geteuid() and not (above and about.st_uid == 0):
         raise PermissionError(f"{place} belongs to another user")
     writers = about.st_mode & (stat.S_IWOTH | stat.S_IWGRP)
-    if writers == stat.S_IWGRP and _is_private_group(about.st_gid):
-        return
     if writers and not shut and not (above and about.st_mode & stat.S_ISVTX):
         raise PermissionError(f"others can write to {place}")
-
-
-def _is_private_group(group: int) -> bool:
-    """Whether a group has the user alone in it, as on systems that give each user a group."""
-    import grp  # not on Windows
-    import pwd
-
-    try:
-        one, user = grp.getgrgid(group), pwd.getpwuid(os.geteuid())
-    except KeyError:
-        return False
-    return one.gr_name == user.pw_name and set(one.gr_mem) <= {user.pw_name}
 
 
 def _say_not_kept(why: object) -> None:

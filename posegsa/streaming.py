@@ -130,15 +130,7 @@ class PoseFilter:
         where = self._loop.record.unpack(np.arange(self._loop.record.size))
         self._rotation_at, estimate = where.rotation, where.estimate
         self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
-        self._limited = [
-            (name, np.array(at, np.intp), limit)
-            for name, at, limit in (
-                ("position", estimate.place, limits.POSITION),
-                ("bias of the angular velocity", estimate.bias_angular, limits.ANGULAR_VELOCITY),
-                ("bias of the velocity", estimate.bias_linear, limits.VELOCITY),
-                ("biases of the vectors", estimate.vector_biases, limits.VECTOR),
-            )
-        ]
+        self._estimate_at = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(estimate)])
         self._start = self._loop.start(start)
         self._begin(self._start)
 
@@ -341,12 +333,13 @@ class PoseFilter:
             return checked_state(rotation, P, b, self._dtype)
 
     def _check_estimate(self, record: np.ndarray) -> None:
-        """Refuse a record whose estimate is none.
+        """Refuse a record that is not an estimate.
 
         Raises:
-            MeasurementError: It holds NaN or infinity, no rotation, or what is beyond its limits.
+            MeasurementError: It holds NaN, an estimate that is infinite, or no rotation.
         """
-        if not np.isfinite(record).all():
+        # The state may hold infinity, such as the time since a sensor was seen.
+        if np.isnan(record).any() or not np.isfinite(record[self._estimate_at]).all():
             raise MeasurementError("the estimate would be NaN or infinite, or the gain is below 0")
         excess = abs(np.square(record[self._quaternion_at]).sum() - 1)
         if excess > limits.UNIT_TOLERANCE:
@@ -354,8 +347,6 @@ class PoseFilter:
                 f"the squared length of the estimated quaternion would be off 1 by {excess:g}; "
                 f"allowed: {limits.UNIT_TOLERANCE:g} at most"
             )
-        for name, at, limit in self._limited:
-            limit.checked(f"the estimate, {name}", record[at])
 
     def _begin(self, record: np.ndarray) -> None:
         sensors = len(self._vectors.references) + len(self._landmarks.references)
@@ -478,7 +469,7 @@ def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | 
 def _dtype_of(filter: Filter) -> np.dtype:
     """The widest floating type of a filter's arrays, at least float32; Python's numbers follow."""
     dtypes = (leaf.dtype for leaf in jax.tree.leaves(filter) if hasattr(leaf, "dtype"))
-    return np.result_type(np.float32, *dtypes)
+    return np.result_type(np.float32, *(dtype for dtype in dtypes if dtype.kind == "f"))
 
 
 def _number(value: Any) -> float:

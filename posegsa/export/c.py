@@ -172,15 +172,15 @@ def _limits(step: Step) -> list[dict[str, str]]:
     found = [
         ("MIN_TIME_STEP", limits.TIME_STEP.low, "[s]"),
         ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; a longer pause needs a new beginning"),
-        ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "and of its bias [rad/s]"),
+        ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "[rad/s]"),
     ]
     if step.vectors:
-        found += [("MAX_VECTOR", limits.VECTOR.high, "and of its bias, unit of the sensor")]
+        found += [("MAX_VECTOR", limits.VECTOR.high, "in the unit of the sensor")]
     if not step.attitude_only:
         found += [
-            ("MAX_VELOCITY", limits.VELOCITY.high, "and of its bias [m/s]"),
+            ("MAX_VELOCITY", limits.VELOCITY.high, "[m/s]"),
             ("MAX_LANDMARK", limits.LANDMARK.high, "as seen from the body [m]"),
-            ("MAX_POSITION", limits.POSITION.high, "of the estimate [m]"),
+            ("MAX_POSITION", limits.POSITION.high, "at the start [m]"),
         ]
     found += [("MAX_WEIGHT", limits.WEIGHT.high, "factors on s_i")]
     return [

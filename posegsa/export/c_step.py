@@ -395,8 +395,8 @@ def constants(step: Step, known: References) -> str:
 
     lines: list[str] = []
 
-    def define(name: str, about: str, size: str, value: str) -> None:
-        if used(name):
+    def define(name: str, about: str, size: str, value: str, always: bool = False) -> None:
+        if always or used(name):
             lines.extend([f"/* {about} */"] if about else [])
             lines.append(f"static const posegsa_real {name}{size} = {value};")
 
@@ -417,7 +417,9 @@ def constants(step: Step, known: References) -> str:
         ("landmarks", "p_i [m], inertial frame", known.landmarks),
     ):
         table = ",\n    ".join(map(_row, rows.tolist()))
-        define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}")
+        # The references are for the user too, as in the example at the head of the file.
+        always = len(rows) > 0 and name != "directions"
+        define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}", always)
     return "\n".join(lines)
 
 
