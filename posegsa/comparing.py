@@ -220,7 +220,7 @@ def _search(subject: Subject, optimiser: Optimiser, key: Array) -> Repeat:
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:
-        if progress.iteration > stamps[-1][0]:  # not when it is compiled, nor within an iteration
+        if progress.iteration > stamps[-1][0]:  # not when it is compiled
             stamps.append((progress.iteration, progress.seconds))
         tell_share(progress)
 

@@ -42,10 +42,12 @@ def listening(listener: Listener | None) -> Iterator[None]:
     It listens instead of any other; with None, whoever listens already goes on.
     """
     token = _LISTENER.set(listener or _LISTENER.get())
+    before = _PRESENT.set(_PRESENT.get())
     try:
         yield
     finally:
         _LISTENER.reset(token)
+        _PRESENT.reset(before)
 
 
 def tell(step: Step) -> None:

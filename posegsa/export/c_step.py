@@ -363,7 +363,7 @@ def _correct(
     moving: Any,
     settings: FilterSettings,
 ) -> Any:
-    """A sub-step up to its exponential, as `model.filter.observe` makes it."""
+    """A sub-step up to its exponential, as `filters.observer.observe` makes it."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
     biases = learnt_biases(state, sample, W, used, h, settings, gamma)

@@ -37,7 +37,7 @@
  * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
  * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
  * its last value. Any other number that is NaN, or beyond the limits below, is refused with
- * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would leave the limits, or whose
+ * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would not be finite, or whose
  * quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A refused sample leaves
  * the state as it was: let the next dt cover its time too. Pointers must be valid.
  *
@@ -68,7 +68,7 @@
 
 /* ---- Limits ---------------------------------------------------------------------------------- */
 
-/* The largest numbers that are taken and estimated, in each component and of either sign. Beyond
+/* The largest numbers that are taken, in each component and of either sign. Beyond
  * them no sensor measures. Define one before this line, or with -D, to move it. */
 {% for limit in limits %}
 #ifndef {{ limit.name }}
@@ -165,7 +165,7 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
 
 {{ controller }}
 {% endif %}
-/* ---- The step's parts, generated from the functions of posegsa.model that are named ---------- */
+/* ---- The step's parts, generated from the functions of posegsa.filters and model ------------- */
 
 {% for function in functions %}
 static inline posegsa_real posegsa_{{ function }}(posegsa_real x)

@@ -216,5 +216,11 @@ def _compiled(
             jax.ShapeDtypeStruct((size,), dtype)
             for size in (state.size + sample.size, parameters.size)
         ]
-        after = Layout(jax.eval_shape(step, *shapes))
+        made = jax.eval_shape(step, *shapes)
+        if Layout(made.state) != state:
+            refuse(
+                f"filter: its step returns a state like {made.state}",
+                "the structure and the shapes of the state that `start` returns",
+            )
+        after = Layout(made)
         return jax.jit(program).lower(*shapes).compile(), after

@@ -183,8 +183,7 @@ def _warn_of_long_iterations(problems: Sequence[TuningProblem]) -> None:
     if jax.default_backend() == "cpu" and seconds > LONG_ITERATION:
         warnings.warn(
             f"an iteration simulates {samples:.2g} samples (agents x scenarios x samples), some "
-            f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered, and checkpoints "
-            "written, between iterations",
+            f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered between iterations",
             PosegsaWarning,
             stacklevel=3,
         )
