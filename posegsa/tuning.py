@@ -106,7 +106,7 @@ def tune(
     """Tune a fuzzy gain schedule, on simulated scenarios or on recordings.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
-    it can report progress and save its state. With a folder it saves its state by itself, and Ctrl-C,
+    it can report progress and save its state. With a folder it saves its state, and Ctrl-C,
     SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
     devices of the process, or of all processes that have joined
     (`posegsa.search.devices.join_processes`), to the same bits.
