@@ -138,7 +138,7 @@ def origin(result: TuneResult | RecordingResult) -> list[str]:
 def worth(result: TuneResult | RecordingResult) -> list[str]:
     """Costs of a tuned filter and of the best constant gain, and the result's warnings.
 
-    For a result on recordings, its errors on them, and where their ground truth comes from.
+    For a result on recordings, its errors on them, and which data are measured or synthetic.
     """
     if isinstance(result, RecordingResult):
         return _on_recordings(result)
@@ -166,7 +166,7 @@ def _warnings(result: TuneResult | RecordingResult) -> list[str]:
 
 
 def _on_recordings(result: RecordingResult) -> list[str]:
-    """The errors of a filter on recordings, and where their ground truth comes from."""
+    """The errors of a filter on recordings, and which data are measured or synthetic."""
     if not (result.training or result.held_out):
         return ["Not known: it was judged on no recording.", *_warnings(result)]
     lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
