@@ -3,9 +3,9 @@
 Data flow: config -> scenarios (truth + measurements) -> filter step + fuzzy gain -> rollout -> cost
 -> population (agents x scenarios) -> optimiser -> result -> held-out evaluation -> figures.
 
-Importing it changes nothing in the process. `enable_fast_path()`, called first, makes CPUs fast.
+Importing posegsa changes nothing in the process. Call `enable_fast_path()` first for speed on CPUs.
 
-Its names stand in `__init__.pyi`, and are imported when they are first used.
+`__init__.pyi` lists the public names. Each is imported when it is first used.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Checks of what users hand to public functions: what can't be used is refused by its name."""
+"""Checks of the arguments of public functions. An error names the argument."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from posegsa.errors import ArgumentError, PosegsaError
 
 MAX_INTEGER = 2**31 - 1
-"""The largest integer that JAX counts with."""
+"""The largest value of JAX's default integers, int32."""
 
 
 def refuse(problem: str, allowed: str) -> NoReturn:
@@ -23,20 +23,20 @@ def refuse(problem: str, allowed: str) -> NoReturn:
 
 
 def check_type(name: str, value: object, *kinds: type, allowed: str = "") -> None:
-    """Raise an ArgumentError unless a value is of one of these types, `allowed` in words."""
+    """Raise an ArgumentError unless a value has one of these types; `allowed` describes them."""
     if not isinstance(value, kinds):
         words = allowed or " or ".join(f"a {kind.__name__}" for kind in kinds)
         refuse(f"{name}: a {'class' if isinstance(value, type) else type(value).__name__}", words)
 
 
 def check_callable(name: str, value: object) -> None:
-    """Raise an ArgumentError unless a value can be called, or is None."""
+    """Raise an ArgumentError unless a value is a callable or None."""
     if value is not None and not callable(value):
         refuse(f"{name}: a {type(value).__name__}", "a function, or None")
 
 
 def several(name: str, values: Any, kind: type, allowed: str) -> list[Any]:
-    """Values of one type from a user as a list; anything else is refused, a single text too."""
+    """A user's values of one type, as a list. Anything else is refused, also a single string."""
     if isinstance(values, str):
         refuse(f"{name} = {values!r}", f"{allowed}, as in [{values!r}]")
     check_type(name, values, Iterable, allowed=allowed)
@@ -59,7 +59,7 @@ def check_number(
     """Raise an ArgumentError unless a value is a finite number in [minimum, maximum]."""
     number = math.nan
     if isinstance(value, Real) and not isinstance(value, bool):
-        with suppress(OverflowError):  # a whole number of hundreds of digits
+        with suppress(OverflowError):  # an integer of hundreds of digits
             number = float(value)
     if not (math.isfinite(number) and minimum <= number <= maximum):
         bounds = f" of at least {minimum:g}" if minimum > -math.inf else ""
@@ -69,7 +69,7 @@ def check_number(
 
 
 def check_dtype(name: str, dtype: Any) -> None:
-    """Raise an ArgumentError unless this is a floating dtype."""
+    """Raise an ArgumentError unless this is a floating-point dtype."""
     try:
         floating = jnp.issubdtype(jnp.dtype(dtype), jnp.floating)
     except TypeError:
@@ -79,7 +79,7 @@ def check_dtype(name: str, dtype: Any) -> None:
 
 
 def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
-    """Real numbers from a user as an array; anything else is refused."""
+    """A user's real numbers as an array. Anything else is refused."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -91,7 +91,7 @@ def real_array(name: str, value: ArrayLike | Sequence[float]) -> np.ndarray:
 
 @contextmanager
 def fitting(function: str) -> Iterator[None]:
-    """What JAX says of arguments that don't fit together comes as an ArgumentError."""
+    """Turn JAX's errors about arguments that do not fit together into an ArgumentError."""
     try:
         yield
     except PosegsaError:
@@ -103,7 +103,7 @@ def fitting(function: str) -> Iterator[None]:
 
 @contextmanager
 def made_of_jax() -> Iterator[None]:
-    """What JAX says of an objective that it can't compile comes as an ArgumentError."""
+    """Turn JAX's errors about an objective that it can't compile into an ArgumentError."""
     try:
         yield
     except (

@@ -36,21 +36,21 @@ from posegsa.search.run import (
 from posegsa.settings.fields import MAX_COUNT
 
 POINTS = 250
-"""Iterations of a search whose best cost is kept, and some more of the first."""
+"""Number of evenly spaced iterations whose best cost is stored; more early ones are added."""
 
 
 class Subject(NamedTuple):
-    """Something to minimise, again and again."""
+    """The problem that every optimiser minimises."""
 
     title: str
     search: Callable[[Optimiser, Array, Callable[[Progress], object]], Found]
-    """The finished search with a random key, and how long it took."""
+    """Runs one search with a random key, and measures its time."""
     held_out: Callable[[Array], float | None]
-    """Cost of a position on unseen scenarios, where there are any."""
+    """Cost of a position on held-out scenarios; None for a test function."""
 
 
 def _filter(experiment: config.Experiment) -> Subject:
-    """An experiment's filter: every search meets its training scenarios."""
+    """An experiment's filter. All searches use the same training scenarios."""
     problem = tuning_problem(experiment)
 
     def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
@@ -66,7 +66,7 @@ def _filter(experiment: config.Experiment) -> Subject:
 
 
 def _function(function: ClassicalFunction) -> Subject:
-    """A test function; a gradient is taken by reverse mode."""
+    """A test function; its gradient is computed in reverse mode."""
     box = function.box
 
     def search(optimiser: Optimiser, key: Array, tell: Callable[[Progress], object]) -> Found:
@@ -89,41 +89,40 @@ def compare(
     figures: Iterable[str] | None = None,
     progress: steps.Listener | None = None,
 ) -> OptimiserComparison:
-    """Run several optimisers many times on the same problem, each with the same evaluations.
+    """Run several optimisers repeatedly on one problem, with the same number of evaluations.
 
-    All searches of an experiment meet the same training scenarios; the repeats of an optimiser
-    differ in the random key of the search, and repeat r of every optimiser has the same key. They
-    run one after the other: a search fills the machine by itself.
+    All searches of an experiment use the same training scenarios. The repeats of an optimiser
+    differ in their random key; repeat r has the same key for every optimiser. Searches run one
+    after the other, because one search already uses the whole machine.
 
     Args:
-        experiment: Problem, and settings of the optimisers, or a TOML file; by default the
-            recommended experiment. The optimiser of its [search] has its settings from there, all
-            others only the number of agents.
-        optimisers: Names as in search.optimiser, each with settings of its own after colons if
-            wanted, such as "gsa:g0=1.0" or "cma_es:agents=20". The others are compared with the
-            first.
-        repeats: Searches of each.
+        experiment: The problem and the optimisers' settings, or a TOML file; by default the
+            recommended experiment. The optimiser of its [search] takes all settings from there,
+            every other optimiser only the number of agents.
+        optimisers: Names as in search.optimiser. Settings may follow a name after colons, such as
+            "gsa:g0=1.0" or "cma_es:agents=20". The others are compared with the first.
+        repeats: Searches of each optimiser.
         evaluations: Evaluations of a search, rounded down to whole iterations. A cost with its
             gradient counts as the optimiser's gradient_price.
         function: A test function to minimise instead of the experiment's cost.
-        out: Folder to keep the comparison in. Its JSON is written after each search, table and
-            figure at the end; searches that it holds already, of the same problem, budget and
-            settings, are not run again.
-        overwrite: Replace a comparison of something else in that folder.
-        levels: Costs to reach, in the table that is written to `out`; by default medians.
-        figures: Names of those to draw in `out`: "comparison", by default, or none.
-        progress: Called with each `steps.Step`; a search is a part of "comparing", and `about` says
-            which. Those that a folder held count as done.
+        out: Folder for the comparison. The JSON is written after each search, table and figure at
+            the end. Searches already stored there, of the same problem, budget and settings, are
+            not run again.
+        overwrite: Replace a different comparison in that folder.
+        levels: Target costs of the table in `out`; by default the optimisers' medians.
+        figures: Names of the figures to draw in `out`: "comparison", the default, or none.
+        progress: Called with each `steps.Step`. Each search is a part of the step "comparing", and
+            `about` names it. Searches stored in the folder count as done.
 
     Returns:
-        The comparison; of a folder also those optimisers that it held before, after the others.
+        The comparison. Optimisers that only the folder had follow the requested ones.
 
     Raises:
-        ConfigError: The experiment, or an optimiser's name or setting, is not valid, or a search
-            would need more memory than there is.
-        ArgumentError: A number is out of its range, or an argument is of the wrong type.
-        RunFolderError: `out` holds another comparison, can't be used, or another process is writing
-            there.
+        ConfigError: The experiment, or an optimiser's name or setting, is invalid, or a search
+            would need more memory than available.
+        ArgumentError: A number is out of range, or an argument has the wrong type.
+        RunFolderError: `out` holds a different comparison, can't be used, or another process is
+            writing there.
     """
     check_callable("progress", progress)
     drawn = chosen_figures(figures, ["comparison"])
@@ -144,7 +143,7 @@ def compare(
         optimiser.check_usable()
         if function is None:
             memory.check([one.model_copy(update={"search": optimiser})])
-    # A run in that folder has files of other names: nothing of it is overwritten.
+    # A run in that folder is safe: its files have other names.
     place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     in_dtype = jax.enable_x64(one.run.dtype == "float64")
     with steps.listening(progress), place as folder, in_dtype:
@@ -175,7 +174,7 @@ def compare(
 
 
 def _settings(experiment: config.Experiment, function: ClassicalFunction | None) -> dict[str, Any]:
-    """What searches depend on: all but what `compare` sets itself or does not use."""
+    """The settings that searches depend on, without those that `compare` sets or ignores."""
     data = experiment.model_dump(mode="json", exclude={"checkpoint"})
     del data["search"]["iterations"]
     if function is None:
@@ -184,7 +183,7 @@ def _settings(experiment: config.Experiment, function: ClassicalFunction | None)
 
 
 def _gradients(optimiser: Optimiser) -> Gradients | None:
-    """How an optimiser uses gradients, if it does."""
+    """How an optimiser uses gradients; None if it does not."""
     before = 0
     for phase in optimiser.phases:
         if phase.wants_gradients:
@@ -194,12 +193,12 @@ def _gradients(optimiser: Optimiser) -> Gradients | None:
 
 
 def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optimiser:
-    """The optimiser that a text such as "gsa:g0=1.0" means, with so many evaluations at most.
+    """The optimiser that a text such as "gsa:g0=1.0" describes, limited to a number of evaluations.
 
-    Settings that the text does not give come from the experiment.
+    All other settings come from the experiment.
 
     Raises:
-        ConfigError: The name or a setting is not valid, or the evaluations are not enough for one
+        ConfigError: The name or a setting is invalid, or there are too few evaluations for one
             iteration.
     """
     name, *own = text.split(":")
@@ -210,7 +209,7 @@ def specify(experiment: config.Experiment, text: str, evaluations: int) -> Optim
         key = setting.partition("=")[0].strip()
         if key not in keys:
             raise ConfigError(f"{key!r} of {text!r}; allowed: {', '.join(keys)}")
-    # No search has more iterations than evaluations: what those pay for is found below.
+    # An upper bound: `within` reduces the iterations to what the evaluations allow.
     settings = [f"search.optimiser={name}", f"search.iterations={min(evaluations, MAX_COUNT)}"]
     settings += [f"search.{setting}" for setting in own]
     return config.override(experiment, settings).search.within(evaluations)
@@ -220,13 +219,13 @@ def _search(subject: Subject, optimiser: Optimiser, key: Array) -> Repeat:
     stamps = [(0, 0.0)]
 
     def told(progress: Progress) -> None:
-        if progress.iteration > stamps[-1][0]:  # not when it is compiled, nor within an iteration
+        if progress.iteration > stamps[-1][0]:  # not when it is compiled
             stamps.append((progress.iteration, progress.seconds))
         tell_share(progress)
 
     search, compile_seconds, seconds = subject.search(optimiser, key, told)
     spent = optimiser.evaluations_spent()
-    # POINTS evenly spaced iterations are kept, and more of the first.
+    # Store POINTS evenly spaced iterations, and more early ones.
     even, early = np.linspace(1, len(spent), POINTS), np.geomspace(1, len(spent), POINTS // 4)
     kept = np.unique(np.concatenate([even, early]).round().astype(int)) - 1
     done, since = np.array(stamps).T

@@ -1,11 +1,12 @@
-"""JAX's persistent compilation cache, in a folder that belongs to the user alone.
+"""JAX's persistent compilation cache, in a folder that only the user can write to.
 
-What lies there is machine code, and JAX runs it: whoever can write to the folder can run code as
-the user. So a folder of another user, or one that others can write to, is neither read nor written.
+JAX runs the machine code stored there, so anyone who can write to the folder can run code as the
+user. A folder that belongs to another user, or that others can write to, is therefore not used.
 """
 
 import math
 import os
+import re
 import stat
 import warnings
 from contextlib import suppress
@@ -18,27 +19,29 @@ from jax.experimental.compilation_cache import compilation_cache
 from posegsa.errors import PosegsaWarning
 
 LEAST_SECONDS = 0.1
-"""Time that a program must take to compile to be kept [s]. JAX's default is 1, but most here take
-less, and together they are most of a short run."""
+"""Programs that compile faster than this are not stored [s]. JAX's default is 1 s, but most of our
+programs compile faster, and together they take most of a short run's time."""
 _LOCAL = "file://"
+_BUCKET = re.compile("[a-z][a-z0-9+.-]*://")
+"""How a place begins that JAX reads and writes itself, such as gs://bucket/folder."""
 
 
 def enable_compilation_cache() -> None:
-    """Keep compiled programs in the user's cache folder, and use those that are there.
+    """Store compiled programs in the user's cache folder, and load those stored before.
 
-    That is `posegsa` in XDG_CACHE_HOME, else in ~/.cache, unless JAX has been given a folder
-    (JAX_COMPILATION_CACHE_DIR) or is to keep none (JAX_ENABLE_COMPILATION_CACHE=false). If the
-    folder can't be made, belongs to another user, or others can write to it, a warning says so and
-    JAX's cache is off in this process.
+    The folder is `posegsa` in XDG_CACHE_HOME, or in ~/.cache. JAX_COMPILATION_CACHE_DIR names
+    another folder; JAX_ENABLE_COMPILATION_CACHE=false switches the cache off. If the folder can't
+    be made, belongs to another user, or others can write to it, a warning says so and the cache
+    stays off in this process.
     """
-    config: Any = jax.config  # whose options no stub lists
+    config: Any = jax.config  # JAX's type stubs do not list its options
     if not config.jax_enable_compilation_cache:
         return
     given = config.jax_compilation_cache_dir
     least = min(LEAST_SECONDS, config.jax_persistent_cache_min_compile_time_secs)
-    if not given or "://" not in given.removeprefix(_LOCAL):  # else JAX's own, such as a bucket
+    if not given or not _BUCKET.match(given.removeprefix(_LOCAL)):
         try:
-            # Resolved once and for all: a link might lead elsewhere after the check.
+            # Resolve links once: a link could be changed after the check.
             folder = (Path(given.removeprefix(_LOCAL)) if given else _own_folder()).resolve()
             _make_own(folder)
         except (OSError, RuntimeError) as error:
@@ -48,21 +51,25 @@ def enable_compilation_cache() -> None:
             return
         config.update("jax_compilation_cache_dir", str(folder))
         if not os.access(folder, os.W_OK):
-            least = math.inf  # JAX would say so of each program
+            least = math.inf  # store nothing; else JAX would warn for each program
             _say_not_kept(f"{folder} can only be read")
     config.update("jax_persistent_cache_min_compile_time_secs", least)
 
 
 def _own_folder() -> Path:
-    """The user's folder; RuntimeError where the user has no home."""
+    """The user's cache folder.
+
+    Raises:
+        RuntimeError: The user has no home.
+    """
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "posegsa"
 
 
 def _make_own(folder: Path) -> None:
-    """Make a folder that is this user's alone, or see that it is.
+    """Make a folder that only this user can write to, or check an existing one.
 
-    From the root down, so that nothing is made in somebody else's folder. Whoever can write to a
-    folder above could put another in its place.
+    Each parent is checked too, from the root down: anyone who can write to a parent could replace
+    the folder.
 
     Args:
         folder: An absolute path without links.
@@ -86,33 +93,19 @@ def _check_own(place: Path, *, above: bool = False, shut: bool = False) -> None:
 
     Args:
         place: The file or folder.
-        above: Whether it is a folder above the cache. Root may own it; with the sticky bit, as
-            /tmp has, others may write to it, because they can't rename what is not theirs.
-        shut: Whether only the user can open the folder that it lies in: its mode is no matter then.
+        above: Whether it is a parent of the cache folder. Root may own a parent. Others may write
+            to it if it has the sticky bit, as /tmp has: they can't rename files of other users.
+        shut: Whether only the user can open its folder. Then its own mode does not matter.
 
     Raises:
-        PermissionError: It is another's, or others can write to it.
+        PermissionError: It belongs to another user, or others can write to it.
     """
     about = place.lstat()
     if about.st_uid != os.geteuid() and not (above and about.st_uid == 0):
         raise PermissionError(f"{place} belongs to another user")
     writers = about.st_mode & (stat.S_IWOTH | stat.S_IWGRP)
-    if writers == stat.S_IWGRP and _is_private_group(about.st_gid):
-        return
     if writers and not shut and not (above and about.st_mode & stat.S_ISVTX):
         raise PermissionError(f"others can write to {place}")
-
-
-def _is_private_group(group: int) -> bool:
-    """Whether a group has the user alone in it, as on systems that give each user a group."""
-    import grp  # not on Windows
-    import pwd
-
-    try:
-        one, user = grp.getgrgid(group), pwd.getpwuid(os.geteuid())
-    except KeyError:
-        return False
-    return one.gr_name == user.pw_name and set(one.gr_mem) <= {user.pw_name}
 
 
 def _say_not_kept(why: object) -> None:

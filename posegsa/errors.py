@@ -1,14 +1,14 @@
-"""The exceptions that posegsa raises on purpose: catch `PosegsaError` to catch them all."""
+"""posegsa's exceptions. Catch `PosegsaError` to catch all but `SearchInterrupted`."""
 
 from typing import Any
 
 
 class PosegsaError(Exception):
-    """Base of every error that posegsa raises because of what it was given."""
+    """Base class of all errors about invalid input."""
 
 
 class ConfigError(PosegsaError, ValueError):
-    """A configuration that cannot be read or is not valid; names key, value and what is allowed."""
+    """A configuration that cannot be read or is invalid; names key, value and allowed values."""
 
 
 class ScenarioError(PosegsaError, ValueError):
@@ -16,7 +16,7 @@ class ScenarioError(PosegsaError, ValueError):
 
 
 class RunFolderError(PosegsaError, OSError):
-    """A run folder that cannot be used: not writable, holding another run, or holding none."""
+    """A run folder that cannot be used: not writable, or with another run or no run in it."""
 
 
 class CheckpointError(RunFolderError):
@@ -24,19 +24,19 @@ class CheckpointError(RunFolderError):
 
 
 class DamagedCheckpointError(CheckpointError):
-    """A checkpoint whose content is not what was written."""
+    """A checkpoint whose content has changed since it was written."""
 
 
 class ArgumentError(PosegsaError, ValueError):
-    """An argument that a function cannot use; names it, and what is allowed."""
+    """An invalid argument; names it, and what is allowed."""
 
 
 class MemoryLimitError(ConfigError):
-    """A configuration that would need more memory than there is; says which numbers make it so."""
+    """A configuration that needs more memory than available; names the numbers responsible."""
 
 
 class SearchError(PosegsaError, RuntimeError):
-    """A search that stopped half way; says how to go on from what it had found."""
+    """A search that failed half way; says how to continue from its last checkpoint."""
 
 
 class MeasurementError(PosegsaError, ValueError):
@@ -48,11 +48,11 @@ class RecordingError(MeasurementError):
 
 
 class FuzzyError(PosegsaError, ValueError):
-    """Terms, rules or parameters that make no fuzzy controller; names what does not fit."""
+    """Invalid terms, rules or parameters of a fuzzy controller; names them."""
 
 
 class SaveError(RunFolderError):
-    """A finished result that could not be written; it is not lost: `result` has it."""
+    """A finished result that could not be written; `result` holds it."""
 
     def __init__(self, message: str, result: Any) -> None:
         super().__init__(message)
@@ -60,9 +60,9 @@ class SaveError(RunFolderError):
 
 
 class SearchInterrupted(KeyboardInterrupt):
-    """A search that was asked to stop, and has saved what it had; says how to go on.
+    """A search that a signal stopped after it had saved its state; says how to continue.
 
-    Not a `PosegsaError`: like every KeyboardInterrupt it passes by `except Exception`.
+    Not a `PosegsaError`: like every KeyboardInterrupt, `except Exception` does not catch it.
     """
 
     def __init__(self, message: str, signal_number: int) -> None:
@@ -71,4 +71,4 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 class PosegsaWarning(UserWarning):
-    """Something that a user should know: an input that was changed, a result that may mislead."""
+    """A warning to the user: an input was changed, or a result may mislead."""

@@ -1,4 +1,4 @@
-"""`posegsa evaluate`: a finished run on many unseen scenarios, beside every baseline."""
+"""`posegsa evaluate`: a finished run compared with all baselines on many held-out scenarios."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -92,41 +92,40 @@ def evaluate(
     cost: TrackCost | None = None,
     progress: steps.Listener | None = None,
 ) -> TuneResult | RecordingResult:
-    """Judge a tuned schedule beside all baselines, on unseen scenarios or on recordings.
+    """Compare a tuned schedule with all baselines, on held-out scenarios or on recordings.
 
-    Schedules are searched on the run's training scenarios with the run's optimiser and number of
-    evaluations (`judging.baselines`), the Kalman filters' noises until that brings little more
-    (`judging.kalman`). What a result has been judged beside before is not searched again. The
-    scenarios that judge are drawn with keys that no search has seen.
+    Baseline schedules are searched on the run's training scenarios, with the run's optimiser and
+    number of evaluations (`judging.baselines`). The Kalman filters' noises are searched until the
+    cost hardly improves (`judging.kalman`). Baselines already stored in the result are not searched
+    again. The held-out scenarios use random keys that no search has used.
 
-    On recordings, it is judged beside the best constant gains and the invariant Kalman filter, both
-    tuned on what it was tuned on: on `training`, or, if it was tuned on simulated scenarios, on
-    those. On recordings of an IMU, VQF, Madgwick's and Mahony's filter stand beside it too, each
-    with the settings of its paper (`judging.other_filters`). A recording's sensors have the
-    experiment's weights in order, further ones 1 (`TuneResult.filter_for`).
+    On recordings the baselines are the best constant gains and the invariant Kalman filter. Both
+    are tuned on the data that the result was tuned on: on `training`, or on its simulated
+    scenarios. On recordings of an IMU, VQF and the filters of Madgwick and Mahony are compared too,
+    each with the settings of its paper (`judging.other_filters`). A recording's sensors take the
+    experiment's weights in order; further sensors have the weight 1 (`TuneResult.filter_for`).
 
     Args:
         result: A tuned result.
-        recordings: That judge instead of scenarios: a result that was tuned on others, or on
-            scenarios.
-        training: Those that the result was tuned on, for the baselines; without them only filters
-            that are not tuned stand beside it. Not of one that was tuned on scenarios.
-        others: Whether other libraries' filters are tried; by default where the recordings have
-            what they read and the libraries are installed.
+        recordings: Held-out recordings, used instead of scenarios.
+        training: The recordings that the result was tuned on, to tune the baselines on. Without
+            them only filters without tuning are compared. Not for a result tuned on scenarios.
+        others: Whether filters of other libraries are compared. By default they are, if the
+            recordings have their sensors and the libraries are installed.
         scenarios: Number of held-out scenarios, at least 2.
-        seed: Another held-out set than the run's own.
-        cost: The user's own cost that the result was tuned with, if it was.
-        progress: Called with each `steps.Step`, whose `about` names the filter.
+        seed: Seed of the held-out scenarios; by default that of the run.
+        cost: The user's own cost, if the result was tuned with one.
+        progress: Called with each `steps.Step`; its `about` names the filter.
 
     Returns:
-        The result with its evaluation replaced; of one that was tuned on scenarios, judged on
-        recordings, a `RecordingResult` with these held out.
+        The result with a new evaluation. For a result tuned on scenarios and judged on recordings,
+        a `RecordingResult` with these recordings held out.
 
     Raises:
-        ArgumentError: Fewer than 2 scenarios, an argument of another type or one that means nothing
-            here, another cost, or a gain that looks at the true pose on recordings.
-        RecordingError: A recording has no truth to be judged by.
-        MemoryLimitError: So many scenarios would need more memory than there is.
+        ArgumentError: Fewer than 2 scenarios, an argument of the wrong type or without effect here,
+            a different cost, or, on recordings, a gain that depends on the true pose.
+        RecordingError: A recording has no ground truth.
+        MemoryLimitError: So many scenarios would need more memory than available.
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_callable("progress", progress)
@@ -202,7 +201,7 @@ def _on_recordings(
 
 
 def _all_found(result: TuneResult, problem: TuningProblem) -> dict[str, Description]:
-    """All contenders, in order; those that the result has been judged beside are not searched."""
+    """All contenders, in order; those already in the result's evaluation are not searched."""
     known = {name: each.filter for name, each in result.evaluation.contenders.items()}
     space, evaluations = problem.space.schedules, problem.experiment.search.evaluations
     find: dict[str, Callable[[], Description]] = {

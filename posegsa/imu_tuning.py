@@ -1,4 +1,4 @@
-"""The attitude filter for inertial sensors tuned on recordings."""
+"""Tuning of the attitude filter for inertial sensors, on recordings."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,31 +29,32 @@ def tune_imu(
     overwrite: bool = False,
     progress: steps.Listener | None = None,
 ) -> ImuResult:
-    """Tune the attitude filter for inertial sensors: what `parameters.also` of its file names.
+    """Tune the attitude filter for inertial sensors.
 
-    These are numbers of [vectors], with which each candidate makes its vectors anew, and of
-    [observer]. The cost is the mean over recordings of the total RMSE [deg] of what they judge. The
-    numbers of the configuration stay if none better is found.
+    `parameters.also` of its configuration names the tuned numbers: some of [vectors], with which
+    each candidate computes its vectors anew, and some of [observer]. The cost is the total RMSE
+    [deg] over the judged samples, averaged over the recordings. The numbers of the configuration
+    are kept unless the search finds better ones.
 
     Args:
-        config: The filter, a file of one, or "imu", the shipped one.
-        recordings: Tune on these, each with an accelerometer and a truth; those that `imu` or
-            `as_imu` have made keep their frame and rest.
-        held_out: Recordings that only judge.
-        frame: Of the other recordings, as `imu`'s.
-        rest: Likewise.
-        seed: Of the search.
-        out: Folder to write imu.toml, which `posegsa replay` takes, and imu.txt to.
-        overwrite: Replace the filter that it holds; a run there is never replaced.
-        progress: Called with each `steps.Step`; of the search, after each iteration.
+        config: The filter's configuration, its file, or "imu", the shipped one.
+        recordings: Recordings to tune on, each with an accelerometer and a ground truth. Those made
+            by `imu` or `as_imu` keep their frame and rest.
+        held_out: Held-out recordings.
+        frame: Inertial frame of the other recordings, as in `imu`.
+        rest: Their time at rest, as in `imu`.
+        seed: Seed of the search.
+        out: Folder for imu.toml, which `posegsa replay` reads, and imu.txt.
+        overwrite: Replace a filter in that folder. A run there is never replaced.
+        progress: Called with each `steps.Step`, and after each iteration of the search.
 
     Raises:
-        ArgumentError: An argument is of another type, or there is no recording.
-        ConfigError: The file is no such filter, or it tunes nothing.
-        RecordingError: A recording has no accelerometer, or no sample of it is judged.
-        RunFolderError: `out` holds a run or a filter already, or can't be written, found before the
-            search.
-        SaveError: The result can't be written, only now; the error has it as `result`.
+        ArgumentError: An argument has the wrong type, or there is no recording.
+        ConfigError: The file does not describe this filter, or it tunes nothing.
+        RecordingError: A recording has no accelerometer, or none of its samples is judged.
+        RunFolderError: `out` already holds a run or a filter, or can't be written. Raised before
+            the search.
+        SaveError: The result can't be written after the search. Its `result` holds it.
     """
     check_callable("progress", progress)
     check_whole("seed", seed, 0)
@@ -88,7 +89,7 @@ def tune_imu(
 def _prepared(
     recording: Recording, config: ImuConfig, frame: Frame, rest: float | Literal["auto"]
 ) -> ImuRecording:
-    """A recording from a user, with the vectors of an inertial sensor."""
+    """A user's recording, with the vectors computed from its inertial sensor."""
     if not recording.masks()["judged"].any():
         raise RecordingError(f"{recording.name}: no sample is judged where the truth is known")
     if isinstance(recording, ImuRecording):

@@ -1,4 +1,4 @@
-"""A finished run on recordings: what its filter makes of motion that was not simulated."""
+"""`posegsa replay`: the filter of a finished run on recorded motion."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,21 +25,21 @@ def replay(
     overwrite: bool = False,
     figures: Iterable[str] | None = None,
 ) -> list[Replay]:
-    """Run a tuned filter over recordings, and judge it where they have a truth.
+    """Run a tuned filter over recordings, and compute its errors where they have a ground truth.
 
     Args:
-        result: A tuned result, tuned on scenarios or on recordings; or the attitude filter for
-            inertial sensors, "imu" as it is shipped. Recordings that `imu` or `as_imu` have not
-            made then get their vectors and their start from their sensors, by `as_imu`.
-        recordings: One, or several.
-        out: Folder to write tables, trajectories (TUM) and figures to.
-        overwrite: Replace the replays that it holds.
-        figures: Names of those to draw there; by default all.
+        result: A result tuned on scenarios or on recordings; or the attitude filter for inertial
+            sensors, where "imu" is the shipped one. With that filter, `as_imu` computes vectors and
+            start of recordings that were not made by `imu` or `as_imu`.
+        recordings: One recording, or several.
+        out: Folder for tables, trajectories (TUM) and figures.
+        overwrite: Replace replays in that folder.
+        figures: Names of the figures to draw there; by default all.
 
     Raises:
-        ArgumentError: An argument is of another type, or means nothing without `out`.
-        MeasurementError: A recording can't be started.
-        RunFolderError: `out` holds replays already, or can't be written.
+        ArgumentError: An argument has the wrong type, or has no effect without `out`.
+        MeasurementError: A recording gives no initial pose.
+        RunFolderError: `out` already holds replays, or can't be written.
     """
     drawn = chosen_figures(figures, REPLAY_FIGURES)
     for name, stated in (("overwrite", overwrite), ("figures", figures is not None)):

@@ -1,9 +1,8 @@
-"""The process that posegsa runs in: the fast path on CPUs, and what a result says of its machine.
+"""The process that posegsa runs in: fast options for CPUs, and the environment stored in results.
 
 Importing posegsa changes nothing in the process. XLA reads its options once, when JAX makes its
-first array, so what the fast path needs must be set before that: the command line does it for
-itself, a program calls `enable_fast_path()` first, or sets the environment variable XLA_FLAGS to
-`fast_path_flags()`.
+first array, so they must be set before that. The command line does so itself. A program calls
+`enable_fast_path()` first, or sets the environment variable XLA_FLAGS to `fast_path_flags()`.
 """
 
 import importlib
@@ -19,23 +18,23 @@ from posegsa.compiled_programs import enable_compilation_cache
 from posegsa.errors import PosegsaWarning
 from posegsa.version import VERSION
 
-# Full vectors where the CPU has them: 1.4 times faster than XLA's default of half.
+# Use 512-bit vectors on CPUs that have them: 1.4 times faster than XLA's default of 256 bits.
 _WIDTH = "--xla_cpu_prefer_vector_width"
-# A compiled loop runs on one core: searches divide their simulations over devices, one to a core.
+# A compiled loop runs on one core. Searches split their simulations over devices, one per core.
 _DEVICES = "--xla_force_host_platform_device_count"
-# XLA ends the process where one device waits 40 s for another's costs: an iteration of a large
-# population can well be so much longer on a core that other processes use too.
+# By default XLA ends the process if one device waits 40 s for another. With a large population on
+# a core shared with other processes, an iteration can take that much longer.
 _PATIENCE = {
     "--xla_cpu_collective_call_warn_stuck_timeout_seconds": 3600,
     "--xla_cpu_collective_call_terminate_timeout_seconds": 7 * 24 * 3600,
     "--xla_cpu_collective_timeout_seconds": 7 * 24 * 3600,  # between processes
 }
-_MAX_DEVICES = 4096  # more than any machine has cores
+_MAX_DEVICES = 4096  # more than the cores of any machine
 _EXTRA = "--xla_backend_extra_options="
-# With these XLA:CPU compiles the whole time loop as one function, and its body as one kernel with
-# many outputs instead of one kernel for each: 3 times faster on 100 agents. The last is LLVM's own:
-# it gives up vectorising a loop that would need more run-time checks for overlapping arrays than
-# this, and kernels that write the state in place need hundreds (its default is 128): up to 1.3
+# The first two make XLA:CPU compile the whole time loop as one function, and its body as one kernel
+# with many outputs instead of one kernel per output: 3 times faster with 100 agents. The last is
+# LLVM's limit of run-time checks for overlapping arrays: above it, LLVM does not vectorise a loop.
+# Kernels that write the state in place need hundreds of checks, and the default is 128. Up to 1.3
 # times faster.
 _OPTIONS = {
     "xla_cpu_use_multi_output_fusion": "true",
@@ -45,13 +44,14 @@ _OPTIONS = {
 
 
 def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
-    """XLA_FLAGS with the fast path's options appended; what `flags` sets already stays as it is.
+    """XLA_FLAGS with the fast path's options appended. Options already in `flags` are kept.
 
-    So does the name of a file, from which XLA then reads its options: they can't be appended to it.
+    If `flags` is the name of a file with options, it is returned unchanged: XLA reads either a file
+    or options.
 
     Args:
-        flags: What XLA_FLAGS is now.
-        devices: CPU devices to make; by default one for each core that the process may use.
+        flags: The present value of XLA_FLAGS.
+        devices: Number of CPU devices; by default one for each core that the process may use.
 
     Raises:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
@@ -74,28 +74,28 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
 
 
 def _is_file(flags: str) -> bool:
-    """Whether XLA takes XLA_FLAGS for the name of a file with its options."""
+    """Whether XLA reads XLA_FLAGS as the name of a file with options."""
     return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
 def enable_fast_path(devices: int | None = None) -> bool:
-    """Set what the fast path on CPUs needs; call it before anything else uses JAX.
+    """Set XLA's options for speed on CPUs. Call it before anything else uses JAX.
 
-    Compiled programs are kept on disk too, for the next process
+    Compiled programs are also stored on disk, for the next process
     (`compiled_programs.enable_compilation_cache`).
 
     Args:
-        devices: As of `fast_path_flags`; searches are divided over them.
+        devices: As in `fast_path_flags`; searches split their simulations over them.
 
     Returns:
-        Whether it came in time. Too late, XLA's options stay as they are, and it warns: results are
-        the same, slower.
+        Whether it was called in time. If not, it warns and XLA's options stay unchanged: results
+        are the same, but slower.
 
     Raises:
         ArgumentError: If `devices` is not a whole number from 1 to 4096.
     """
     flags = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices)
-    # Private, but there is no public way to ask; should it go, only the warning goes with it.
+    # Private, but there is no public way to ask. If JAX removes it, only the warning is lost.
     bridge = importlib.import_module("jax._src.xla_bridge")
     if getattr(bridge, "backends_are_initialized", lambda: False)():
         warnings.warn(
@@ -119,7 +119,7 @@ def enable_fast_path(devices: int | None = None) -> bool:
 
 
 def environment() -> dict[str, str]:
-    """What a result says of the machine that made it."""
+    """Versions and devices, stored in every result."""
     device = jax.devices()[0]
     return {
         "posegsa": VERSION,

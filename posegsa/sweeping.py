@@ -1,4 +1,4 @@
-"""`posegsa sweep`: an experiment with other values and seeds, searched in batches, side by side."""
+"""`posegsa sweep`: an experiment with many values and seeds, searched in batches."""
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -41,7 +41,7 @@ BATCH_SAMPLES = 50_000_000
 
 
 class _Planned(NamedTuple):
-    """A run that is to be made."""
+    """A run that is still to be searched."""
 
     values: Values
     seed: int
@@ -61,33 +61,32 @@ def sweep(
 ) -> Sweep:
     """Search an experiment with every combination of values, each with several seeds.
 
-    What differs only in numbers is searched in batches: one compiled program, whose searches run
-    side by side to the same bits as alone. Each best candidate is judged by its cost on the
-    experiment's held-out scenarios.
+    Runs that differ only in numbers are searched in batches: one compiled program runs several
+    searches at once, with the same results to the last bit as one by one. The best candidate of
+    each run is judged by its cost on the experiment's held-out scenarios.
 
     Args:
-        experiment: An experiment, or a TOML file or name; by default the recommended experiment.
-        vary: Values of keys, such as `{"filter.gamma": [1, 5, 10]}`, as `Experiment.replace` takes
-            them. The last key varies fastest.
-        seeds: How many, from the experiment's own seed on; or which.
-        out: Folder to keep each run in when its batch is done. Runs that it holds already are not
-            made again; those of more values or seeds come to them. At the end, unless there are
-            other shards, tables and figures are written there.
-        shard: (i, n) makes the i-th of n parts, counted from 1. Parts may share a folder, and run
-            at the same time; `merge_sweeps` puts them together.
-        together: Searches of one batch, at most; fewer where memory is short.
-        overwrite: Remove another sweep in that folder.
-        progress: Called with each `steps.Step`; a run is a part of "sweeping". Those that a folder
-            held count as done.
+        experiment: An experiment, a TOML file or a name; by default the recommended experiment.
+        vary: Values by key, such as `{"filter.gamma": [1, 5, 10]}`, as in `Experiment.replace`. The
+            last key varies fastest.
+        seeds: The number of seeds, counted from the experiment's own; or a list of seeds.
+        out: Folder for the runs. Each is written when its batch is done. Runs already stored there
+            are not searched again; runs of further values or seeds are added. At the end tables and
+            figures are written there too, unless there are other shards.
+        shard: (i, n) searches the i-th of n parts, counted from 1. Parts may run at the same time
+            and share a folder; `merge_sweeps` merges folders.
+        together: Most searches in a batch; fewer if memory is short.
+        overwrite: Remove a different sweep in that folder.
+        progress: Called with each `steps.Step`. Each run is a part of the step "sweeping". Runs
+            stored in the folder count as done.
 
     Returns:
-        All runs of this part that are asked for; with a folder, of all parts that it holds.
+        All runs of this part. With a folder, the runs of all parts stored there.
 
     Raises:
-        ConfigError: A value is none that the experiment can have, or needs more memory than there
-            is.
-        ArgumentError: An argument is none that is allowed.
-        RunFolderError: The folder holds another sweep, or can't be written.
+        ConfigError: A value is invalid, or needs more memory than available.
+        ArgumentError: An argument is invalid.
+        RunFolderError: The folder holds a different sweep, or can't be written.
         SearchInterrupted: Ctrl-C or SIGTERM, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
@@ -123,7 +122,7 @@ def sweep(
 def _planned(
     base: config.Experiment, vary: Mapping[str, Iterable[Any]], seeds: int | Iterable[int]
 ) -> list[_Planned]:
-    """Every combination of values with every seed, each experiment checked, none of them twice."""
+    """Every combination of values and seeds as a checked experiment, without duplicates."""
     check_type("vary", vary, Mapping, allowed="a table of values by key")
     choices = {
         key: several(f"vary[{key!r}]", given, object, "values") for key, given in vary.items()
@@ -158,10 +157,10 @@ def _planned(
 
 
 def _part(planned: list[_Planned], shard: tuple[int, int]) -> list[_Planned]:
-    """The i-th of n parts of about the same size; neighbours, which share programs, stay together.
+    """The i-th of n parts of about equal size. Neighbours share programs, so they stay together.
 
     Raises:
-        ArgumentError: There is no such part, or nothing in it.
+        ArgumentError: There is no such part, or it would be empty.
     """
     allowed = f"(i, n) with 1 <= i <= n <= {len(planned)}, the number of runs"
     check_type("shard", shard, tuple, list, allowed=allowed)
@@ -175,7 +174,7 @@ def _part(planned: list[_Planned], shard: tuple[int, int]) -> list[_Planned]:
 def _made(
     base: config.Experiment, planned: list[_Planned], together: int, before: int = 0
 ) -> Iterator[SweepRun]:
-    """Make runs in batches, each run as its batch is done; `before` are done already."""
+    """Search runs in batches, and yield those of each finished batch; `before` are done already."""
     done, total, best = before, before + len(planned), math.inf
 
     def tell(running: float = 0.0, best_cost: float = math.inf) -> None:
@@ -196,10 +195,10 @@ def _made(
 
 
 def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]:
-    """What is searched at once: of one structure, within memory.
+    """Batches of runs that have the same structure and fit in memory.
 
-    The batches of a structure have the same size, so that one program serves all of them; the last
-    one may repeat its last run.
+    All batches of a structure have the same size, so that one program serves them all. The last
+    batch may repeat its last run to reach that size.
     """
     structures: dict[str, Hashable] = {}
     fit: dict[Hashable, int] = {}
@@ -230,10 +229,10 @@ def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
 
 
 def _within_memory(group: list[_Planned], together: int) -> int:
-    """How many of a group may be searched at once, at least one.
+    """How many runs of a group fit in memory at once, at least one.
 
     Raises:
-        MemoryLimitError: Not even one.
+        MemoryLimitError: Not even one fits.
     """
     size = min(together, len(group))
     while True:
@@ -249,7 +248,7 @@ def _within_memory(group: list[_Planned], together: int) -> int:
 def _search(
     base: config.Experiment, batch: list[_Planned], told: Callable[[Progress], object]
 ) -> Iterator[SweepRun]:
-    """The runs of a batch, without those that it repeats."""
+    """Search a batch, and yield its runs without the repeated ones."""
     first = batch[0].experiment
     with jax.enable_x64(first.run.dtype == "float64"):
         problems = [tuning_problem(one.experiment) for one in batch]
@@ -257,7 +256,7 @@ def _search(
         found = [run_search(problems[0], told)] if alone else search_batch(problems, told)
         last = None
         for one, problem, each in zip(batch, problems, found, strict=True):
-            if one is not last:  # which is repeated to fill the batch up
+            if one is not last:  # else a repetition that fills the batch
                 yield _judged(base, one, problem, each)
             last = one
 
@@ -265,7 +264,7 @@ def _search(
 def _judged(
     base: config.Experiment, one: _Planned, problem: TuningProblem, found: Found
 ) -> SweepRun:
-    """A run from what its search found: the best candidate on training and held-out scenarios."""
+    """A finished run: the costs of its best candidate on training and held-out scenarios."""
     candidate = problem.space.candidate(found.search.best_position)
     alone = jax.tree.map(lambda a: a[None], candidate)
     costs = np.asarray(costs_by_scenario(alone, problem.scenarios)[:, 0], np.float64)

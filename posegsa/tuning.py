@@ -1,4 +1,4 @@
-"""The main job: an experiment in, a tuned schedule out, judged on noise that it has not seen."""
+"""The main job: tune a gain schedule and judge it on held-out scenarios or recordings."""
 
 import os
 from collections.abc import Iterable
@@ -44,7 +44,7 @@ from posegsa.search.run import Found, run_search, search_batch, tell_search
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
-"""An experiment, a TOML file, or the recommended experiment."""
+"""An experiment or a TOML file; None for the recommended experiment."""
 Recordings = Recording | Iterable[Recording]
 """One recording, or several."""
 
@@ -106,8 +106,8 @@ def tune(
     """Tune a fuzzy gain schedule, on simulated scenarios or on recordings.
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
-    it can report progress and save its state. With a folder it saves its
-    state by itself, and Ctrl-C, SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
+    it can report progress and save its state. With a folder it saves its state, and Ctrl-C,
+    SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
     devices of the process, or of all processes that have joined
     (`posegsa.search.devices.join_processes`), to the same bits.
 
@@ -116,42 +116,43 @@ def tune(
             the run to resume. On recordings, its filter, signal, fuzzy inference, boxes,
             `parameters.also`, objective and optimiser are used, and the weights of its scenario's
             vectors and landmarks, in order.
-        recordings: Tune on these instead of simulated scenarios: any number, of any lengths and
-            rates, each over the samples that it judges. The cost of one is its attitude's RMSE
-            [deg] plus `position_weight` times its position's.
-            Where the experiment's `objective.simulated_share` is above 0, its simulated scenarios
-            have that share of the cost, each by the same root mean squares (`search.recorded`).
-        held_out: Recordings that only judge.
-        schedule: On recordings, what is searched: "fuzzy", k1 to k22; "constant", one gain;
+        recordings: Recordings to tune on instead of simulated scenarios: any number, length and
+            rate. The cost of one is the RMSE of its attitude [deg] plus `position_weight` times the
+            RMSE of its position, over its judged samples. If the experiment's
+            `objective.simulated_share` is above 0, simulated scenarios with the same cost have that
+            share of the total (`search.recorded`).
+        held_out: Held-out recordings.
+        schedule: The schedule to search on recordings: "fuzzy", k1 to k22; "constant", one gain;
             "smooth", K(e) of three numbers; each with `parameters.also`.
-        position_weight: Of the position's RMSE in the cost on recordings [deg/m].
+        position_weight: Weight of the position's RMSE in the cost on recordings [deg/m].
         seed: Replaces the experiment's seed.
         iterations: Replaces the experiment's number of iterations.
-        out: Folder to write the result to, and checkpoints while it searches (none by pycma, whose
-            state can't be saved).
+        out: Folder for the result, and for checkpoints during the search (pycma has none, because
+            its state can't be saved).
         overwrite: Replace another run in that folder.
-        resume: Folder of a run to go on with, interrupted or finished; instead of `out`. It must be
-            of the same experiment (`saving.resume.experiment_to_resume`), but for more iterations:
-            past those that it began with, G and K_best hold their final values. A run on recordings
-            is given the same ones again: a folder holds no recordings.
-        figures: With a folder, names of the figures to draw; by default all. Not on recordings.
-        cost: A cost of a simulation to minimise instead of the configured one: a JAX function of
-            its errors (`ErrorTrack`) and the times (N,) [s].
-        progress: Called with each `steps.Step`; of "searching" when the search is compiled, and
+        resume: Folder of an interrupted or finished run to continue; instead of `out`. The
+            experiment must be the same (`saving.resume.experiment_to_resume`), except that it may
+            have more iterations: beyond the original number G and K_best keep their final values.
+            For a run on recordings give the same recordings again: a folder does not store them.
+        figures: Names of the figures to draw in the folder; by default all. Not on recordings.
+        cost: A cost to minimise instead of the configured one: a JAX function of a simulation's
+            errors (`ErrorTrack`) and times (N,) [s].
+        progress: Called with each `steps.Step`: for "searching" when the search is compiled, and
             after each chunk of iterations.
 
     Returns:
-        The result, with the cost on held-out scenarios beside the training cost; on recordings a
-        `RecordingResult`, which shows the errors on those held out, or says that there are none.
+        The result, with the costs on training and held-out scenarios. On recordings, a
+        `RecordingResult`; it has the errors on the held-out recordings, or says that there are
+        none.
 
     Raises:
-        ArgumentError: An argument is of another type, or means nothing beside the others; or the
-            run to resume was tuned on other recordings.
-        ConfigError: The configuration is not valid, would need more memory than there is, or is not
+        ArgumentError: An argument has the wrong type, or has no effect together with the others; or
+            the run to resume was tuned on other recordings.
+        ConfigError: The configuration is invalid, would need more memory than available, or is not
             that of the run to resume.
-        RunFolderError: `out` holds a run already, or can't be written, found before the search; or
-            another process is writing there, or `resume` holds no run.
-        SaveError: The result can't be written, only now; the error has it as `result`.
+        RunFolderError: `out` already holds a run, can't be written, or another process is writing
+            there; or `resume` holds no run. Raised before the search.
+        SaveError: The result can't be written after the search. Its `result` holds it.
         SearchInterrupted: Ctrl-C, SIGTERM or SIGUSR1, with a folder; a KeyboardInterrupt.
     """
     check_callable("progress", progress)
@@ -183,7 +184,7 @@ def tune(
             folder = folder_to_resume(resume, out, overwrite)
             return _resume(folder, experiment, seed, iterations, drawn, cost)
         chosen = _chosen(experiment, seed, iterations)
-        # Of processes that have joined, one writes.
+        # Only one of the joined processes writes.
         if out is not None and jax.process_index() == 0:
             with locked_folder(out, overwrite=overwrite) as folder:
                 return _tune_in_folder(chosen, folder, None, drawn, cost)
@@ -193,7 +194,7 @@ def tune(
 
 
 class _RecordedTask(NamedTuple):
-    """What is tuned on recordings, and for what."""
+    """A tuning task on recordings."""
 
     training: list[Recording]
     held_out: list[Recording]
@@ -201,7 +202,7 @@ class _RecordedTask(NamedTuple):
     position_weight: float
 
     def stored(self) -> RecordedTask:
-        """The same as checkpoints keep it."""
+        """The task as checkpoints store it."""
         return RecordedTask(
             schedule=self.schedule,
             position_weight=float(self.position_weight),
@@ -216,7 +217,7 @@ def _recorded_task(
     schedule: RecordedSchedule,
     position_weight: float,
 ) -> _RecordedTask:
-    """A task from a user, checked."""
+    """The task that the user's arguments describe, checked."""
     training, unseen = (
         several(name, [given] if isinstance(given, Recording) else given, Recording, "recordings")
         for name, given in (("recordings", recordings), ("held_out", held_out or []))
@@ -242,7 +243,7 @@ def _tune_on_recordings(
     folder: Path | None,
     run: CheckpointedRun | None,
 ) -> RecordingResult:
-    """Tune, in a locked folder with checkpoints and on from a run if there is one."""
+    """Tune on recordings; with a locked folder, write checkpoints; with a run, continue it."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         steps.begin("preparing")
         problem = recorded_problem(experiment, task.training, task.schedule, task.position_weight)
@@ -276,7 +277,7 @@ def _resume_on_recordings(
     iterations: int | None,
     task: _RecordedTask,
 ) -> RecordingResult:
-    """Go on with the run on recordings in a folder, or read its result if it is finished."""
+    """Continue the run on recordings in a folder, or read its result if it is finished."""
     with locked_folder(folder, overwrite=True):
         run = newest_checkpoint(folder)
         asked_for = task.stored()
@@ -299,18 +300,18 @@ def tune_batch(
 
     Args:
         experiments: One experiment (or a TOML file, by default the recommended experiment), or
-            several that differ only in values that are traced: noise, biases, gamma, gain limit,
-            weights, scales, boxes, initial errors, motion, seed.
-        seeds: Seeds to run each experiment with; by default each has its own.
-        progress: As `tune`'s.
+            several that differ only in traced values: noise, biases, gamma, gain limit, weights,
+            scales, boxes, initial errors, motion, seed.
+        seeds: Seeds for each experiment; by default each experiment's own seed.
+        progress: As in `tune`.
 
     Returns:
-        All results, and their spread: for each experiment all its seeds, in order.
+        All results and their spread, ordered by experiment, then seed.
 
     Raises:
-        ConfigError: A configuration is not valid, there are none, or they differ in structure
-            (counts, names, switches, numbers of samples, agents or iterations); or they would need
-            more memory than there is.
+        ConfigError: A configuration is invalid, there are none, they differ in structure (counts,
+            names, switches, numbers of samples, agents or iterations), or they would need more
+            memory than available.
     """
     check_callable("progress", progress)
     many = _all_chosen(experiments, seeds)
@@ -329,7 +330,7 @@ def _tune_in_folder(
     figures: list[str],
     cost: TrackCost | None,
 ) -> TuneResult:
-    """Tune with checkpoints in a locked folder, on from a run if there is one; write the result."""
+    """Tune in a locked folder with checkpoints, from a run's state if given; write the result."""
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = _prepared(experiment, cost)
         found = search_with_checkpoints(problem, folder, run, tell_search)
@@ -344,7 +345,7 @@ def _tune_in_folder(
 
 
 def _resumable(folder: Path, recorded: RecordedTask | None = None) -> AbstractContextManager[None]:
-    """After the search, a context for what is done with what it found."""
+    """A context for the work after the search: an interruption says how to resume."""
     if not checkpoint_paths(folder):
         return nullcontext()
     how = how_to_resume(folder, recorded)
@@ -352,7 +353,7 @@ def _resumable(folder: Path, recorded: RecordedTask | None = None) -> AbstractCo
 
 
 def _prepared(experiment: config.Experiment, cost: TrackCost | None) -> TuningProblem:
-    """The problem of an experiment, whose search comes next."""
+    """Build the problem of an experiment; its search is compiled next."""
     steps.begin("preparing")
     problem = tuning_problem(experiment, cost)
     steps.begin("compiling")
@@ -367,7 +368,7 @@ def _resume(
     figures: list[str],
     cost: TrackCost | None,
 ) -> TuneResult:
-    """Go on with the run in a folder, or read its result if it is finished."""
+    """Continue the run in a folder, or read its result if it is finished."""
     if jax.process_count() > 1:
         raise ArgumentError(
             f"resume = {folder} in {jax.process_count()} processes; allowed: in one, on all its "
@@ -392,7 +393,7 @@ def _resume(
 def _all_chosen(
     experiments: Given | Iterable[config.Experiment], seeds: Iterable[int] | None
 ) -> list[config.Experiment]:
-    """The experiments that a user means, each with each seed; at least one, all of one dtype."""
+    """The user's experiments, each with each seed; at least one, all with the same dtype."""
     if experiments is None or isinstance(experiments, config.Experiment | str | os.PathLike):
         experiments = [config.as_experiment(experiments)]
     each = several("experiments", experiments, object, "experiments, or one")
@@ -410,7 +411,7 @@ def _all_chosen(
 def _chosen(
     experiment: Given, seed: int | None = None, iterations: int | None = None
 ) -> config.Experiment:
-    """The experiment that a user means, with a seed and a number of iterations if given."""
+    """The user's experiment, with a seed and a number of iterations if given."""
     given = {"run.seed": seed, "search.iterations": iterations}
     settings = [f"{key}={toml(value)}" for key, value in given.items() if value is not None]
     return config.override(config.as_experiment(experiment), settings)

@@ -1,4 +1,4 @@
-"""Text for people: counts with nouns, tables, values as TOML."""
+"""Formatting of text output: counts with nouns, tables, values as TOML."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +11,7 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 
 def text_table(rows: Iterable[Sequence[str]]) -> str:
-    """Rows of cells as text: the first column to the left, the others to the right.
+    """Rows of cells as text: the first column left-aligned, the others right-aligned.
 
     A cell may have several lines.
     """

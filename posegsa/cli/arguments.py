@@ -1,7 +1,7 @@
-"""What commands of the command line share: their arguments, and what is made of them.
+"""Arguments that several commands share, and how they are read.
 
-As in the modules of the commands, what takes long to import is imported inside functions: help and
-refused arguments come at once.
+Here and in the commands' modules, slow imports are inside functions, so that help and errors about
+arguments appear at once.
 """
 
 import argparse
@@ -27,10 +27,10 @@ def add_search_arguments(
     """CONFIG, --set, --out, --overwrite and --quiet, for a command that searches.
 
     Args:
-        parser: The command's.
-        config: What is meant without a CONFIG, in words.
+        parser: The command's parser.
+        config: The default configuration, in words.
         setting: An example for --set.
-        out: What is said of the folder to write to.
+        out: Help text of --out.
         replaced: What --overwrite replaces, in words.
     """
     words = f"TOML file of the experiment, or a name of `posegsa configs`; without it, {config}"
@@ -48,12 +48,12 @@ def add_search_arguments(
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:
-    """--quiet, for a command that takes long."""
+    """--quiet, for a command that shows progress."""
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
 def add_figures(parser: argparse.ArgumentParser) -> None:
-    """--figures and --no-figures, for a command that draws: `options.figures` is None for all."""
+    """--figures and --no-figures, for a command that draws. `options.figures` is None for all."""
     group = parser.add_mutually_exclusive_group()
     words = "draw these figures only, names with commas between"
     group.add_argument("--figures", type=_names, metavar="NAMES", help=words)
@@ -62,7 +62,7 @@ def add_figures(parser: argparse.ArgumentParser) -> None:
 
 
 def drawn(options: argparse.Namespace, files: str = "figures/") -> str:
-    """What is said of figures at the end of a list of files that were written."""
+    """The end of a list of written files: the figures, if any were drawn."""
     return "" if options.figures == [] else f", {files}"
 
 
@@ -71,13 +71,13 @@ def _names(text: str) -> list[str]:
 
 
 def add_count(parser: argparse.ArgumentParser, name: str, default: int, words: str) -> None:
-    """A whole number from 1, with what it counts in words."""
+    """An option for a whole number from 1; `words` say what it counts."""
     words = f"{words} (default: %(default)s)"
     parser.add_argument(name, type=whole_number(1), default=default, metavar="N", help=words)
 
 
 def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:
-    """What reads an argument as a whole number in [minimum, maximum], or without an upper bound."""
+    """A function that reads a whole number in [minimum, maximum], or without an upper bound."""
     allowed = f"a whole number from {minimum}" + ("" if maximum is None else f" to {maximum}")
 
     def read(text: str) -> int:
@@ -90,13 +90,13 @@ def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], in
 
 
 def add_window(parser: argparse._ActionsContainer) -> None:
-    """--window, which part of each recording is used."""
+    """--window, the part of each recording that is used."""
     words = "only these seconds of each recording, such as 0:40, 40: or :40"
     parser.add_argument("--window", metavar="A:B", type=window, help=words)
 
 
 def window(text: str) -> tuple[float, float]:
-    """What reads a window in seconds."""
+    """Read a window in seconds."""
     begin, colon, end = text.partition(":")
     try:
         found = float(begin or 0.0), float(end or "inf")
@@ -116,7 +116,7 @@ def add_imu(parser: argparse._ActionsContainer) -> None:
 
 
 def add_bridge(parser: argparse._ActionsContainer) -> None:
-    """--bridge and --longest-gap, what is done where a recording does not go on."""
+    """--bridge and --longest-gap, how gaps of a recording are bridged."""
     parser.add_argument(
         "--bridge",
         choices=get_args(Policy),
@@ -128,7 +128,7 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
 
 
 def _rest(text: str) -> float | Literal["auto"]:
-    """What reads --rest."""
+    """Read --rest."""
     if text == "auto":
         return "auto"
     try:
@@ -139,7 +139,7 @@ def _rest(text: str) -> float | Literal["auto"]:
 
 
 def refuse_imu_options(options: argparse.Namespace) -> None:
-    """Raise an ArgumentError where --frame or --rest is given, for a filter that has neither."""
+    """Raise an ArgumentError if --frame or --rest is given with a filter that has neither."""
     if options.frame != "ENU" or options.rest != "auto":
         raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
 
@@ -150,10 +150,10 @@ def read(
     bridge: Policy | None = None,
     longest_gap: float | None = None,
 ) -> "list[Recording]":
-    """The recordings of some paths, bridged as stated, cut to a window.
+    """Read recordings, bridge their gaps if asked to, and cut them to a window.
 
     Raises:
-        ArgumentError: A longest gap is given, and none is bridged.
+        ArgumentError: A longest gap is given, but gaps are not bridged.
     """
     from posegsa.recordings.recording import Recording
 

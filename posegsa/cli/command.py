@@ -1,6 +1,6 @@
-"""The command line; each command is a file of this folder.
+"""The command line. Each command is a file of this folder with two functions.
 
-Such a file has two functions: `add` adds the command's parser, `run` does what was asked for.
+`add` adds the command's parser, and `run` runs the command.
 """
 
 import argparse
@@ -29,19 +29,19 @@ from posegsa.version import VERSION
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status.
+    """Run the command line, and return the exit status.
 
-    0 done, 1 done but not written, 2 refused, 128 + n stopped by signal n: 130 Ctrl-C, 143 SIGTERM,
-    138 SIGUSR1.
+    0 done, 1 done but the output could not be written, 2 refused, 128 + n stopped by signal n (130
+    Ctrl-C, 143 SIGTERM, 138 SIGUSR1).
     """
-    if sys.stdout is None:  # closed before Python began
+    if sys.stdout is None:  # closed before Python started
         print("posegsa: standard output is closed", file=sys.stderr)
         return 1
     try:
         try:
             return _main(arguments)
         finally:
-            sys.stdout.flush()  # now, while what fails can still be said
+            sys.stdout.flush()  # now, while an error can still be reported
     except OSError as error:
         if error.filename is not None:  # a file, not standard output
             raise
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _abandon_stdout() -> None:
-    """Have what is left to be written go nowhere; Python would try once more as it ends."""
+    """Discard the rest of the output; Python would try to write it again when it exits."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -62,13 +62,13 @@ def _main(arguments: Sequence[str] | None) -> int:
     """Parse the arguments and run the command; what it refuses is a line on standard error."""
     options = parser().parse_args(arguments)
     with warnings.catch_warnings():
-        # What posegsa has to say is one line for a person, not Python's with file and line number.
+        # Show posegsa's warnings as one line, without Python's file and line number.
         warnings.showwarning = _show_warning
         try:
             with interrupt.immediate_signals(_say_stopping, _say_stopped):
                 return _run(options)
         except SaveError as error:
-            # A finished search is worth more than its folder: all that one needs of it is shown.
+            # Print the whole result, because it could not be written.
             print(error.result.summary())
             print(f"\n{_numbers(error.result)}")
             print(f"posegsa: {error}", file=sys.stderr)
@@ -90,12 +90,12 @@ def _main(arguments: Sequence[str] | None) -> int:
 
 
 _UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
-"""What the system says of paths that a user gave and nobody can use."""
+"""The system's errors about a path from the user that can't be used."""
 
 
 def _numbers(result) -> str:
-    """What a search found, with all its digits."""
-    from posegsa.judging.imu import ImuResult  # heavy, but they are imported already
+    """The numbers that a search found, with all digits."""
+    from posegsa.judging.imu import ImuResult  # slow, but already imported here
     from posegsa.judging.recorded import RecordingResult
 
     if isinstance(result, ImuResult):
@@ -106,19 +106,19 @@ def _numbers(result) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run the command that was named."""
+    """Run the chosen command."""
     _check_names(options)
     if options.command is not configs.run:
-        from posegsa import runtime  # imports JAX, which takes longer than to list configurations
+        from posegsa import runtime  # imports JAX, which `posegsa configs` does not need
 
         runtime.enable_fast_path()
-        # It has two warnings about a home that can't be written; ours has one line.
+        # Hide its two warnings about a home that can't be written; our warning is one line.
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
     return options.command(options)
 
 
 def _check_names(options: argparse.Namespace) -> None:
-    """Refuse a CONFIG or RUN that is not there before anything is imported that takes long."""
+    """Refuse a CONFIG or RUN that does not exist, before the slow imports."""
     given = vars(options)
     if given.get("config") is not None:
         shipped.path_of(given["config"])

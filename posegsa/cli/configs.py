@@ -26,7 +26,7 @@ def add(commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """List the names with a line each, or print the one that is named."""
+    """List the configurations, a line for each, or print the named one."""
     if options.name is not None:
         print(shipped.find(options.name).read_text("utf-8"), end="")
         return 0

@@ -60,22 +60,22 @@ def add(commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge a finished run anew."""
+    """Judge a finished run again."""
     from posegsa.saving.folder import locked_folder
     from posegsa.saving.loading import load
 
     judge = _on_scenarios if options.recording is None else _on_recordings
-    _check(options, load(options.run))  # where there is no run, nothing is made
+    _check(options, load(options.run))  # before `locked_folder`, which would make a missing folder
     with (
-        locked_folder(options.run, overwrite=True) as folder,  # before the minutes, not after
+        locked_folder(options.run, overwrite=True) as folder,  # before the long evaluation
         resumable(lambda: "interrupted; the run is as it was"),
     ):
-        # Again: another process may have replaced it in between.
+        # Load again: another process may have replaced the run before the lock.
         return judge(options, load(folder), folder)
 
 
 def _check(options: argparse.Namespace, result: "TuneResult | RecordingResult") -> None:
-    """Refuse options that mean nothing together, or for this run."""
+    """Refuse options that contradict each other or do not apply to this run."""
     from posegsa.judging.recorded import RecordingResult
     from posegsa.saving.run import run_figures
 

@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_new(path: Path, text: str, *, overwrite: bool) -> None:
-    """Write a file, and refuse one that is there already unless it may be overwritten."""
+    """Write a file; refuse to replace an existing one without `overwrite`."""
     try:
         with path.open("w" if overwrite else "x", encoding="utf-8") as file:
             file.write(text)

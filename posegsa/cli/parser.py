@@ -1,4 +1,4 @@
-"""The parser of the command line and of each command: what is wrong is said where it is wrong."""
+"""The parser of the command line and of each command, with errors by the command concerned."""
 
 import argparse
 import difflib
@@ -8,23 +8,23 @@ from typing import IO, Any
 
 
 class Parser(argparse.ArgumentParser):
-    """As `argparse.ArgumentParser`, but what is wrong is said by the command that it is wrong for.
+    """As `argparse.ArgumentParser`, but an error shows the usage of the command concerned.
 
-    Of an option that is not known, the nearest one is named. Help that can't be written is an
-    error.
+    The error about an unknown option suggests the nearest one. If the help can't be written, that
+    is an error too.
     """
 
     late_epilog: Callable[[], str] | None = None
-    """Makes what ends the help, called only when help is shown, as what it imports takes long."""
+    """Makes the end of the help. Called only when help is shown, because its imports are slow."""
 
     def format_help(self) -> str:
-        """The help, its end included."""
+        """The help, with its end."""
         if self.late_epilog is not None:
             self.epilog = self.late_epilog()
         return super().format_help()
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:
-        """Parse all arguments: none may be unknown, so that a command shows its own usage."""
+        """Parse all arguments. Unknown ones are refused here, so that a command shows its usage."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             option = next((one for one in unknown if one.startswith("-")), "")

@@ -1,8 +1,8 @@
-"""What the command line shows of long work, on standard error.
+"""The progress of long jobs, shown on standard error.
 
-On a terminal the last line is that of the present step: how much of it is done and how long the
-rest will take. Elsewhere, as in a file or on a terminal that can't go back in a line (TERM=dumb), a
-line is written now and then. Neither has colours (NO_COLOR).
+On a terminal the last line shows the current step: how much is done, and the remaining time.
+In a file, or on a terminal that can't redraw a line (TERM=dumb), a new line is written from time to
+time. There are no colours (NO_COLOR).
 """
 
 import io
@@ -19,19 +19,19 @@ from posegsa import steps
 from posegsa.steps import Step
 
 BETWEEN_LINES = 10.0
-"""Time between two lines of the same part, where nothing is drawn [s]."""
+"""Least time between two written lines of the same part [s]."""
 BETWEEN_DRAWN = 0.1
-"""Time between two states of a line that is drawn [s]."""
+"""Least time between two updates of a redrawn line [s]."""
 BAR = 20
-"""Characters of the bar."""
+"""Length of the progress bar in characters."""
 LONG = 10.0
-"""Time from which on that of a whole search is said after its first iteration [s]."""
+"""If a search takes at least this long [s], a line says so after its first iteration."""
 
 
 class Display:
-    """A context that shows the steps of the work within it.
+    """A context that shows the steps of the job within it.
 
-    Nothing is shown before the first step begins: of work that is refused nothing is seen.
+    Nothing is shown before the first step begins, so a refused job shows nothing.
     """
 
     def __init__(
@@ -46,17 +46,17 @@ class Display:
 
         Args:
             quiet: Show nothing.
-            after_search: What comes after the search, in words. Where it is given, a line says
-                after the first iteration how long the search will take.
-            stream: Where to; by default standard error.
-            clock: The time [s].
+            after_search: Describes the work after the search. If given, a line after the first
+                iteration says how long the search will take.
+            stream: Where to write; by default standard error.
+            clock: Returns the time [s].
         """
         given = sys.stderr if stream is None else stream
         self.stream = io.StringIO() if given is None else given  # standard error may be closed
         self.quiet, self.after_search, self.clock = quiet, after_search, clock
         self.drawn = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.present: Step | None = None
-        """The step that is shown."""
+        """The current step."""
         self.began = False
         """Whether any step has begun."""
         self._begun = self._written = 0.0
@@ -65,7 +65,7 @@ class Display:
         self._context = ExitStack()
 
     def __enter__(self) -> Self:
-        """Listen to the steps."""
+        """Start listening to the steps."""
         self._context.enter_context(steps.listening(self.show))
         _SHOWN.append(self)
         return self
@@ -77,7 +77,7 @@ class Display:
         self._end("stopped" if error is not None else "done")
 
     def show(self, step: Step) -> None:
-        """Show where the work stands."""
+        """Show a step's progress."""
         now, before = self.clock(), self.present
         if before is None or step.name != before.name:
             self._end("done")
@@ -93,12 +93,12 @@ class Display:
             self._written = now
 
     def say(self, text: str) -> None:
-        """Write a line above what is drawn."""
+        """Write a line above the redrawn one."""
         self._clear()
         print(text, file=self.stream, flush=True)
 
     def _say_whole(self, now: float) -> None:
-        """Say once, after the first iteration of a search, how long all of it takes."""
+        """Once, after the first iteration of a search, say how long the whole search takes."""
         assert self.present is not None
         done = self.present.done - self._began_with
         if not self.after_search or self.present.best_cost is None or done < 1:
@@ -109,12 +109,12 @@ class Display:
         self.after_search = ""
 
     def _end(self, ended: str) -> None:
-        """Leave a line of the step that was shown, with the time that it took."""
+        """End the current step with a line that says how long it took."""
         if self.present is None or self.quiet:
             return
         name, done, parts, _, best_cost = self.present
         self.present = None
-        if ended == "stopped" and done == 0:  # of what was refused as it began nothing stays
+        if ended == "stopped" and done == 0:  # refused at its start: show nothing
             self._clear()
             return
         took = f"{ended} after {span(self.clock() - self._begun)}"
@@ -124,7 +124,7 @@ class Display:
         self.say(f"{name}{count}: {took}{best}")
 
     def _words(self, now: float) -> str:
-        """The present step in words."""
+        """The current step in words."""
         assert self.present is not None
         name, done, parts, about, best_cost = self.present
         if parts == 1 and done == 0:
@@ -140,7 +140,7 @@ class Display:
         return f"{name} {bar}{', '.join([f'{int(done)}/{parts}', *tail])}"
 
     def _left(self, now: float) -> float | None:
-        """The time that the rest of the step will take [s], once that can be told."""
+        """The remaining time of the step [s]; None while it can't be estimated."""
         assert self.present is not None
         done, elapsed = self.present.done - self._began_with, now - self._begun
         if done <= 0 or elapsed < 1:
@@ -169,7 +169,7 @@ _SHOWN: list[Display] = []
 
 
 def say(text: str) -> None:
-    """Write a line to standard error, above what is drawn there."""
+    """Write a line to standard error, above a redrawn one."""
     if _SHOWN:
         _SHOWN[-1].say(text)
     else:
@@ -177,7 +177,7 @@ def say(text: str) -> None:
 
 
 def span(seconds: float | None) -> str:
-    """A time for a person: "8 s", "4 min", "2.5 h"."""
+    """A duration in words: "8 s", "4 min", "2.5 h"."""
     if seconds is None or seconds < 0.95:
         return "under 1 s"
     if seconds < 99.5:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from posegsa.judging.sweep import Sweep
 
 OUT = "posegsa-sweep"
-"""Folder that is written to where none is given."""
+"""Default folder."""
 
 
 def add(commands) -> None:
@@ -67,7 +67,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Search with other values and seeds, or put such runs together."""
+    """Search with other values and seeds, or merge the runs of several folders."""
     from posegsa import sweeping
     from posegsa.saving.sweep import merge_sweeps
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from posegsa.saving.checkpointing import CheckpointedRun
 
 OUT = "posegsa-run"
-"""Folder that is written to where none is given."""
+"""Default folder."""
 
 
 def add(commands) -> None:
@@ -85,7 +85,7 @@ def add(commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Tune, judge and show what was found."""
+    """Tune, judge and print the result."""
     from posegsa import tuning
     from posegsa.config.imu import names_imu
     from posegsa.saving.run import FILES
@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
     experiment = _experiment(options)
     out = OUT if options.out is None and options.resume is None else options.out
-    # Where more than the schedule is tuned, the best constant gains are searched too.
+    # If more than the schedule is tuned, judging searches the best constant gains too.
     judging = f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
     with Display(quiet=options.quiet or not first, after_search=judging) as show:
         where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
@@ -153,7 +153,7 @@ def _tune_on_recordings(options: argparse.Namespace) -> int:
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
-    """The command that puts other filters beside a run on recordings, or what it lacks."""
+    """The command that compares a run on recordings with other filters, or what it needs."""
     if options.held_out is None:
         return (
             "Whether the schedule is better than constant gains and a Kalman filter, a recording "
@@ -229,7 +229,7 @@ def _refuse_figures(options: argparse.Namespace) -> None:
 
 
 def _join(options: argparse.Namespace) -> bool:
-    """Join the other processes, if there are any; whether this is the one that shows and writes."""
+    """Join the other processes, if any. Returns whether this process prints and writes files."""
     given = {name: getattr(options, name) for name in ("coordinator", "processes", "process")}
     if options.distributed:
         import jax
@@ -248,12 +248,12 @@ def _run_to_resume(options: argparse.Namespace) -> "CheckpointedRun":
     from posegsa.saving.checkpointing import newest_checkpoint
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # tune says it again
+        warnings.simplefilter("ignore", PosegsaWarning)  # `tune` repeats the warnings
         return newest_checkpoint(Path(options.resume))
 
 
 def _experiment(options: argparse.Namespace) -> "config.Experiment":
-    """What is to be searched: CONFIG, or that of the run to resume, with all settings."""
+    """The experiment to search: CONFIG, or that of the run to resume, with all settings."""
     if options.config is None and options.resume is not None:
         experiment = _run_to_resume(options).about.experiment
     else:

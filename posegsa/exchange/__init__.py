@@ -1,8 +1,8 @@
-"""Fuzzy controllers in the formats of other fuzzy tools, written and read.
+"""Fuzzy controllers written and read in the formats of other fuzzy tools.
 
-`fis.py` is MATLAB's Fuzzy Logic Toolbox, `fll.py` is fuzzylite. `system.py` holds what both formats
-express; what a format can't express is written in a comment of the file, and in
-docs/export-formats.md.
+`fis.py` is for MATLAB's Fuzzy Logic Toolbox, `fll.py` for fuzzylite. `system.py` is the common
+description of a controller. A comment in each written file, and docs/export-formats.md, say what
+its format can't express.
 """
 
 from posegsa.exchange.loading import load_controller

@@ -1,9 +1,9 @@
-"""The files of MATLAB's Fuzzy Logic Toolbox, `.fis`, written and read.
+"""Write and read `.fis` files of MATLAB's Fuzzy Logic Toolbox.
 
-MATLAB samples the centroid at 101 points and takes the middle of the output's range where no rule
-fires; a file can say neither. A term that has its peak at an end of the range is written with a
-foot beyond it, as MATLAB's own are: that is the same inside, and Octave's toolkit refuses vertical
-edges.
+MATLAB samples the centroid at 101 points, and outputs the middle of the range where no rule fires;
+a file can change neither. A term with its peak at an end of the range is written with a foot
+outside the range, as in MATLAB's own files: inside the range it is the same term, and Octave's
+toolkit refuses vertical edges.
 """
 
 import re
@@ -40,8 +40,8 @@ def to_fis(controller: FuzzyController, about: Sequence[str] = ()) -> str:
     """The text of a .fis file, for `readfis`.
 
     Args:
-        controller: What is written.
-        about: Lines for the comment at the head.
+        controller: The controller to write.
+        about: Lines for the comment at the top.
 
     Raises:
         ArgumentError: The first argument is not a controller.
@@ -50,7 +50,7 @@ def to_fis(controller: FuzzyController, about: Sequence[str] = ()) -> str:
     system = system_of(controller)
     notes = [
         limits(system.offset),
-        "MATLAB samples the centroid at 101 points: up to 0.5/s beside the exact one.",
+        "MATLAB samples the centroid at 101 points: up to 0.5/s off the exact one.",
     ]
     if system.no_rule == "hold":
         notes.append(
@@ -103,7 +103,7 @@ def from_fis(text: str) -> System:
     """The system that a file's text describes.
 
     Raises:
-        FuzzyError: The text is no .fis, or has another structure; says where.
+        FuzzyError: The text is not a .fis file, or has another structure; says where.
     """
     sections = _sections(text)
     system, rules = (_section(sections, name) for name in ("System", "Rules"))

@@ -1,8 +1,8 @@
-"""fuzzylite's own language, `.fll`, written and read.
+"""Write and read `.fll` files of fuzzylite.
 
-It expresses all of a controller but K = 1 + output: inputs are clipped (`lock-range`), and the last
-gain is kept where no rule fires (`lock-previous`). Its centroid is a sum over the midpoints of
-equal parts of the output's range, `RESOLUTION` of them where posegsa's is exact.
+The format expresses a whole controller except K = 1 + output. Inputs are clipped (`lock-range`),
+and the last gain is kept where no rule fires (`lock-previous`). Its centroid is a sum over the
+midpoints of equal parts of the output's range; for an exact centroid we write `RESOLUTION` parts.
 """
 
 import re
@@ -26,19 +26,19 @@ from posegsa.exchange.system import (
 from posegsa.model.fuzzy import FuzzyController, NoRule
 
 RESOLUTION = 1000
-"""Parts of the output's range, where the centroid is exact."""
+"""Number of parts of the output's range written for an exact centroid."""
 
 _METHODS = {"conjunction": "Minimum", "implication": "Minimum", "aggregation": "Maximum"}
 Block = tuple[str, str, list[tuple[str, str]]]
-"""Kind, name, and what stands in it by key."""
+"""Kind, name, and (key, value) pairs."""
 
 
 def to_fll(controller: FuzzyController, about: Sequence[str] = ()) -> str:
     """The text of a .fll file, for fuzzylite and pyfuzzylite.
 
     Args:
-        controller: What is written.
-        about: Lines for the comment at the head.
+        controller: The controller to write.
+        about: Lines for the comment at the top.
 
     Raises:
         ArgumentError: The first argument is not a controller.
@@ -90,7 +90,7 @@ def from_fll(text: str) -> System:
     """The system that a file's text describes.
 
     Raises:
-        FuzzyError: The text is no .fll, or has another structure; says where.
+        FuzzyError: The text is not a .fll file, or has another structure; says where.
     """
     blocks = list(_blocks(text))
     kinds = [kind for kind, _, _ in blocks]

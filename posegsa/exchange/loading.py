@@ -1,4 +1,4 @@
-"""A fuzzy controller from a file of another tool."""
+"""Read a fuzzy controller from a file of another tool."""
 
 import os
 from pathlib import Path
@@ -13,31 +13,31 @@ from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule
 
 READERS = {".fis": from_fis, ".fll": from_fll}
 MAX_BYTES = 2**20
-"""Size up to which a file is read."""
+"""Largest file that is read."""
 
 
 def load_controller(
     path: str | Path, *, no_rule: NoRule | None = None, centroid: Centroid = "exact"
 ) -> FuzzyController:
-    """Read a `.fis` (MATLAB) or `.fll` (fuzzylite) file of a controller's structure.
+    """Read a `.fis` (MATLAB) or `.fll` (fuzzylite) file with the structure of our controller.
 
-    That is: two inputs named error and rate, from 0 to 1, that share one set of triangular terms;
-    one output, whose centroid is the gain less its offset (1 if it is named `gain_minus_1`); one
-    rule for each pair of terms, by min and max.
+    The structure: two inputs named error and rate, from 0 to 1, with the same triangular terms; one
+    output, whose centroid is the gain less its offset (1 if it is named `gain_minus_1`); one rule
+    for each pair of terms, evaluated with min and max.
 
     Args:
-        path: The file; its ending says the format.
-        no_rule: What is to happen where no rule fires, "hold" or "midrange"; None for what the file
-            says. A .fis always says "midrange", as MATLAB does that; a .fll says either.
+        path: The file; its suffix selects the format.
+        no_rule: What happens where no rule fires, "hold" or "midrange"; None to follow the file. A
+            .fis file always means "midrange", because MATLAB does that; a .fll file states it.
         centroid: "exact", or "sampled" for terms that are not in order.
 
     Returns:
         The controller, at JAX's default precision.
 
     Raises:
-        ArgumentError: An argument is of another type, or the ending is none of these.
-        FuzzyError: The file can't be read, or holds something else; names the file and what is
-            wrong.
+        ArgumentError: An argument has the wrong type, or the suffix is neither of these.
+        FuzzyError: The file can't be read, or has another structure; names the file and the
+            problem.
     """
     check_type("path", path, str, os.PathLike)
     for name, value, kind in (("no_rule", no_rule, NoRule), ("centroid", centroid, Centroid)):

@@ -1,4 +1,4 @@
-"""A Mamdani system with names, as the formats write it, to and from a controller."""
+"""A Mamdani system with named variables and terms, converted to and from a controller."""
 
 import math
 import re
@@ -19,12 +19,12 @@ FIVE = ("VS", "S", "M", "L", "VL")
 """Names of five terms, from small to large."""
 
 LONGEST = 110
-"""Characters in a line of a comment."""
+"""Most characters in a comment line."""
 _OUTPUT = re.compile(r"gain_minus_(\d+)(?:_(\d+))?")
 
 
 def limits(offset: float) -> str:
-    """What a reader must be told, with the offset of the gain [1/s]."""
+    """A comment for the file's user: clip the inputs, add the offset of the gain [1/s]."""
     return (
         "Give both inputs clipped to [0, 1]. The output is the centroid; the gain is "
         f"K = {offset:.17g} + output [1/s]. AND and implication are min, aggregation is max."
@@ -32,12 +32,12 @@ def limits(offset: float) -> str:
 
 
 def output_name(offset: float) -> str:
-    """What the output is called: gain_minus_1, since no format can add the offset to it."""
+    """Name of the output, such as gain_minus_1, because no format can add the offset."""
     return f"gain_minus_{offset:.6f}".rstrip("0").rstrip(".").replace(".", "_")
 
 
 def offset_of(name: str) -> float:
-    """The offset that an output's name says [1/s], rounded to 1e-6; 1 of another name."""
+    """The offset in an output's name [1/s], rounded to 1e-6; 1 for any other name."""
     found = _OUTPUT.fullmatch(name)
     return float(f"{found[1]}.{found[2] or 0}") if found else 1.0
 
@@ -69,19 +69,19 @@ class Rule(NamedTuple):
 
 
 class System(NamedTuple):
-    """All that the formats say of a controller."""
+    """A controller as the formats describe it."""
 
     error: Variable
     rate: Variable
     output: Variable
-    """In 1/s; the gain is the offset more."""
+    """In 1/s; the gain is the output plus the offset."""
     rules: tuple[Rule, ...]
     offset: float
-    """What the gain has beside the output [1/s]."""
+    """The gain less the output [1/s]."""
     no_rule: NoRule | None
-    """What happens where no rule fires; None where a file does not say it."""
+    """What happens where no rule fires; None if the file does not say."""
     points: int | None
-    """Sample points of the centroid; None where it is exact, or a file does not say it."""
+    """Sample points of the centroid; None if it is exact, or if the file does not say."""
 
     @property
     def middle(self) -> float:
@@ -90,7 +90,7 @@ class System(NamedTuple):
 
 
 def system_of(controller: FuzzyController) -> System:
-    """The system that a controller is, with names.
+    """The system that describes a controller.
 
     Raises:
         ArgumentError: The argument is not a controller.
@@ -125,8 +125,8 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
 
     Args:
         system: As read from a file.
-        no_rule: What is to happen where no rule fires; None for what the system says.
-        centroid: The controller's.
+        no_rule: What happens where no rule fires; None to follow the system.
+        centroid: The controller's centroid.
 
     Raises:
         FuzzyError: It has another structure: inputs with other ranges than [0, 1], or different
@@ -170,9 +170,9 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
 
 
 def _inside(term: Term, variable: Variable) -> tuple[float, float, float]:
-    """Feet and peak; with a vertical edge where the peak is an end of the range, a foot beyond it.
+    """Feet and peak, cut to the range if the peak is at an end of the range.
 
-    That is the same inside the range. Any other term that reaches beyond it would be cut off there.
+    Such a term stays the same inside the range. Any other term that reaches outside is refused.
     """
     a, b, c = term.feet
     if not all(map(math.isfinite, term.feet)):
@@ -194,22 +194,22 @@ def _terms(terms: object) -> tuple[Term, ...]:
 
 
 def commented(lines: list[str], prefix: str) -> str:
-    """Lines of text as lines of a comment, long ones on several."""
+    """Lines of text as comment lines; long ones are wrapped."""
     short = (part for line in lines for part in textwrap.wrap(line, LONGEST) or [""])
     return "".join(f"{prefix} {line}".rstrip() + "\n" for line in short)
 
 
 def check_inputs(names: Collection[str]) -> None:
-    """Raise a FuzzyError unless the inputs of a file have the names that we know."""
+    """Raise a FuzzyError unless a file's inputs are named error and rate."""
     if set(names) != set(INPUTS):
         raise FuzzyError(f"inputs: named {', '.join(names)}; allowed: {' and '.join(INPUTS)}")
 
 
 def numbers_of(text: str, count: int, where: str) -> list[float]:
-    """'0 0.5 1' as so many numbers.
+    """Read `count` numbers from a text such as '0 0.5 1'.
 
     Raises:
-        FuzzyError: It is not that; says where.
+        FuzzyError: The text is anything else; says where.
     """
     try:
         numbers = [float(word) for word in text.split()]

@@ -1,4 +1,4 @@
-"""A tuned filter, or its schedule, out of Python, in one of `FORMATS`."""
+"""Export of a tuned filter or its schedule, in one of `FORMATS`."""
 
 import lazy_loader
 

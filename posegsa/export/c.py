@@ -1,14 +1,13 @@
-"""The whole filter as one header of C99: state, `posegsa_init`, `posegsa_step`.
+"""The whole filter as one C99 header: state, `posegsa_init`, `posegsa_step`.
 
-The arithmetic of its step is not written a second time: the model's own functions are traced for
-one agent, part by part, and printed as C (`export.scalar_c`). So every law, signal and schedule
-that a configuration can have is exported as the Python filter computes it, and a change of the
-model is a change of the export.
+The arithmetic of the step is generated: JAX traces the model's own functions for one agent, part by
+part, and `export.scalar_c` prints the traces as C. So every law, signal and schedule is exported as
+the Python filter computes it, and a change of the model changes the export.
 
-In parts, since the whole step in one trace is 2300 operations, of which half are fuzzy rules
-without their tables and each sub-step is a copy. So a sub-step is one function that a loop calls,
-and the controller stands in `controller.c`, by hand, with its tables. By hand is also what is no
-arithmetic: checks of the input, what is missing, the return codes (`filter.h`).
+The step is traced in parts because one trace of all of it has 2300 operations: half are fuzzy rules
+without tables, and each sub-step is a copy. Instead, a loop calls one function for each sub-step,
+and the controller is written by hand with its tables (`controller.c`). Checks of the input, missing
+measurements and return codes are written by hand too (`filter.h`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -48,18 +47,18 @@ from posegsa.words import counted
 def export_c(result: TuneResult | RecordingResult, name: str = NAME) -> str:
     """C99 header with the whole filter: state, `posegsa_init`, `posegsa_step`.
 
-    It includes nothing but `<math.h>`, allocates nothing, and computes in `POSEGSA_REAL`, which is
-    double unless it is defined as float when compiling. Its head comment says how it is used and
-    what the filter is worth.
+    It includes only `<math.h>`, allocates nothing, and computes in `POSEGSA_REAL`, which is double
+    unless the compiler defines it as float. The comment at its top explains how to use it and how
+    accurate the filter is.
 
     Args:
-        result: the tuned filter, for the vectors and landmarks of its experiment, or of the
-            recordings that it was tuned on, whose weights are in it.
-        name: what all names in the file begin with.
+        result: The tuned filter. The header has the vectors, landmarks and weights of its
+            experiment, or of the recordings that it was tuned on.
+        name: Prefix of all names in the file.
 
     Raises:
-        ArgumentError: Not a result, no name that C could take, a result that was tuned on the true
-            errors, which no vehicle knows, or on recordings that have no references in common.
+        ArgumentError: Not a result, a name that is invalid in C, a result tuned on the true errors,
+            which are unknown outside a simulation, or on recordings with different references.
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_name(name)
@@ -97,26 +96,26 @@ def filter_to_c(
     worth: Iterable[str] = ("Not known: a filter made by hand.",),
     details: Iterable[str] = (),
 ) -> str:
-    """A filter with any schedule as a header of C99, as `export_c` writes that of a result.
+    """C99 header of a filter with any schedule; `export_c` writes that of a result.
 
-    Without landmarks it is one of the attitude alone.
+    Without landmarks the filter estimates the attitude only.
 
     Args:
-        schedule: of the gain: one of `posegsa.model.schedules`, or one of your own whose step is
-            arithmetic of scalars.
-        settings: of the filter.
-        signal: of the error signal; "measured".
+        schedule: The gain schedule: one of `posegsa.model.schedules`, or your own if its step is
+            scalar arithmetic.
+        settings: Settings of the filter.
+        signal: Settings of the error signal; it must be "measured".
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
-        name: what all names in the file begin with.
-        about: lines of the head comment on where it comes from,
-        worth: on what it is worth,
-        details: and on its settings.
+        name: Prefix of all names in the file.
+        about: Lines for the comment at the top: where the filter comes from.
+        worth: Lines on its accuracy.
+        details: Lines on its settings.
 
     Raises:
-        ArgumentError: An argument is of another type, they do not fit together, or the schedule
-            does what can't be written as scalar arithmetic.
-        MeasurementError: vectors or landmarks are no finite numbers, or a vector is 0.
+        ArgumentError: An argument has the wrong type, arguments do not fit together, or the
+            schedule can't be written as scalar arithmetic.
+        MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
     """
     with jax.enable_x64(True):
         check_schedule(schedule)
@@ -168,19 +167,19 @@ def filter_to_c(
 
 
 def _limits(step: Step) -> list[dict[str, str]]:
-    """The limits that apply to a filter, as macros of C."""
+    """The limits that apply to a filter, as C macros."""
     found = [
         ("MIN_TIME_STEP", limits.TIME_STEP.low, "[s]"),
         ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; a longer pause needs a new beginning"),
-        ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "and of its bias [rad/s]"),
+        ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "[rad/s]"),
     ]
     if step.vectors:
-        found += [("MAX_VECTOR", limits.VECTOR.high, "and of its bias, unit of the sensor")]
+        found += [("MAX_VECTOR", limits.VECTOR.high, "in the unit of the sensor")]
     if not step.attitude_only:
         found += [
-            ("MAX_VELOCITY", limits.VELOCITY.high, "and of its bias [m/s]"),
+            ("MAX_VELOCITY", limits.VELOCITY.high, "[m/s]"),
             ("MAX_LANDMARK", limits.LANDMARK.high, "as seen from the body [m]"),
-            ("MAX_POSITION", limits.POSITION.high, "of the estimate [m]"),
+            ("MAX_POSITION", limits.POSITION.high, "at the start [m]"),
         ]
     found += [("MAX_WEIGHT", limits.WEIGHT.high, "factors on s_i")]
     return [
@@ -190,7 +189,7 @@ def _limits(step: Step) -> list[dict[str, str]]:
 
 
 def _knots(schedule: KnotGain) -> dict[str, object]:
-    """What `knots.c` is told of a gain over time."""
+    """The values of `knots.c` for a gain over time."""
     time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
     fits = time.ndim == 1 and time.shape == log_gain.shape and time.size > 0
     if not (fits and np.isfinite([time, log_gain]).all() and (np.diff(time) > 0).all()):
@@ -203,7 +202,7 @@ def _knots(schedule: KnotGain) -> dict[str, object]:
 
 
 def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequence[str]:
-    """What goes in and what comes out, in words."""
+    """A description of the filter's inputs and outputs."""
     sensors = [
         counted(len(known.vectors), "vector") if len(known.vectors) else "",
         counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",

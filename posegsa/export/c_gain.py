@@ -1,10 +1,10 @@
-"""The controller alone as one C99 file that includes, allocates and remembers nothing.
+"""The controller alone as one C99 file without includes, allocation or state.
 
-The code mirrors `posegsa.model.fuzzy` operation by operation, so that both agree to rounding even
-where few rules fire, and weakly: there a gain depends on differences of small heights. Unlike the
-rest of the filter (`export.c`) it is not traced: 25 rules and 5 terms are loops over tables, which
-are shorter, and quicker to read, than a thousand statements without them. It stands in
-`controller.c` and `centroid_*.c`, which the whole filter uses too.
+The code repeats the operations of `posegsa.model.fuzzy` one by one, so that both agree up to
+rounding even where few rules fire weakly; there the gain depends on differences of small heights.
+Unlike the rest of the filter (`export.c`) it is not traced: loops over tables of 25 rules and 5
+terms are shorter and easier to read than a thousand statements. The code is in `controller.c` and
+`centroid_*.c`, which the whole filter uses too.
 """
 
 from collections.abc import Iterable, Sequence
@@ -57,18 +57,18 @@ _SYMBOLS = {
 
 
 def export_c_gain(result: TuneResult | RecordingResult, name: str = NAME) -> str:
-    """C99 file with the controller alone, `posegsa_gain`, for a filter of one's own.
+    """C99 file with the controller alone, `posegsa_gain`, for your own filter.
 
-    It computes in `POSEGSA_REAL`, which is double unless it is defined as float when compiling.
-    Its head comment says how the inputs are formed, in which units, and what the schedule is worth.
+    It computes in `POSEGSA_REAL`, which is double unless the compiler defines it as float. The
+    comment at its top explains how the inputs are computed, with units, and how good the schedule
+    is.
 
     Args:
-        result: the tuned schedule.
-        name: what all names in the file begin with.
+        result: The tuned schedule.
+        name: Prefix of all names in the file.
 
     Raises:
-        ArgumentError: Not a result, one whose gain is no fuzzy controller's, or no name that C
-            could take.
+        ArgumentError: Not a result, a result without a fuzzy gain, or a name that is invalid in C.
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_name(name)
@@ -93,7 +93,7 @@ def export_c_gain(result: TuneResult | RecordingResult, name: str = NAME) -> str
 
 
 def controller_values(controller: FuzzyController) -> dict[str, object]:
-    """What `controller.c` is told of a controller."""
+    """The values of `controller.c` for a controller."""
     low, high = map(float, controller.output_range)
     return {
         "centroid": f"centroid_{controller.centroid}.c",
@@ -106,7 +106,7 @@ def controller_values(controller: FuzzyController) -> dict[str, object]:
         "input_terms": _terms(controller.input_terms),
         "output_terms": _terms(controller.output_terms),
         "rules": _rows([map(str, row) for row in controller.rules], "rate "),
-        # As JAX has it: formed in double, then rounded.
+        # Computed in double and rounded later, as in JAX.
         "initial_gain": repr(controller.middle_gain),
         "offset": repr(controller.offset),
         "no_rule": _NO_RULE[controller.no_rule],
@@ -120,7 +120,7 @@ def _terms(terms: object) -> str:
 
 
 def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
-    """Rows of a C table, each with the name of its term where they are the usual ones."""
+    """Rows of a C table; with five rows, each has the name of its term."""
     texts = ["{" + ", ".join(row) + "}," for row in rows]
     if len(texts) == len(TERMS):
         texts = [f"{text} /* {of}{name} */" for text, name in zip(texts, TERMS, strict=True)]
@@ -128,7 +128,7 @@ def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
 
 
 def signal_in_words(result: TuneResult | RecordingResult) -> list[str]:
-    """How the inputs come from measurements, with the run's constants."""
+    """How the inputs are computed from measurements, with the run's constants."""
     gain = result.tuned.gain
     smoothed = (
         f"e = before + dt / ({gain.smoothing!r} s + dt) (now - before)   [smoothed; dt: the time "

@@ -1,8 +1,8 @@
-"""The parts of a filter's step as functions of C, and the numbers that they know.
+"""The parts of a filter's step as C functions, and their constants.
 
-Each part is a function of `posegsa.model`, traced with records that hold, for every scalar, what
-stands for it in C: a field of the state, of the measurement or of what the step works with, a
-`static const`, or a number where the filter has no such thing.
+Each part is a function of `posegsa.model` or `posegsa.filters`. It is traced with records that hold
+the C expression of each scalar: a field of the state, of the measurement or of the step's work
+space, a `static const`, or a number where the filter does not have that scalar.
 """
 
 import textwrap
@@ -34,11 +34,11 @@ from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, 
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
-"""A vector that a filter does not have. (The model's records hold arrays; here they hold what
-stands for a number in C, an `export.scalar_c.Argument`, and so it is `Any` to the type checker.)"""
+"""A vector that a filter does not have. (Typed `Any`: the model's records hold arrays, but here
+they hold an `export.scalar_c.Argument` for each number.)"""
 
 IN_TABLES = (FuzzyGain, KnotGain)
-"""Schedules that look up tables: they are no pieces, but stand in `controller.c` and `knots.c`."""
+"""Schedules with tables. They are not traced but written by hand: `controller.c`, `knots.c`."""
 
 _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
@@ -60,18 +60,17 @@ _NUMBERS = {
     "vectors.weights": ("weight_of_vector", "s_i of each vector"),
     "landmark_weights": ("weight_of_landmark", "s_i of each landmark [1/m^2]"),
 }
-"""What the settings' numbers are called in C, where not by their path in the records of the model,
-and what they are."""
+"""By path in the model's settings: a number's name in C, if it is not the path, and its comment."""
 
 
 @dataclass(frozen=True)
 class References:
-    """What the filter knows of its sensors."""
+    """The references of a filter's sensors."""
 
     vectors: np.ndarray
     """(n, 3) v_i^I, in the unit of their sensor."""
     directions: np.ndarray
-    """(n, 3) the same as the innovation uses them, and then their cross product."""
+    """(n + 1, 3) the same as the innovation uses them, then their cross product."""
     landmarks: np.ndarray
     """(m, 3) p_i [m]."""
 
@@ -113,7 +112,7 @@ def references(
 
 @dataclass(frozen=True)
 class Piece:
-    """One function of C."""
+    """One C function."""
 
     name: str
     about: str
@@ -136,7 +135,7 @@ class Piece:
 
     @property
     def signature(self) -> str:
-        """Its parameters."""
+        """Its parameter list, wrapped."""
         lines, indent = [""], " " * len(f"static inline void posegsa_{self.name}(")
         for kind in self._parameters.values():
             joined = f"{lines[-1]}, {kind}" if lines[-1] else kind
@@ -149,14 +148,14 @@ class Piece:
 
     @property
     def call(self) -> str:
-        """The statement that calls it where variables have its parameters' names."""
+        """The statement that calls it, with variables named like its parameters."""
         if not self.code.statements:
             return ""
         return f"posegsa_{self.name}({', '.join(self._parameters)});"
 
 
 class Step:
-    """The parts of a filter's step as functions of C, and the numbers that they know."""
+    """The parts of a filter's step as C functions, and their constants."""
 
     def __init__(
         self,
@@ -258,7 +257,7 @@ class Step:
         self.pieces[name] = Piece(name=name, about=about, code=code, body=code.text(4))
 
     def _named(self, settings: Any, prefix: str = "") -> Any:
-        """Settings with a name of C for each of their numbers."""
+        """Settings with a C name for each of their numbers."""
 
         def name(path: Any, leaf: Any) -> Known:
             if np.ndim(leaf):
@@ -344,9 +343,9 @@ class Step:
 def _signal(
     state: FilterState, sample: Sample, seen: Seen, memory: SignalMemory, settings: SignalSettings
 ) -> tuple[tuple[Any, Any], SignalMemory]:
-    """What a schedule is shown, and the memory after it."""
+    """The inputs of a schedule, and the memory after the sample."""
     errors, step = measured_errors(state, sample, seen), sample.time_step
-    # Which gain a schedule asks for then is of no concern here, nor the time that it looks at.
+    # Only the inputs are used, so any schedule and any time will do.
     _, inputs, after = scheduled_gain(
         lambda inputs: Gains(inputs.last), memory, errors, step, step, settings
     )
@@ -363,7 +362,7 @@ def _correct(
     moving: Any,
     settings: FilterSettings,
 ) -> Any:
-    """A sub-step up to its exponential, as `model.filter.observe` makes it."""
+    """A sub-step up to its exponential, as `filters.observer.observe` makes it."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
     biases = learnt_biases(state, sample, W, used, h, settings, gamma)
@@ -383,20 +382,20 @@ def _vec3(array: str) -> Any:
 
 
 def _wanted(record: Any) -> Any:
-    """Variables that are set; what is a number is none."""
+    """The variables to set; None for a number."""
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else None, record)
 
 
 def constants(step: Step, known: References) -> str:
-    """The numbers that the step uses as `static const`."""
+    """The constants that the step uses, as `static const`."""
 
     def used(name: str) -> bool:
         return any(piece.code.mentions(name) for piece in step.pieces.values())
 
     lines: list[str] = []
 
-    def define(name: str, about: str, size: str, value: str) -> None:
-        if used(name):
+    def define(name: str, about: str, size: str, value: str, always: bool = False) -> None:
+        if always or used(name):
             lines.extend([f"/* {about} */"] if about else [])
             lines.append(f"static const posegsa_real {name}{size} = {value};")
 
@@ -417,7 +416,9 @@ def constants(step: Step, known: References) -> str:
         ("landmarks", "p_i [m], inertial frame", known.landmarks),
     ):
         table = ",\n    ".join(map(_row, rows.tolist()))
-        define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}")
+        # The references are for the user too, as in the example at the head of the file.
+        always = len(rows) > 0 and name != "directions"
+        define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}", always)
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""What the files of C share: templates, comments, names; and what a result is worth in words."""
+"""Text that all C files share: templates, comments, names, and the accuracy of a result."""
 
 import re
 import textwrap
@@ -21,7 +21,7 @@ wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyph
 """Lines of a comment's text."""
 
 NAME = "posegsa"
-"""What the templates' names begin with, and those of a file for which no other is asked."""
+"""Prefix of the names in the templates, and in a file by default."""
 _KEYWORDS = frozenset(
     [
         "auto",
@@ -81,10 +81,10 @@ _KEYWORDS = frozenset(
 
 
 def check_name(name: object) -> None:
-    """Refuse a name that names in C can't begin with.
+    """Refuse a name that can't be a prefix of names in C.
 
     Raises:
-        ArgumentError: It is none, or a keyword, or longer than 32 characters.
+        ArgumentError: It is not an identifier, a keyword, or longer than 32 characters.
     """
     fits = isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name)
     if not fits or name in _KEYWORDS:
@@ -95,19 +95,19 @@ def check_name(name: object) -> None:
 
 
 def renamed(text: str, name: str) -> str:
-    """A file of C whose names begin with `name_` and `NAME_`."""
+    """A C file with the prefixes of its names replaced by `name_` and `NAME_`."""
     text = re.sub(rf"\b{NAME}_", f"{name}_", text)
     return re.sub(rf"\b{NAME.upper()}_", f"{name.upper()}_", text)
 
 
 @cache
 def templates() -> "Environment":
-    """The templates of this folder; a name that is not given is an error."""
+    """The templates of this folder; an undefined name is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # not by `import posegsa`
 
     return Environment(
         loader=PackageLoader("posegsa", "export"),
-        autoescape=False,  # C, no page
+        autoescape=False,  # C, not HTML
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -116,13 +116,13 @@ def templates() -> "Environment":
 
 
 def comment(lines: Iterable[str]) -> str:
-    """Lines of a block comment; none of them can end it early, or begin another."""
+    """Lines of a block comment; comment marks within them are broken up."""
     safe = (line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
     return "\n".join(f" * {line}".rstrip() for line in safe)
 
 
 def origin(result: TuneResult | RecordingResult) -> list[str]:
-    """Which search a file comes from."""
+    """The search that a file comes from."""
     run, search = result.tuned.run, result.tuned.search
     if isinstance(result, RecordingResult) and result.best_cost is None:
         return wrapped(
@@ -136,9 +136,9 @@ def origin(result: TuneResult | RecordingResult) -> list[str]:
 
 
 def worth(result: TuneResult | RecordingResult) -> list[str]:
-    """What a tuned filter and the best constant gain cost, and what warns of it.
+    """Costs of a tuned filter and of the best constant gain, and the result's warnings.
 
-    Of a result on recordings, its errors on them, and what of these is measured.
+    For a result on recordings, its errors on them, and which data are measured or synthetic.
     """
     if isinstance(result, RecordingResult):
         return _on_recordings(result)
@@ -166,7 +166,7 @@ def _warnings(result: TuneResult | RecordingResult) -> list[str]:
 
 
 def _on_recordings(result: RecordingResult) -> list[str]:
-    """The errors of a filter on recordings, and what of these is measured."""
+    """The errors of a filter on recordings, and which data are measured or synthetic."""
     if not (result.training or result.held_out):
         return ["Not known: it was judged on no recording.", *_warnings(result)]
     lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
@@ -177,7 +177,7 @@ def _on_recordings(result: RecordingResult) -> list[str]:
 
 
 def settings_of(section: Section, without: Collection[str] = ()) -> list[str]:
-    """The settings of a section of the configuration, each with what it is."""
+    """The settings of a section of the configuration, each with its description."""
     return [
         line
         for name, value, description in section.described()

@@ -1,7 +1,7 @@
 """The gain's controller alone, in the formats of other fuzzy tools (`posegsa.exchange`).
 
-The comment at the head of each file says how its inputs are formed from measurements, with the
-run's scales, and what the schedule is worth.
+The comment at the top of each file explains how its inputs are computed from measurements, with the
+run's scales, and how good the schedule is.
 """
 
 from collections.abc import Callable
@@ -20,10 +20,10 @@ def export_fis(source: TuneResult | RecordingResult | FuzzyController) -> str:
     """The gain's controller for MATLAB's Fuzzy Logic Toolbox.
 
     Args:
-        source: A tuned result, whose comment says where it comes from, or any controller.
+        source: A tuned result, which the comment then describes, or any controller.
 
     Raises:
-        ArgumentError: It is neither, or a result whose gain is no fuzzy controller's.
+        ArgumentError: It is neither, or a result without a fuzzy gain.
     """
     return _written(source, to_fis)
 
@@ -43,7 +43,7 @@ def _written(
 
 
 def _about(result: TuneResult | RecordingResult) -> list[str]:
-    """Where a schedule comes from, what it is worth and how its inputs are formed."""
+    """Where a schedule comes from, how good it is and how its inputs are computed."""
     return [
         "Gain controller of a pose filter.",
         *origin(result),

@@ -37,7 +37,7 @@
  * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
  * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
  * its last value. Any other number that is NaN, or beyond the limits below, is refused with
- * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would leave the limits, or whose
+ * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would not be finite, or whose
  * quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A refused sample leaves
  * the state as it was: let the next dt cover its time too. Pointers must be valid.
  *
@@ -68,7 +68,7 @@
 
 /* ---- Limits ---------------------------------------------------------------------------------- */
 
-/* The largest numbers that are taken and estimated, in each component and of either sign. Beyond
+/* The largest numbers that are taken, in each component and of either sign. Beyond
  * them no sensor measures. Define one before this line, or with -D, to move it. */
 {% for limit in limits %}
 #ifndef {{ limit.name }}
@@ -165,7 +165,7 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
 
 {{ controller }}
 {% endif %}
-/* ---- The step's parts, generated from the functions of posegsa.model that are named ---------- */
+/* ---- The step's parts, generated from the functions of posegsa.filters and model ------------- */
 
 {% for function in functions %}
 static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
@@ -255,7 +255,19 @@ static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights
 }
 
 {% endif %}
-/* Whether a state is an estimate: a quaternion of length 1, all numbers within their limits. */
+/* Whether all of n numbers are finite. */
+static inline int posegsa_are_finite(const posegsa_real *x, int n)
+{
+    int i;
+    for (i = 0; i < n; ++i) {
+        if (!(x[i] - x[i] == 0)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* Whether a state is an estimate: all numbers finite, and a quaternion of length 1. */
 static inline int posegsa_is_estimate(const posegsa_state *state)
 {
     const posegsa_real *const q = state->attitude;
@@ -263,19 +275,18 @@ static inline int posegsa_is_estimate(const posegsa_state *state)
 {% if learns %}
     int i;
     for (i = 0; i < POSEGSA_VECTORS; ++i) {
-        if (!posegsa_are_within(state->vector_bias[i], 3, POSEGSA_C(POSEGSA_MAX_VECTOR))) {
+        if (!posegsa_are_finite(state->vector_bias[i], 3)) {
             return 0;
         }
     }
 {% endif %}
     return posegsa_are_within(&excess, 1, POSEGSA_C({{ unit_tolerance }})) &&
-           posegsa_are_within(state->bias_angular, 3, POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY)) &&
+           posegsa_are_finite(state->bias_angular, 3) &&
 {% if not attitude_only %}
-           posegsa_are_within(state->position, 3, POSEGSA_C(POSEGSA_MAX_POSITION)) &&
-           posegsa_are_within(state->bias_linear, 3, POSEGSA_C(POSEGSA_MAX_VELOCITY)) &&
+           posegsa_are_finite(state->position, 3) && posegsa_are_finite(state->bias_linear, 3) &&
 {% endif %}
 {% if learns %}
-           posegsa_are_within(state->turning, 3, POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY)) &&
+           posegsa_are_finite(state->turning, 3) &&
 {% endif %}
            state->error - state->error == 0 && state->gain_used - state->gain_used == 0;
 }

@@ -1,6 +1,6 @@
-"""A tuned filter, or its schedule, out of Python, in one of `FORMATS`.
+"""Export of a tuned filter or its schedule, in one of `FORMATS`.
 
-What writes a format is imported when it is needed: that list is read wherever formats are named.
+Writers are imported when they are used, so that the list of formats is quick to import.
 """
 
 from pkgutil import resolve_name
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 
 class Format(NamedTuple):
-    """What a result can be written as."""
+    """A format that a result can be written in."""
 
     writer: str
     """The function that maps a result to text, as module:name."""
     about: str
     named: bool = False
-    """Whether its names begin with one that can be chosen."""
+    """Whether the user can choose a prefix of its names."""
     controller: bool = False
-    """Whether it is of a fuzzy controller; other gains have none."""
+    """Whether it needs a fuzzy gain."""
 
 
 FORMATS = {
@@ -57,20 +57,20 @@ FORMATS = {
         controller=True,
     ),
 }
-"""What `export` writes, by name."""
+"""The formats of `export`, by name."""
 
 
 def export(result: "TuneResult | RecordingResult", format: str, name: str | None = None) -> str:
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
-        result: what was tuned, on scenarios or on recordings.
-        format: of `FORMATS`.
-        name: what the names in a file of C begin with; default "posegsa".
+        result: The tuned result, on scenarios or on recordings.
+        format: A name in `FORMATS`.
+        name: Prefix of the names in a C file; default "posegsa".
 
     Raises:
-        PosegsaError: There is no such format, it has no names that could begin with one, or it is
-            of fuzzy controllers and the gain is none.
+        PosegsaError: The format is unknown, takes no name, or needs a fuzzy gain that the result
+            does not have.
     """
     from posegsa.judging.recorded import RecordingResult
 

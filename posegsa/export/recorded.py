@@ -12,7 +12,7 @@ from posegsa.settings.plain import json_text, plain
 from posegsa.version import VERSION
 
 SCHEMA = 1
-"""Number of the layout; it changes when a key changes its meaning."""
+"""Version of the layout; it changes when a key changes its meaning."""
 INFERENCE = (
     "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
     "aggregation."
@@ -24,11 +24,11 @@ FORMULAS = {
     "switch": "K = before until time [s], after from then on [1/s]",
     "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
 }
-"""What the numbers of each kind of schedule mean."""
+"""The formula of each kind of schedule, with its numbers."""
 
 
 def recorded_json(result: RecordingResult) -> str:
-    """The schedule, the filter that it was tuned in and what it is worth on recordings, as JSON."""
+    """The schedule, its filter, and its errors on recordings, as JSON."""
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         schedule = result.schedule
         controller: dict[str, Any] | None = None

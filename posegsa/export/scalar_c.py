@@ -5,8 +5,7 @@ functions for one agent is arithmetic of scalars: sums, products, comparisons, c
 operation becomes an expression of C. One that is used several times becomes a local constant, named
 after the function of the model that it comes from; one that is used once stands where it is used.
 Operations on numbers that are known when the code is written (0, 1, an infinite limit) are done
-here; what no result needs is left out. A `lax.scan` over stacked scalars, such as one over the
-landmarks, becomes a loop, which is written once for any number of them.
+here; what no result needs is left out.
 """
 
 import math
@@ -47,26 +46,8 @@ class _Operation:
 
     name: str
     of: tuple["_Value", ...]
-    origin: str = ""
+    origin: str
     """The function that it comes from."""
-    loop: "_Loop | None" = None
-    """Of an operation "loop"."""
-    place: int = 0
-    """Of an operation "carried": which of the values that the loop carries."""
-
-
-@dataclass(frozen=True)
-class _Loop:
-    """A `lax.scan` that stores nothing; its operation is of all that goes in, in this order."""
-
-    body: core.ClosedJaxpr
-    turns: int
-    constants: int
-    """Number of values that are the same in all turns."""
-    carried: int
-    """Number of values that a turn hands to the next."""
-    each: int
-    """Number of inputs that have a value of their own in each turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,21 +102,13 @@ class _Trace:
 
     def run(self, jaxpr: core.Jaxpr, values: list[_Value]) -> list[_Value]:
         """The results of a jaxpr for these arguments."""
-        at: dict[Any, Any] = dict(zip(jaxpr.invars, values, strict=True))
+        at = dict(zip(jaxpr.invars, values, strict=True))
 
         def read(var: Any) -> _Value:
             return self.number(var.val) if isinstance(var, core.Literal) else at[var]
 
         for equation in jaxpr.eqns:
-            given: list[Any] = [read(var) for var in equation.invars]
-            if equation.primitive.name == "scan":
-                at.update(zip(equation.outvars, self._loop(equation, given), strict=True))
-                continue
-            if len(equation.outvars) == 1 and getattr(equation.outvars[0].aval, "shape", ()):
-                row = _stacked(equation, given)
-                if row is not None:
-                    at[equation.outvars[0]] = row
-                    continue
+            given = [read(var) for var in equation.invars]
             inner = equation.params.get("jaxpr") or equation.params.get("call_jaxpr")
             if inner is not None and equation.primitive.name not in ("scan", "while", "cond"):
                 closed = isinstance(inner, core.ClosedJaxpr)
@@ -148,28 +121,9 @@ class _Trace:
             at.update(zip(equation.outvars, made, strict=True))
         return [read(var) for var in jaxpr.outvars]
 
-    def _loop(self, equation: core.JaxprEqn, given: list[Any]) -> list[_Value]:
-        """What comes out of a scan over rows of scalars."""
-        params = equation.params
-        first, last = params["num_consts"], params["num_consts"] + params["num_carry"]
-        if len(equation.outvars) > params["num_carry"] or params["reverse"]:
-            refuse(
-                "a step with a scan that stores something, or runs backwards", "one that does not"
-            )
-        rows = given[last:]
-        loop = _Loop(params["jaxpr"], params["length"], first, last - first, len(rows))
-        of = (*given[:last], *(value for row in rows for value in row))
-        if any(isinstance(value, tuple) for value in of):
-            refuse("a step with a scan over arrays", "one over rows of scalars")
-        whole = _Value(operation=_Operation("loop", of, loop=loop))
-        return [
-            _Value(operation=_Operation("carried", (whole,), place=place))
-            for place in range(loop.carried)
-        ]
-
     def _applied(self, equation: core.JaxprEqn, given: list[_Value]) -> _Value:
         name, params = equation.primitive.name, equation.params
-        for var in (*equation.invars, *equation.outvars):
+        for var in equation.outvars:
             if getattr(var.aval, "shape", ()):
                 refuse(f"a step with the operation {name!r} on arrays", "operations on scalars")
             if not _is_real(var) and not _is_truth(var):
@@ -252,17 +206,6 @@ class _Trace:
         return self._made.setdefault(key, _Value(**fields))
 
 
-def _stacked(equation: core.JaxprEqn, given: list[Any]) -> tuple[_Value, ...] | None:
-    """Scalars in a row, as `jnp.stack` puts them for a scan; None for any other array."""
-    name, aval = equation.primitive.name, equation.outvars[0].aval
-    if name == "stack" and all(isinstance(value, _Value) for value in given):
-        return tuple(given)
-    if name == "concatenate" and all(isinstance(row, tuple) for row in given):  # older JAX
-        return tuple(value for row in given for value in row)
-    one = name in ("broadcast_in_dim", "reshape") and getattr(aval, "shape", ()) == (1,)
-    return (given[0],) if one and isinstance(given[0], _Value) else None
-
-
 def _within(value: _Value, condition: _Value, holds: bool) -> _Value:
     """A value where it is known whether a condition holds: a choice by the same one is made."""
     chosen = value.operation
@@ -309,7 +252,7 @@ class Code:
                 statement,
                 width=WIDTH,
                 initial_indent=indent * " ",
-                subsequent_indent=(indent + 4 + len(statement) - len(statement.lstrip())) * " ",
+                subsequent_indent=(indent + 4) * " ",
                 break_long_words=False,
                 break_on_hyphens=False,
             )
@@ -358,28 +301,20 @@ def written(
     wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
     assert len(wanted) == len(jax.tree.leaves(shape)), "a variable, or None, for each result"
     pairs = [(name, v) for name, v in zip(wanted, values, strict=True) if name is not None]
-    return _Writer(pairs, dtype).code()
+    return _Writer(pairs).code()
 
 
 class _Writer:
     """Values as statements: each that several others use has a name."""
 
-    def __init__(
-        self,
-        results: list[tuple[str, _Value]],
-        dtype: Any,
-        count: dict[str, int] | None = None,
-    ) -> None:
-        self._results, self._dtype = results, dtype
+    def __init__(self, results: list[tuple[str, _Value]]) -> None:
+        self._results = results
         self._uses: dict[int, int] = {}
         self._order: list[_Value] = []
         self._leaves: list[_Value] = []
         self._names: dict[int, str] = {}
-        self._count: dict[str, int] = {} if count is None else count
-        """How often a name was given, here and in what this stands within."""
+        self._count: dict[str, int] = {}
         self._functions: set[str] = set()
-        self._carried: dict[int, list[str]] = {}
-        """The variables that loops carry, by the loop's identity."""
         for _, value in results:
             self._visit(value)
 
@@ -406,14 +341,9 @@ class _Writer:
         # Where a result is set that is an argument too, all have been computed before.
         before = any(value.text in dict(self._results) for value in self._leaves)
         for value in self._order:
-            assert value.operation is not None
-            if value.operation.name == "loop":
-                statements += self._loop(value, value.operation)
-                continue
             text, _ = self._text(value)
             result = id(value) in results
-            several = self._uses[id(value)] > 1 and id(value) not in self._names
-            if several or (before if result else len(text) > _LONGEST):
+            if self._uses[id(value)] > 1 or (before if result else len(text) > _LONGEST):
                 name = self._fresh(value)
                 kind = "int" if _is_predicate(value) else "posegsa_real"
                 statements.append(f"const {kind} {name} = {text};")
@@ -426,52 +356,9 @@ class _Writer:
 
     def _fresh(self, value: _Value) -> str:
         assert value.operation is not None
-        return self._numbered(value.operation.origin or value.operation.name)
-
-    def _numbered(self, base: str) -> str:
+        base = value.operation.origin or value.operation.name
         self._count[base] = self._count.get(base, 0) + 1
         return f"{base}_{self._count[base]}"
-
-    def _loop(self, value: _Value, operation: _Operation) -> list[str]:
-        """The statements of a loop, after which its variables hold what it has carried."""
-        loop, of = operation.loop, operation.of
-        assert loop is not None
-        index, statements = self._numbered("turn"), []
-        first, last = loop.constants, loop.constants + loop.carried
-        inside: list[Argument] = []
-        for operand in of[:first]:
-            text, binds = self._text(operand)
-            if operand.number is not None and not operand.named:
-                inside.append(operand.number)
-                continue
-            if binds < 9 or not text.isidentifier():
-                name = self._numbered("constant")
-                statements.append(f"const posegsa_real {name} = {text};")
-                text = name
-            inside.append(text)
-        carried = [self._numbered("carried") for _ in range(loop.carried)]
-        for name, operand in zip(carried, of[first:last], strict=True):
-            statements.append(f"posegsa_real {name} = {self._text(operand)[0]};")
-        inside += carried
-        for i in range(loop.each):
-            row = of[last + i * loop.turns : last + (i + 1) * loop.turns]
-            if all(operand is row[0] for operand in row) and row[0].number is not None:
-                inside.append(row[0].number)
-                continue
-            name = self._numbered("each")
-            texts = ", ".join(self._text(operand)[0] for operand in row)
-            statements.append(f"const posegsa_real {name}[{loop.turns}] = {{{texts}}};")
-            inside.append(f"{name}[{index}]")
-        trace = _Trace(self._dtype)
-        constants = [trace.number(np.asarray(c).item()) for c in loop.body.consts]
-        results = trace.run(loop.body.jaxpr, constants + [trace.argument(leaf) for leaf in inside])
-        body = _Writer(list(zip(carried, results, strict=True)), self._dtype, self._count).code()
-        self._functions |= body.functions
-        statements.append(f"for (int {index} = 0; {index} < {loop.turns}; ++{index}) {{")
-        statements += [f"    {statement}" for statement in body.statements]
-        statements.append("}")
-        self._carried[id(value)] = carried
-        return statements
 
     def _text(self, value: _Value) -> tuple[str, int]:
         """An expression and how strongly its last operation binds."""
@@ -480,8 +367,6 @@ class _Writer:
         if value.operation is None:
             return (value.text, 9) if value.text else (literal(value.number), 9)
         name, of = value.operation.name, value.operation.of
-        if name == "carried":
-            return self._carried[id(of[0])][value.operation.place], 9
         if name in _INFIX:
             sign, strength = _INFIX[name]
             # From left to right: the right one has to bind more strongly. Compilers warn of

@@ -1,7 +1,6 @@
 """The schedule and its control surface as JSON and CSV.
 
-Numbers are written with as many digits as they have: what is read back, at the run's precision, is
-what the run computed with.
+Numbers are written with enough digits that reading them at the run's precision gives them exactly.
 """
 
 from typing import Any
@@ -19,10 +18,10 @@ from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
 
 SCHEMA = 1
-"""Number of the layout of the JSON; it changes when a key changes its meaning."""
+"""Version of the layout of the JSON; it changes when a key changes its meaning."""
 
 RESOLUTION = 101
-"""Points along each input in the control surface."""
+"""Points along each input of the control surface."""
 
 _ABOUT = (
     f"Gain schedule of a pose filter on SE(3). {INFERENCE} Terms are [left foot, peak, right "
@@ -33,11 +32,11 @@ _ABOUT = (
 
 
 def export_json(result: TuneResult | RecordingResult) -> str:
-    """The schedule, what it is worth and its control surface as JSON.
+    """The schedule, its costs and its control surface as JSON.
 
-    Reading a number back as the run's dtype gives it exactly; a cost that is not finite is text, as
-    in result.json. A result on recordings may have any gain; what its numbers mean is said beside
-    them, and a control surface is in `export_csv`.
+    Reading a number at the run's dtype gives it exactly. A cost that is not finite is a string, as
+    in result.json. A result on recordings may have any gain: its JSON has the gain's formula and
+    no control surface; `export_csv` writes that.
     """
     check_type("result", result, TuneResult, RecordingResult)
     if isinstance(result, RecordingResult):
@@ -79,14 +78,14 @@ def export_json(result: TuneResult | RecordingResult) -> str:
 
 
 def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTION) -> str:
-    """The control surface as a table: error, rate (no unit, 0 to 1) and gain, a row a point.
+    """The control surface as a table with a row for each point: error, rate (both 0 to 1), gain.
 
-    Each input has `resolution` points. Where no rule fires and the last gain is to be held, it
-    shows the initial gain.
+    Each input has `resolution` points. Where no rule fires and the filter would hold the last gain,
+    the table has the initial gain.
 
     Raises:
-        ArgumentError: Not a result, one whose gain is no fuzzy controller's, or the resolution is
-            not a whole number from 2 to 10000.
+        ArgumentError: Not a result, a result without a fuzzy gain, or a resolution that is not a
+            whole number from 2 to 10000.
     """
     check_type("result", result, TuneResult, RecordingResult)
     check_whole("resolution", resolution, 2, 10_000)
@@ -107,7 +106,7 @@ def _surface(
 
 
 def costs(result: TuneResult) -> dict[str, dict[str, Any]]:
-    """What the schedule and the best constant gain cost; the interval of the mean is of 95 %."""
+    """Costs of the schedule and of the best constant gain, with 95 % intervals of the means."""
     training = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
     found = {}
     for key, name in (("tuned", TUNED), ("constant", CONSTANT)):

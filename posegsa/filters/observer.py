@@ -491,6 +491,11 @@ class Observer:
             ArgumentError: The settings have weights of another number of sensors.
         """
         settings = self.settings
+        for name in ("gamma_angular", "gamma_linear"):
+            if shape := np.shape(getattr(settings, name)):
+                refuse(f"settings.{name}: of the shape {shape}", "one number")
+        if settings.vector_bias is not None and not settings.vectors.each_agent:
+            refuse("settings.vectors.each_agent: False", "True where vector_bias is estimated")
         for name, weights, factors in (
             ("vectors.weights", settings.vectors.weights, measurements.vector_weights),
             ("landmark_weights", settings.landmark_weights, measurements.landmark_weights),
@@ -531,7 +536,7 @@ def _with_value(
 ) -> tuple[FilterSettings, SignalSettings]:
     """Settings with the number of one key of the configuration replaced."""
     match key.split("."):
-        case ["gain", name]:
+        case ["gain", "position_weight" | "smoothing" | "error_scale" | "rate_scale" as name]:
             return settings, replace(signal, **{name: value})
         case ["filter", "gamma"]:
             return replace(settings, gamma_angular=value, gamma_linear=value), signal
@@ -550,16 +555,19 @@ def _with_value(
         case ["filter", "cross_vector_weight"]:
             return replace(settings, vectors=replace(settings.vectors, cross_weight=value)), signal
         case ["scenario", "vectors", index, "weight"]:
-            weights = _with_weight(settings.vectors.weights, index, value)
+            weights = _with_weight(key, settings.vectors.weights, index, value)
             return replace(settings, vectors=replace(settings.vectors, weights=weights)), signal
         case ["scenario", "landmarks", index, "weight"]:
-            weights = _with_weight(settings.landmark_weights, index, value)
+            weights = _with_weight(key, settings.landmark_weights, index, value)
             return replace(settings, landmark_weights=weights), signal
         case ["filter", name] if settings.vector_bias is not None and name in _OF_VECTOR_BIAS:
             number, made = _OF_VECTOR_BIAS[name]
             learning = replace(settings.vector_bias, **{number: made(value)})
             return replace(settings, vector_bias=learning), signal
-    raise ArgumentError(f"{key}: not a number of this filter")
+    refuse(
+        f"{key}: not a number of this filter",
+        "a key of [filter] or [gain] that can be tuned, or a weight",
+    )
 
 
 _OF_VECTOR_BIAS: dict[str, tuple[str, Callable[[Array], Array]]] = {
@@ -573,7 +581,9 @@ _OF_VECTOR_BIAS: dict[str, tuple[str, Callable[[Array], Array]]] = {
 
 
 def _with_weight(
-    weights: tuple[Array, ...] | None, index: str, value: Array
+    key: str, weights: tuple[Array, ...] | None, index: str, value: Array
 ) -> tuple[Array, ...] | None:
-    assert weights is not None  # settings that come from a configuration have them all
+    count = len(weights or ())
+    if weights is None or not (index.isdecimal() and int(index) < count):
+        refuse(f"{key}: the settings have {count} such weights", "one that they have")
     return tuple(value if i == int(index) else weight for i, weight in enumerate(weights))

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from posegsa.arguments import refuse
 from posegsa.filters.base import Filter, Samples
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
@@ -119,7 +120,12 @@ class OnlineLoop:
         self.dtype = np.dtype(example.place[0].dtype)
         layout = Layout(parameters)
         sample = _sample_layout(self._vectors, len(parameters.landmark_references))
-        state = Layout(self._filter.start(example, self._vectors))
+        before = self._filter.start(example, self._vectors)
+        for leaf in jax.tree.leaves(before):
+            if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
+                given = jnp.result_type(leaf)
+                refuse(f"filter: its state holds {given}", "floating numbers, to be streamed")
+        state = Layout(before)
         self._program, after = _compiled(layout, state, sample, self.dtype.name)
         self.record: Layout = after
         self.parameters = layout.pack(parameters, self.dtype)
@@ -210,5 +216,11 @@ def _compiled(
             jax.ShapeDtypeStruct((size,), dtype)
             for size in (state.size + sample.size, parameters.size)
         ]
-        after = Layout(jax.eval_shape(step, *shapes))
+        made = jax.eval_shape(step, *shapes)
+        if Layout(made.state) != state:
+            refuse(
+                f"filter: its step returns a state like {made.state}",
+                "the structure and the shapes of the state that `start` returns",
+            )
+        after = Layout(made)
         return jax.jit(program).lower(*shapes).compile(), after

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.arguments import check_type, fitting
+from posegsa.arguments import check_type, fitting, refuse
 from posegsa.filters.base import (
     Filter,
     Record,
@@ -230,7 +230,7 @@ def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> E
     """The true errors of one simulation over all its samples (pure, jittable)."""
     state = filter.start(initial, vectors_in(samples))
     last, _, errors = run(_true_errors, filter, samples, state)
-    return _error_track(filter, samples, last, errors)
+    return _error_track(samples, filter.ready().estimate(last), errors)
 
 
 def simulate_errors_together(
@@ -244,7 +244,7 @@ def simulate_errors_together(
     vectors = vectors_in(samples)
     state = jax.vmap(lambda one: filter.start(one, vectors))(initial)
     last, _, errors = run(_true_errors, filter, samples, state, count=count, together=True)
-    return _error_track(filter, samples, last, errors)
+    return _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
 
 
 def _true_errors(
@@ -255,20 +255,16 @@ def _true_errors(
 
 
 def _error_track(
-    filter: Filter,
-    samples: Samples,
-    last: Any,
-    errors: tuple[Array, Array, Array | None, Vec3],
+    samples: Samples, last: FilterState, errors: tuple[Array, Array, Array | None, Vec3]
 ) -> ErrorTrack:
     attitude, position, gain, place = errors
-    estimate = filter.ready().estimate(last)
     return ErrorTrack(
         attitude=clip_distance(attitude),
         position=position,
         gain=jnp.full_like(attitude, jnp.nan) if gain is None else gain,
         distance=distances(place, samples),
-        bias=estimate.bias,
-        vector_bias=estimate.vector_bias,
+        bias=last.bias,
+        vector_bias=last.vector_bias,
     )
 
 
@@ -307,6 +303,8 @@ def step(
     """
     check_filter("filter", filter)
     check_type("measurement", measurement, Measurements)
+    if isinstance(state, FilterState):
+        refuse("state: a FilterState", "what filter.start(initial, vectors) returns")
     with fitting("step"):
         return _step(filter, state, measurement, time)
 

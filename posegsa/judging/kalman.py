@@ -21,12 +21,12 @@ from posegsa.search.objective import SearchObjective, packed_batch
 from posegsa.search.population import ScenarioBatch, TrackCost
 
 AGENTS = 20
-CHECKED = 200
-"""Evaluations after which it is looked at how much they brought."""
-ENOUGH = 0.01
-"""Improvement of the cost that CHECKED evaluations must bring for the search to go on."""
-MOST = 1000
-"""Evaluations of a search, at most: one takes as long as two to three of the observer's."""
+MAX_EVALUATIONS = 1000
+"""Evaluations of a search, at most; one takes as long as two to three of the observer's."""
+CHECK_INTERVAL = 200
+"""Evaluations between two checks of the improvement."""
+MIN_IMPROVEMENT = 0.01
+"""Relative improvement of the cost between two checks, below which the search stops."""
 
 BOUNDS = {
     "angular_velocity": (0.002, 5.0),
@@ -92,7 +92,7 @@ def search_noises(
 ) -> Description:
     """The noises, by name, of lowest cost on some scenarios, or recordings.
 
-    Differential evolution in their logarithms, until CHECKED evaluations bring less than ENOUGH.
+    Differential evolution in their logarithms, until a check finds less than MIN_IMPROVEMENT.
     """
     assert isinstance(training.filter, KalmanFilter)
     names = tuple(noise_names(training.filter.vector_biases))
@@ -100,16 +100,16 @@ def search_noises(
     logarithmic = (True,) * len(names)
     space = SearchSpace(without_schedule(training.dtype), lower, upper, names, logarithmic)
     optimiser = DifferentialEvolution(
-        agents=AGENTS, iterations=MOST // AGENTS, strategy="best/1/bin", factor=0.6
+        agents=AGENTS, iterations=MAX_EVALUATIONS // AGENTS, strategy="best/1/bin", factor=0.6
     )
     objective = SearchObjective(experiment.objective, None, cost)
     go = runner(optimiser, objective, space.box, packed_batch(training), space, None)
     search, before = start(optimiser, space.box, keys(experiment.run.seed).baselines), math.inf
-    chunk = CHECKED // AGENTS
+    chunk = CHECK_INTERVAL // AGENTS
     for stop in range(chunk, optimiser.iterations + 1, chunk):
         search = go(search, stop)
         best = float(search.best_cost)
-        if best > (1 - ENOUGH) * before:
+        if best > (1 - MIN_IMPROVEMENT) * before:
             break
         before = best
     noises = np.exp(np.asarray(search.best_position, np.float64)).tolist()

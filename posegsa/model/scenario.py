@@ -157,7 +157,9 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
 
     def noise(key: Array, *shape: int) -> Array:
         # Drawn in float32 whatever the dtype: the same key gives unrelated normals in float64.
-        return jax.random.normal(key, (N, *shape), jnp.float32).astype(dtype)
+        drawn = jax.random.normal(key, (N, *shape), jnp.float32)
+        # Else XLA folds the normals' factor sqrt(2) into the noise level, and rounds otherwise.
+        return jax.lax.optimization_barrier(drawn).astype(dtype)
 
     walks = jnp.cumsum(jnp.sqrt(scenario.time_step) * noise(of_drift, 6), axis=0)
     walk = jnp.pad(walks[:-1], ((1, 0), (0, 0)))  # of intensity 1, from 0 [sqrt(s)]

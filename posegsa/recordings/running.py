@@ -61,8 +61,12 @@ def run_filter(
         if initial is None:
             refuse("initial: None", "a FilterState, or None with a Recording")
         check_type("initial", initial, FilterState)
-        measurements = measurements.at_least(initial.place[0].dtype)
-        return rollout.run_filter(filter, measurements, initial)
+        check_filter("filter", filter)
+        own = (a.dtype for a in jax.tree.leaves((filter, initial)) if hasattr(a, "dtype"))
+        dtype = np.result_type(np.float32, *(kind for kind in own if kind.kind == "f"))
+        measurements = measurements.at_least(dtype)
+        widened = jax.tree.map(lambda a: jnp.asarray(a, measurements.time_step.dtype), initial)
+        return rollout.run_filter(filter, measurements, widened)
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":
         raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')

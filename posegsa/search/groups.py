@@ -1,4 +1,4 @@
-"""Many scenarios in groups of one shape: memory stays bounded, and few programs serve all sizes."""
+"""Many scenarios in groups of one shape: memory stays bounded, and few programs are compiled."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,30 +7,35 @@ import jax
 import numpy as np
 
 SCENARIOS = 16
-"""Scenarios of a group, of samples up to `MOST_SAMPLES` in all: a full vector of a CPU."""
-MOST_SAMPLES = 2**18
-SHORTEST = 2**10
+"""Scenarios in a group, at most: as many numbers as a CPU's widest vector holds."""
+SAMPLES = 2**18
+"""Samples in a group, over its scenarios, where that leaves at least one scenario."""
+LENGTH = 2**10
+"""Scenarios are made and judged at a multiple of this length."""
 
 
 def padded(samples: int) -> int:
-    """A length that holds so many samples and is one of few: a power of two, at least SHORTEST."""
-    return max(SHORTEST, 1 << (samples - 1).bit_length())
+    """The least multiple of LENGTH that holds so many samples: similar runs share programs."""
+    return LENGTH * -(-samples // LENGTH)
 
 
 def in_groups(run: Callable[[np.ndarray], Any], count: int, length: int) -> Any:
-    """What a compiled function makes of scenarios 0 to count - 1, on the host.
+    """Call a compiled function on scenarios 0 to count - 1, a group at a time.
 
     Args:
-        run: maps the numbers (S,) of some scenarios to leaves (S, ...). It always gets as many, so
-            that it is compiled once; the last group begins again with scenario 0.
-        count: of scenarios, at least 1.
-        length: samples that are simulated of each.
+        run: Maps the numbers (S,) of some scenarios to leaves (S, ...). All groups are of one size,
+            so that it is compiled once; the last one is filled up with the first scenarios.
+        count: Number of scenarios, at least 1.
+        length: Samples that are simulated of each.
+
+    Returns:
+        The leaves (count, ...) of all scenarios, as NumPy arrays.
     """
-    size = max(1, min(SCENARIOS, MOST_SAMPLES // length))
+    size = max(1, min(SCENARIOS, SAMPLES // length))
     whole: Any = None
     for first in range(0, count, size):
         part = jax.device_get(run(np.arange(first, first + size) % count))
-        if whole is None:  # all at once, as it may take most of the memory
+        if whole is None:  # allocated once: it may take most of the memory
             whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), part)
         for to, of in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
             to[first : first + size] = of[: count - first]

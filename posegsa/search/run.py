@@ -149,7 +149,7 @@ def run_search(
     for phase in optimiser.phases:
         if price := phase.price(len(problem.space.box.lower)):
             warnings.warn(price, PosegsaWarning, stacklevel=2)
-    _warn_of_long_iterations(problem)
+    _warn_of_long_iterations([problem])
     if optimiser.on_host:
         costs, box = on_all_devices(problem), problem.space.box
         run = runner(optimiser, costs, box, python_objective=True)
@@ -176,15 +176,14 @@ def samples_per_iteration(problem: TuningProblem) -> int:
     )
 
 
-def _warn_of_long_iterations(problem: TuningProblem) -> None:
-    """Say how long an iteration takes if that is long, because it can't be interrupted."""
-    samples = samples_per_iteration(problem)
+def _warn_of_long_iterations(problems: Sequence[TuningProblem]) -> None:
+    """Say how long an iteration of all takes if that is long, because it can't be interrupted."""
+    samples = sum(map(samples_per_iteration, problems))
     seconds = samples / SAMPLES_PER_SECOND
     if jax.default_backend() == "cpu" and seconds > LONG_ITERATION:
         warnings.warn(
             f"an iteration simulates {samples:.2g} samples (agents x scenarios x samples), some "
-            f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered, and checkpoints "
-            "written, between iterations",
+            f"{seconds:.0f} s on two cores of 2.5 GHz; signals are answered between iterations",
             PosegsaWarning,
             stacklevel=3,
         )
@@ -204,7 +203,8 @@ def search_batch(
             f"search.optimiser = {optimiser.optimiser!r} can't be compiled, and so not run in a "
             "batch"
         )
-    # Of the overlaps that a larger reach adds none is there: it changes no result.
+    _warn_of_long_iterations(problems)
+    # One program needs one reach: terms farther apart than its own do not overlap, and add 0.
     reach = max(problem.space.schedules.reach for problem in problems)
     try:
         training, space = jax.tree.map(

@@ -60,8 +60,8 @@ def result(recordings: list[Recording]) -> RecordingResult:
 def test_other_filters_stand_beside_it_on_the_same_recordings(
     result: RecordingResult, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posegsa.judging.kalman.MOST", 40)
-    monkeypatch.setattr("posegsa.judging.kalman.CHECKED", 40)
+    monkeypatch.setattr("posegsa.judging.kalman.MAX_EVALUATIONS", 40)
+    monkeypatch.setattr("posegsa.judging.kalman.CHECK_INTERVAL", 40)
     told: list[Step] = []
     judged = posegsa.evaluate(
         result, recordings=recordings[1], training=recordings[0], progress=told.append

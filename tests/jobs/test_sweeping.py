@@ -111,6 +111,15 @@ def test_stopped_it_goes_on(whole, searched, tmp_path):
     assert again.csv() == found.csv()
 
 
+def test_runs_of_long_iterations_are_searched_one_by_one(whole, searched, monkeypatch):
+    """Each is then kept as soon as it is done; the bits are those of a batch."""
+    _, found = whole
+    monkeypatch.setattr(sweeping, "BATCH_SAMPLES", 1)
+    again = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS[:1]}, seeds=2)
+    assert searched == [1, 1]
+    assert [run.parameters for run in again.runs] == [run.parameters for run in found.runs[:2]]
+
+
 def test_parts_come_to_the_whole(whole, tmp_path, capsys):
     _, found = whole
     command = ["sweep", "--vary", f"{GAMMA}=[2.0, 4.0],[5.0, 10.0]", "--seeds", "2", "--quiet"]

@@ -44,8 +44,8 @@ def evaluated():
     As many scenarios as `tune` looks at: what has one shape is compiled once.
     """
     patch = pytest.MonkeyPatch()
-    patch.setattr(kalman, "CHECKED", 20)
-    patch.setattr(kalman, "MOST", 40)
+    patch.setattr(kalman, "CHECK_INTERVAL", 20)
+    patch.setattr(kalman, "MAX_EVALUATIONS", 40)
     told: list[Step] = []
     tuned = posegsa.tune(tiny())
     result = evaluate(tuned, scenarios=3, progress=told.append)

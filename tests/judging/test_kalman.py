@@ -33,8 +33,8 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 def found():
     """Two searches of one generation, on two scenarios: the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(kalman, "CHECKED", 20)
-    patch.setattr(kalman, "MOST", 40)
+    patch.setattr(kalman, "CHECK_INTERVAL", 20)
+    patch.setattr(kalman, "MAX_EVALUATIONS", 40)
     experiment = tiny()
     one = quietly(experiment)
     yield [tune_kalman(experiment, one, vector_biases=False) for _ in range(2)]

@@ -114,7 +114,7 @@ def test_the_bias_error_is_against_the_true_bias(posed, tracks):
 
 def test_groups_give_what_one_call_gives(posed, tracks, monkeypatch):
     monkeypatch.setattr(groups, "SCENARIOS", 4)  # of six: the last group begins again
-    monkeypatch.setattr(groups, "SHORTEST", 200)
+    monkeypatch.setattr(groups, "LENGTH", 200)
     again = error_tracks(Candidate(ConstantGain(jnp.float32(20))), posed)
     for whole, parts in zip(tracks, again, strict=True):
         np.testing.assert_allclose(parts, whole, rtol=1e-4, atol=1e-6)

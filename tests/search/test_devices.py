@@ -1,19 +1,31 @@
-"""How a population is divided among devices: over as many as it is worth, in pieces of one shape.
+"""A population divided among devices: in pieces of one shape, so that a search finds the same bits.
 
-That a search on several devices has the same bits as on one: `test_large_populations`, and in
-processes of their own `test_joined_processes`.
+In processes of their own: `test_joined_processes`.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.arrays import assert_same
 from helpers.controllers import search_vectors
-from helpers.experiments import paper, posed, searched
+from helpers.experiments import paper, posed, searched, tiny
 from hypothesis import given
 from hypothesis import strategies as st
 
 from posegsa.search import devices
+from posegsa.search import run as searching
+from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import LANES, PIECE, partition, population_costs
+from posegsa.search.run import run_search, search_batch
+
+pytestmark = [
+    pytest.mark.optimised,
+    pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
+]
+
+SCENARIOS, AGENTS = 9, 100
+"""So many that two and four devices are given the same work only if some of it is done twice."""
 
 
 def test_small_searches_stay_on_one_device_and_large_ones_use_all():
@@ -60,3 +72,63 @@ def test_costs_on_several_devices_are_of_the_runs_own_precision():
     given = search_vectors(37), posed(paper(), scenarios=2), searched()
     found = jax.eval_shape(devices.on_each(mesh)(costs), *given)
     assert (found.shape, found.dtype) == ((37,), np.float64)
+
+
+@pytest.fixture(scope="module")
+def task() -> TuningProblem:
+    """Of a filter there is no more than these tests need."""
+    return tuning_problem(
+        tiny(
+            f"search.agents={AGENTS}",
+            "search.iterations=3",
+            f"run.training_scenarios={SCENARIOS}",
+            "filter.substeps=1",
+            "filter.cross_vector=false",
+            "gain.error_scale=8.0",  # else the gain limit makes all agents equal
+        )
+    )
+
+
+def found_on(count: int, task: TuningProblem):
+    """What a search finds on so many devices."""
+    with pytest.MonkeyPatch.context() as patch:
+        mesh = devices.mesh_of(jax.devices()[:count])
+        patch.setattr(searching, "mesh_for", lambda simulations: mesh)
+        return run_search(task).search
+
+
+@pytest.fixture(scope="module")
+def alone(task):
+    """The search on one device."""
+    found = found_on(1, task)
+    assert found.history.worst[0] > 1.1 * found.history.best[0], "agents differ"
+    return found
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_search_finds_the_same_bits_on_several_devices(task, alone, count):
+    assert_same(found_on(count, task), alone)
+
+
+def test_a_batch_on_four_devices_finds_what_a_search_alone_finds_on_one(task, alone):
+    assert devices.mesh_for(SCENARIOS * AGENTS).size == 4
+    other = task._replace(experiment=task.experiment.replace(**{"run.seed": 7}))
+    first, second = (found.search for found in search_batch([task, other], None))
+    np.testing.assert_array_equal(first.history.best, alone.history.best)
+    np.testing.assert_array_equal(first.best_position, alone.best_position)
+    assert second.best_cost != alone.best_cost
+
+
+def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(task, monkeypatch):
+    box, rng = task.space.box, np.random.default_rng(0)
+    vectors = rng.uniform(box.lower, box.upper, (AGENTS, 22)).astype(np.float32)
+    in_pieces = searching.on_all_devices(task)(vectors)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    mesh = devices.mesh_of(jax.devices()[:2])
+
+    def at_once(vectors, problem, space):
+        return population_costs(vectors, problem, space, axis=devices.AXIS)
+
+    everything = devices.spread((jnp.asarray(vectors), task.training, task.space), mesh)
+    together = devices.collect(jax.jit(devices.on_each(mesh)(at_once))(*everything))
+    np.testing.assert_array_equal(together, in_pieces)

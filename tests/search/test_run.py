@@ -21,3 +21,17 @@ def test_an_iteration_that_takes_long_is_announced(monkeypatch) -> None:
     monkeypatch.setattr(run, "SAMPLES_PER_SECOND", 100.0)
     with pytest.warns(PosegsaWarning, match=r"an iteration simulates 3\.6e\+03 samples.* 36 s"):
         run.run_search(task)
+
+
+def test_an_iteration_of_a_batch_is_as_long_as_those_of_all_its_searches(monkeypatch) -> None:
+    task = tuning_problem(tiny())
+    monkeypatch.setattr(run, "SAMPLES_PER_SECOND", 900.0)  # 4 s each
+    with pytest.warns(PosegsaWarning, match="7.2e\\+03 samples.* 8 s"):
+        run.search_batch([task, task], None)
+
+
+def test_a_gradient_counts_once_for_each_dimension() -> None:
+    task = tuning_problem(tiny())
+    adam = tiny("search.optimiser=adam", "search.agents=6").search
+    by_gradients = task._replace(experiment=task.experiment.model_copy(update={"search": adam}))
+    assert run.samples_per_iteration(by_gradients) == 22 * run.samples_per_iteration(task)
