@@ -1,8 +1,8 @@
-"""What a tuned filter has to beat, each found on its training scenarios at its own budget.
+"""Baselines for a tuned filter: other schedules, tuned on its training scenarios at its budget.
 
-Every schedule is searched with the run's optimiser (with differential evolution where that descends
-by gradients or can't be compiled) and as many evaluations, together with all that was tuned beside
-k1..k22: the baselines, too, have the filter, signal and weights that suit them.
+Each schedule is searched with the run's optimiser and its number of evaluations. Differential
+evolution replaces an optimiser that uses gradients or can't be compiled. Whatever was tuned beside
+k1..k22 is tuned for each baseline too, so it has the filter, signal and weights that suit it.
 """
 
 import math
@@ -48,20 +48,19 @@ from posegsa.search.run import first_search, run_search, tell_share
 from posegsa.words import text_table
 
 CONSTANT_GAINS = 201
-"""Constant gains that `best_constant` tries, evenly spaced over those that a controller may ask
-for."""
+"""Number of gains that `best_constant` tries, evenly spaced over the controller's gain range."""
 GAINS = (0.5, 200.0)
-"""Gains that a baseline may ask for [1/s], or more where a controller may ask for more."""
+"""Range of a baseline's gain [1/s]; it is extended to the controller's maximum."""
 LEAST_GAIN = 1e-3
-"""The least gain of a baseline [1/s] where a controller's range begins at 0."""
+"""Lowest gain of a baseline [1/s] if the controller's range starts at 0."""
 KNOTS = 16
-"""Knots of the best open-loop gains."""
+"""Number of knots of the open-loop gains."""
 REPLAYED_KNOTS = 300
-"""Most knots of the tuned gains that are replayed."""
+"""Maximum number of knots of the replayed gains."""
 
 
 def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> Description:
-    """A candidate as it is stored."""
+    """The description of a candidate, as it is stored."""
     schedule = candidate.schedule
     kinds: dict[type, Kind] = {type_: kind for kind, type_ in SCHEDULES.items()}
     kind = kinds.get(type(schedule), "fuzzy")
@@ -75,10 +74,10 @@ def describe(candidate: Candidate, space: ParameterSpace, evaluations: int) -> D
 
 
 def candidate_of(found: Description, space: ParameterSpace) -> Candidate:
-    """The candidate that was stored; not of a Kalman filter.
+    """The candidate of a stored description; not for a Kalman filter.
 
     Raises:
-        ValueError: Its rule table is none, or was not searched in this space.
+        ValueError: Its rule table is invalid, or was not searched in this space.
     """
     dtype = space.lower.dtype
     if found.kind == "fuzzy":
@@ -95,7 +94,7 @@ def candidate_of(found: Description, space: ParameterSpace) -> Candidate:
 
 
 def _rules_of(found: Description, space: ParameterSpace) -> Rules:
-    """The rule table of a controller that was stored: its own if it was searched."""
+    """The rule table of a stored controller: its own if the table was searched."""
     numbers = found.numbers.get("rules", [])
     if space.rules is not None:
         if numbers:
@@ -110,10 +109,10 @@ def _rules_of(found: Description, space: ParameterSpace) -> Rules:
 
 
 def tuned_experiment(experiment: config.Experiment, found: Description) -> config.Experiment:
-    """An experiment with all in it that was tuned beside k1..k22: numbers, and its rule table.
+    """An experiment with the numbers and the rule table that were tuned beside k1..k22.
 
     Raises:
-        ValueError: The table is none.
+        ValueError: The rule table is invalid.
     """
     tuned = config.with_tuned(experiment, found.also)
     if found.kind == "fuzzy" and tuned.fuzzy.rules == config.SEARCHED:
@@ -124,7 +123,7 @@ def tuned_experiment(experiment: config.Experiment, found: Description) -> confi
 
 
 def rules_text(rules: Rules) -> str:
-    """A rule table that was searched, as text for a person."""
+    """The rule table that a search found, as text."""
     table = zip(reversed(config.TERMS), rule_table(rules), strict=True)
     rows = [[name, *row] for name, row in table]
     heads = ["Rules found: rate by rows, error by columns", *reversed(config.TERMS)]
@@ -132,9 +131,9 @@ def rules_text(rules: Rules) -> str:
 
 
 def best_constant(problem: TuningProblem) -> Candidate:
-    """The constant gain of lowest cost, of CONSTANT_GAINS that a controller can ask for.
+    """The constant gain of lowest cost, on a grid of CONSTANT_GAINS over the controller's range.
 
-    With one number to find, and a cost that is flat about its minimum, more of them change nothing.
+    There is one number to find and the cost is flat near its minimum: a finer grid gains nothing.
     """
     low, high = problem.experiment.parameters.gain_range
     training = problem.training
@@ -166,7 +165,7 @@ def _open_loop(end: float, log_gain: Array) -> GainSchedule:
 
 
 def knot_times(end: float) -> np.ndarray:
-    """Times (KNOTS,) of the open-loop gains' knots [s]: dense in the transient, even after it."""
+    """Times (KNOTS,) of the open-loop gains' knots [s]: dense in the transient, then even."""
     dense, turn = KNOTS // 2, min(2.0, 0.5 * end)
     early = np.geomspace(0.03 * turn, turn, dense)
     return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
@@ -176,10 +175,10 @@ Ends = tuple[float, float]
 
 
 def schedule_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
-    """Where the schedules of a kind are searched for an experiment.
+    """The search space of one kind of schedule for an experiment.
 
-    Gains are searched by their logarithm, in GAINS and the controller's range, times of a switch up
-    to half of a scenario, the scaled error half-way from 0.003 to 1.
+    Gains are searched by their logarithm, over GAINS and the controller's range. Times of a switch
+    go up to half of a scenario. The scaled error at half gain goes from 0.003 to 1.
     """
     end = experiment.scenario.duration
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
@@ -187,7 +186,7 @@ def schedule_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
     gain = (math.log(least), math.log(max(GAINS[1], offset + high)))
     half = (math.log(0.003), 0.0)
     switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
-    # Without learnt biases there is nothing to begin later.
+    # Without estimated biases there is nothing to switch on later.
     learning = (0.0, 0.5 * end if experiment.filter.vector_bias == "estimated" else 0.0)
     boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
         "constant": ([gain], _constant),
@@ -204,12 +203,12 @@ _AT: dict[float, Callable[[Array], GainSchedule]] = {}
 
 
 def _at(end: float) -> Callable[[Array], GainSchedule]:
-    """`_open_loop` to a time; the same function each time, as programs are found again by it."""
+    """`_open_loop` up to a time; always the same function, so that JAX reuses its program."""
     return _AT.setdefault(end, partial(_open_loop, end))
 
 
 def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
-    """The best schedule of a kind, with all that is tuned beside it, on training scenarios."""
+    """Search a kind of schedule, with whatever is tuned beside it, on the training scenarios."""
     experiment = searchable(problem.experiment)
     one = problem._replace(
         experiment=experiment,
@@ -221,10 +220,10 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
 
 
 def searchable(experiment: config.Experiment) -> config.Experiment:
-    """The experiment with an optimiser that searches any schedule in a compiled loop."""
+    """The experiment, with an optimiser that can search any schedule in a compiled loop."""
     own: Optimiser = experiment.search
     if own.on_host or any(phase.wants_gradients for phase in own.phases):
-        agents = max(own.agents, 4)  # as many as it needs
+        agents = max(own.agents, 4)  # differential evolution needs 4
         iterations = max(1, own.evaluations // agents)
         size = [f"search.agents={agents}", f"search.iterations={iterations}"]
         return config.override(experiment, ["search.optimiser=de", *size])
@@ -232,10 +231,10 @@ def searchable(experiment: config.Experiment) -> config.Experiment:
 
 
 def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
-    """The tuned filter's own gains over time, without feedback.
+    """The tuned filter's gains over time, replayed without feedback.
 
-    They are the geometric mean over the training scenarios. What the tuned schedule costs less than
-    this is what looking at the error brings.
+    They are the geometric mean over the training scenarios. The tuned schedule's advantage over
+    this baseline is the benefit of feedback from the error.
     """
     training: ScenarioBatch = problem.training
     gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
@@ -248,8 +247,8 @@ def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
 
 
 def random_search(problem: TuningProblem) -> Candidate:
-    """The best controller of random search, with the run's number of evaluations."""
-    # By name, because the library of the run's own optimiser may not be installed here.
+    """The best controller that random search finds with the run's number of evaluations."""
+    # An override by name: the library of the run's own optimiser may not be installed here.
     experiment = config.override(problem.experiment, ["search.optimiser=random_search"])
     one = problem._replace(experiment=experiment)
     return one.space.candidate(run_search(one, tell_share).search.best_position)
@@ -258,7 +257,7 @@ def random_search(problem: TuningProblem) -> Candidate:
 def schedule_baselines(
     problem: TuningProblem, tuned: Candidate
 ) -> dict[str, Callable[[], Candidate]]:
-    """How to find each baseline that is a gain schedule, by name."""
+    """Functions that find each baseline that is a gain schedule, by name."""
     found: dict[str, Callable[[], Candidate]] = {
         name: partial(search_baseline, problem, kind)
         for name, kind in (

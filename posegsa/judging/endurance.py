@@ -1,4 +1,4 @@
-"""How a tuned filter fares long after the window that it was tuned for."""
+"""Errors of a tuned filter long after the time window that it was tuned for."""
 
 import math
 import warnings
@@ -21,20 +21,20 @@ PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
 
 class Endurance(NamedTuple):
-    """Errors over windows of time, each (w,): root mean squares over all scenarios."""
+    """Root mean square errors over all scenarios in w windows of time, each (w,)."""
 
     begin: PerWindow
-    """When each window begins [s]; the first one is that of the scenarios."""
+    """Start of each window [s]; the first window is that of the training scenarios."""
     end: PerWindow
-    """When it ends [s]."""
+    """End of each window [s]."""
     attitude: PerWindow
-    """Error of the tuned filter's attitude [deg]."""
+    """Attitude error of the tuned filter [deg]."""
     position: PerWindow
-    """The cost's error of its position, |P_est - R_err P| [m]."""
+    """Its position error as in the cost, |P_est - R_err P| [m]."""
     distance: PerWindow
-    """How far its position is from the true one, |P_est - P| [m]."""
+    """Distance of its position from the true one, |P_est - P| [m]."""
     constant_attitude: PerWindow
-    """The same with the best constant gain [deg]."""
+    """The same errors with the best constant gain [deg]."""
     constant_position: PerWindow
     """[m]"""
     constant_distance: PerWindow
@@ -45,11 +45,11 @@ class Endurance(NamedTuple):
         return list(zip(*(each.tolist() for each in self), strict=True))
 
     def table(self, constant: str, scenarios: int) -> str:
-        """The windows as text for a person.
+        """The windows as text.
 
         Args:
-            constant: What the other filter is called.
-            scenarios: How many there were.
+            constant: Name of the other filter.
+            scenarios: Number of scenarios.
         """
         heads = ["attitude", "P_err", "distance"]
         rows = [["RMS error", "tuned", "", "", constant, "", ""], ["", *heads, *heads]]
@@ -73,14 +73,14 @@ class Endurance(NamedTuple):
         return f"{title}\n\n{text_table(rows)}\n{POSITION_WORDS}"
 
     def worse(self) -> list[str]:
-        """Where the tuned filter is worse than the constant gain after the first window."""
+        """Errors and windows after the first in which the tuned filter is worse, as text."""
         found = []
         for name, own, other in (
             ("attitude", self.attitude, self.constant_attitude),
             ("P_err", self.position, self.constant_position),
             ("distance", self.distance, self.constant_distance),
         ):
-            # Not below is worse too: no comparison with NaN holds.
+            # `not <=` instead of `>`: NaN counts as worse.
             windows = [i for i in range(1, len(own)) if not own[i] <= other[i]]
             found += [f"{name} from {self.begin[i]:g} to {self.end[i]:g} s" for i in windows]
         return found
@@ -99,10 +99,10 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
     settings = [f"scenario.duration={edges[-1]!r}", "family.duration=off"]
     longer = config.override(experiment, settings)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # it has been said of the experiment
+        warnings.simplefilter("ignore", PosegsaWarning)  # the experiment has warned already
         one = scenario(longer)
     batch = scenario_batch(longer, one, endurance_keys(run.seed, run.endurance_scenarios))
-    # Half a sample late: rounding puts none into the window before its own.
+    # Shifted by half a sample, so that rounding puts no sample into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
 
     def errors(candidate: Candidate) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What a search over the attitude filter for inertial sensors found, and what that is worth."""
+"""The result of tuning the attitude filter for inertial sensors, judged on recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,29 +14,29 @@ from posegsa.words import counted, text_table
 
 @dataclass(frozen=True, kw_only=True)
 class ImuResult:
-    """The attitude filter for inertial sensors with numbers tuned on recordings."""
+    """The attitude filter for inertial sensors, tuned on recordings."""
 
     config: ImuConfig
-    """The filter; `run_imu(recording, result.config)` runs it."""
+    """The tuned filter; `run_imu(recording, result.config)` runs it."""
     before: ImuConfig
-    """The filter that the search began with."""
+    """The initial filter of the search."""
     cost: float
-    """Mean over the recordings that were tuned on of the total RMSE [deg]."""
+    """Total RMSE, mean over the training recordings [deg]."""
     cost_before: float
-    """The same with the numbers that the search began with."""
+    """The same for the initial filter."""
     training: list[RecordingScore]
-    """On each recording that was tuned on."""
+    """The tuned filter on each training recording."""
     held_out: list[RecordingScore]
-    """On recordings that only judge; empty if there were none."""
+    """The tuned filter on each held-out recording; empty if there were none."""
     held_out_before: list[RecordingScore]
-    """The filter that the search began with on these."""
+    """The initial filter on each held-out recording."""
     evaluations: int
     seconds: float
-    """The search took [s]."""
+    """Duration of the search [s]."""
 
     @property
     def tuned(self) -> dict[str, float]:
-        """The numbers that were tuned, by key."""
+        """The tuned numbers, by key."""
         return _numbers(self.config)
 
     def __repr__(self) -> str:
@@ -45,7 +45,7 @@ class ImuResult:
         )
 
     def summary(self) -> str:
-        """A short text for a person; the held-out recordings always stand in it."""
+        """A short text; it always says whether recordings were held out."""
         search, before = self.config.search, _numbers(self.before)
         numbers = [
             ["", "found", "before"],
@@ -68,7 +68,7 @@ class ImuResult:
         return "\n\n".join(part for part in parts if part)
 
     def _warning(self) -> str:
-        """What warns of numbers that are worse than those before on what was held out."""
+        """A warning if the tuned filter is worse than the initial one on held-out recordings."""
         new, old = (mean_errors(a).total for a in (self.held_out, self.held_out_before))
         if new <= old:
             return ""
@@ -79,7 +79,7 @@ class ImuResult:
         )
 
     def table(self) -> str:
-        """Root mean square errors by recording and phase, and those of the old numbers."""
+        """Root mean square errors by recording and phase, of the tuned and the initial filter."""
         blocks = {
             "tuned on": self.training,
             "held out": self.held_out,
@@ -91,7 +91,7 @@ class ImuResult:
             if len(scores) > 1:
                 block += error_rows("mean", [("judged", mean_errors(scores))])
             rows += [[title if first == 0 else "", *row] for first, row in enumerate(block)]
-        return text_table([row[:-1] for row in (["", *HEADS], *rows)])  # there is no position
+        return text_table([row[:-1] for row in (["", *HEADS], *rows)])  # no position column
 
 
 def judge_imu(
@@ -100,7 +100,7 @@ def judge_imu(
     training: Sequence[ImuRecording],
     held_out: Sequence[ImuRecording],
 ) -> ImuResult:
-    """Judge what a search found."""
+    """Judge the filter that a search found."""
 
     def scores(config: ImuConfig, recordings: Sequence[ImuRecording]) -> list[RecordingScore]:
         made = (with_vectors(one, config.vectors) for one in recordings)
@@ -120,7 +120,7 @@ def judge_imu(
 
 
 def _numbers(config: ImuConfig) -> dict[str, float]:
-    """The numbers that a filter tunes, by key."""
+    """The numbers of a filter that are tuned, by key."""
     sections = {"vectors": config.vectors, "observer": config.observer}
     pairs = (one.key.split(".", 1) for one in config.also)
     return {f"{section}.{name}": getattr(sections[section], name) for section, name in pairs}

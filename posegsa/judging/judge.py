@@ -1,4 +1,4 @@
-"""From what a search found to a result: judged on unseen scenarios, and checked."""
+"""Turn what a search found into a result: judge it on held-out scenarios and check it."""
 
 import jax
 import numpy as np
@@ -21,11 +21,11 @@ _PARTS = ("best constant gains", "unseen scenarios", "one run", "long after", "t
 
 
 def judge(problem: TuningProblem, found: Found) -> TuneResult:
-    """Judge the best candidate that a search found, beside the best constant gain."""
+    """Judge the best candidate of a search, and the best constant gain beside it."""
     experiment, search, space = problem.experiment, found.search, problem.space
     tuned = space.candidate(search.best_position)
     _begin("best constant gains")
-    # Without further numbers a constant gain is found on a grid; with them by a search like theirs.
+    # The gain alone is found on a grid. With further tuned numbers it needs a search of its own.
     constant = search_baseline(problem, "constant") if tuned.keys else best_constant(problem)
     candidates = {TUNED: tuned, CONSTANT: constant}
     evaluations = experiment.search.evaluations
@@ -35,7 +35,7 @@ def judge(problem: TuningProblem, found: Found) -> TuneResult:
     }
 
     _begin("unseen scenarios")
-    # Training and held-out scenarios together, so that each kind of schedule compiles once.
+    # Training and held-out scenarios run together, so each kind of schedule compiles once.
     count = experiment.run.training_scenarios
     tracks = {name: error_tracks(each, problem.scenarios) for name, each in candidates.items()}
     training = {

@@ -1,4 +1,4 @@
-"""How good a filter is on each of many scenarios: cost, settling, steady state, bias."""
+"""Metrics of a filter on each of many scenarios: cost, settling, steady state, bias."""
 
 from typing import Annotated, NamedTuple
 
@@ -16,17 +16,17 @@ from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
 SETTLED_ATTITUDE, SETTLED_POSITION = 20.0, 0.5
-"""Errors [deg], [m] under which the filter has settled if it stays there; the paper's noise alone
-makes errors of 8 deg RMS."""
+"""Errors [deg], [m] below which the filter counts as settled if it stays there. The paper's noise
+alone causes errors of 8 deg RMS."""
 DIVERGED_ATTITUDE, DIVERGED_POSITION = 90.0, 5.0
 """Mean errors [deg], [m] over the last second above which a run counts as diverged."""
 POSITION_WORDS = (
     "P_err is the cost's position error, |P_est - R_err P|; distance is |P_est - P|, how far the "
     "estimate is from the body."
 )
-"""What the two errors of a position are, where a table shows both."""
+"""Explains the two position errors below a table that shows both."""
 QUANTILES = (0.05, 0.5, 0.95)
-"""Quantiles over scenarios that error bands show."""
+"""Quantiles over scenarios in the error bands."""
 
 CostPerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="infinite")]
 PerScenario = Annotated[np.ndarray, Numbers("scenarios", allow="any")]
@@ -34,10 +34,10 @@ Band = Annotated[np.ndarray, Numbers(len(QUANTILES), "times", allow="any")]
 
 
 class Metrics(NamedTuple):
-    """Each (S,), one entry for each scenario; not finite where the run diverged."""
+    """Metrics by scenario, each (S,); not finite where the run diverged."""
 
     cost: CostPerScenario
-    """C; infinite where it is not finite."""
+    """The cost C; infinite where it is not finite."""
     transient: PerScenario
     """Its weighted transient part."""
     steady: PerScenario
@@ -57,7 +57,7 @@ class Metrics(NamedTuple):
     bias_linear: PerScenario
     """Length of the last linear velocity bias error [m/s]."""
     diverged: Annotated[np.ndarray, Numbers("scenarios", dtype=bool)]
-    """Whether the cost is not finite, or the last second's mean errors exceed DIVERGED_..."""
+    """True if the cost is not finite, or mean errors over the last second exceed DIVERGED_..."""
     initial_angle: PerScenario
     """Attitude error at the start [deg]."""
 
@@ -71,9 +71,9 @@ class Bands(NamedTuple):
 
 
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
-    """What a candidate does on all S scenarios of a batch; on the host, leaves (S, ...)."""
+    """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...)."""
     count, samples = batch.samples.time.shape
-    # All of it, as a program is compiled anew for what lies on other devices.
+    # All on the host: JAX compiles a program again for arrays on another device.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
     length = padded(samples)
 
@@ -95,14 +95,14 @@ def _tracks(
     return simulate_errors_together(candidate.applied(shared), samples, initial, count)
 
 
-@np.errstate(invalid="ignore", over="ignore")  # runs that diverge are told as such
+@np.errstate(invalid="ignore", over="ignore")  # runs may diverge; `diverged` says so
 def metrics_of(
     tracks: ErrorTrack, batch: ScenarioBatch, cost: TrackCost | None = None
 ) -> tuple[Metrics, Bands]:
-    """Metrics on each of a batch's scenarios, and the bands of its errors over time.
+    """Metrics on each scenario of a batch, and bands of the errors over time.
 
-    With a cost of a user's own that is the metrics' cost; their parts stay those of the configured
-    one.
+    `cost` is a user's own cost. It replaces the total; the transient and steady-state parts stay
+    those of the configured cost.
     """
     time = np.asarray(batch.samples.time[0], np.float64)
     attitude, position, gain, distance, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
@@ -147,14 +147,14 @@ def metrics_of(
 
 
 def _mean(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Means (S,) of values (S, N) where they are wanted (S, N); NaN where nothing is."""
+    """Means (S,) of values (S, N) over a mask (S, N); NaN if the mask is empty."""
     return np.sum(values, axis=1, where=where) / np.sum(where, axis=1)
 
 
 def _settling(
     time: np.ndarray, error: np.ndarray, threshold: float, counts: np.ndarray
 ) -> np.ndarray:
-    """First time (S,) from which on the errors (S, N) stay under a threshold; infinite if never."""
+    """First time (S,) after which errors (S, N) stay below a threshold; infinite if never."""
     outside = ~(error < threshold) & counts  # NaN is outside
     after_last = len(time) - np.argmax(outside[:, ::-1], axis=1)
     return np.append(time, np.inf)[np.where(outside.any(axis=1), after_last, 0)]

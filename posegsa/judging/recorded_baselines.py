@@ -1,6 +1,6 @@
-"""What a filter on recordings has to beat: constant gains, a Kalman filter, other libraries'.
+"""Baselines on recordings: constant gains, a Kalman filter, filters of other libraries.
 
-All that is tuned has seen what the filter was tuned on: recordings, or a run's own scenarios.
+Baselines are tuned on the same data as the filter: recordings, or the scenarios of a run.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import run_search, tell_share
 
 Scores = dict[str, list[RecordingScore]]
-"""Of each filter, by name, on each recording."""
+"""Scores on each recording, by name of the filter."""
 
 
 def judged_beside_baselines(
@@ -37,14 +37,14 @@ def judged_beside_baselines(
     training: Sequence[Recording],
     others: Sequence[str],
 ) -> RecordingResult:
-    """A result on recordings, beside other filters on the same ones.
+    """Judge a result and its baselines on the same recordings.
 
     Args:
-        result: What is judged.
-        recordings: That judge.
-        training: On which constant gains and the Kalman filter are tuned; without any they are left
-            out.
-        others: Of `OTHER_FILTERS`, those that are tried.
+        result: The filter to judge.
+        recordings: Recordings to judge it on.
+        training: Recordings that constant gains and the Kalman filter are tuned on; if empty, both
+            are left out.
+        others: Names of the `OTHER_FILTERS` to run.
     """
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         own = _scores(result, recordings)
@@ -66,13 +66,13 @@ def run_beside_baselines(
     others: Sequence[str],
     cost: TrackCost | None = None,
 ) -> RecordingResult:
-    """A run on simulated scenarios, on recordings, beside filters tuned on the same scenarios.
+    """Judge the filter of a run on recordings, with baselines tuned on the run's scenarios.
 
     Args:
-        run: What is judged; its best constant gains are, too.
-        recordings: That judge.
-        others: Of `OTHER_FILTERS`, those that are tried.
-        cost: The user's own cost that the run was tuned with, if it was.
+        run: The run whose tuned filter and best constant gains are judged.
+        recordings: Recordings to judge them on.
+        others: Names of the `OTHER_FILTERS` to run.
+        cost: The user's own cost, if the run was tuned with one.
     """
     experiment = run.experiment
     with jax.enable_x64(experiment.run.dtype == "float64"):
@@ -103,14 +103,14 @@ def _other_scores(names: Sequence[str], recordings: Sequence[Recording]) -> Scor
 
 
 def others_for(recordings: Sequence[Recording]) -> list[str]:
-    """Names of the other libraries' filters, if these recordings have what they read."""
+    """Names of other libraries' filters, if the recordings have the signals that they need."""
     return list(OTHER_FILTERS) if all(map(readable, recordings)) else []
 
 
 def _constant(
     result: RecordingResult, recordings: Sequence[Recording], training: Sequence[Recording]
 ) -> list[RecordingScore]:
-    """The best constant gain, with all that was tuned beside the schedule."""
+    """Scores of the best constant gain, tuned with the same numbers beside it."""
     weight = result.position_weight
     problem = recorded_problem(result.experiment, training, "constant", weight, strict=False)
     found = run_search(problem, tell_share)

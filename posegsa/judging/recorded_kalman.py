@@ -1,7 +1,7 @@
-"""The invariant Kalman filter on recordings: its noises tuned on some, its estimates of others.
+"""The invariant Kalman filter on recordings: noises tuned on some, estimates on others.
 
-It reads the same recordings as the observer, but each measurement with the same weight: what it
-needs to know of a sensor's rate it learns by when it is told.
+It reads the same recordings as the observer, but all measurements have the weight 1. Its covariance
+already accounts for the time between measurements.
 """
 
 from collections.abc import Sequence
@@ -24,19 +24,19 @@ from posegsa.search.recorded import recorded_batch
 def tune_recorded_kalman(
     experiment: config.Experiment, recordings: Sequence[Recording], position_weight: float
 ) -> Description:
-    """The noises of lowest cost on recordings, by the experiment's objective and seed."""
+    """The noises of lowest cost on recordings, with the experiment's objective and seed."""
     return search_noises(experiment, _batch(experiment, recordings, position_weight))
 
 
 def recorded_kalman_estimates(
     found: Description, experiment: config.Experiment, recordings: Sequence[Recording]
 ) -> list[Estimates]:
-    """What a filter with such noises makes of each recording; NumPy arrays."""
+    """Estimates of a filter with these noises on each recording; NumPy arrays."""
     batch = _batch(experiment, recordings, 0.0)
     filter, every = candidate_of_noises(found, batch.dtype).applied(batch.filter), []
     for i, recording in enumerate(recordings):
         samples, initial = jax.tree.map(lambda a, i=i: a[i], (batch.samples, batch.initial))
-        # All are as long as the longest, so that the filter is compiled once.
+        # All are padded to the longest, so the filter compiles once.
         estimates = jax.device_get(simulate(filter, samples, initial))
         own = jax.tree.map(lambda a, n=recording.samples: a[:n], estimates)
         if recording.attitude_only:
@@ -48,7 +48,7 @@ def recorded_kalman_estimates(
 def _batch(
     experiment: config.Experiment, recordings: Sequence[Recording], position_weight: float
 ) -> ScenarioBatch:
-    """Recordings as the Kalman filter reads them: vectors as measured, every weight 1."""
+    """Recordings for the Kalman filter: vectors as measured, every weight 1."""
     filter = untuned(vector_biases=False, dtype=jnp.dtype(experiment.run.dtype))
     return recorded_batch(experiment, list(map(_unweighted, recordings)), position_weight, filter)
 

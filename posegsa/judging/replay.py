@@ -1,4 +1,4 @@
-"""A filter on recordings: its estimates, their errors by phase, and tables of both."""
+"""A filter's estimates on recordings, their errors by phase, and error tables."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -10,16 +10,16 @@ from posegsa.words import text_table
 
 
 class Replay(NamedTuple):
-    """A filter on one recording."""
+    """A filter's estimates on one recording."""
 
     recording: Recording
     estimates: Estimates
     errors: RecordingErrors | None
-    """None where the recording has no truth."""
+    """None if the recording has no truth."""
 
 
 def replayed_on(recording: Recording, estimates: Estimates) -> Replay:
-    """A replay from a recording and the estimates of all its samples."""
+    """A replay from a recording and the estimates at all its samples."""
     errors = None if recording.truth is None else recording_errors(estimates, recording)
     return Replay(recording, estimates, errors)
 
@@ -28,11 +28,11 @@ HEADS = (
     *("recording", "phase", "samples", "total\n[deg]", "heading\n[deg]", "inclination\n[deg]"),
     "position\n[cm]",
 )
-"""Of the columns of a table of errors."""
+"""Column headers of an error table."""
 
 
 def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]:
-    """A row for each phase of a recording; without a position where that is not judged."""
+    """A row for each phase of a recording; the position is empty if it is not judged."""
     return [
         [
             name if first == 0 else "",
@@ -46,7 +46,7 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
 
 
 def replay_table(replays: Sequence[Replay]) -> str:
-    """Root mean square errors by recording and phase, as text for a person."""
+    """Root mean square errors by recording and phase, as text."""
     rows = []
     for each in replays:
         if each.errors is None:

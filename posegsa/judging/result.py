@@ -1,4 +1,4 @@
-"""The result of a tuning run, or of many: what was found, how, and what it is worth."""
+"""The result of a tuning run, or of a batch of runs."""
 
 import warnings
 from dataclasses import dataclass
@@ -38,34 +38,33 @@ from posegsa.words import counted, text_table
 
 @dataclass(frozen=True)
 class TuneResult:
-    """A tuned schedule, how it was found, and what it is worth."""
+    """A tuned schedule, how it was found, and its performance."""
 
     experiment: Experiment
     cost: str
     """The name of the cost that was minimised (`search.population.cost_name`)."""
     best_cost: Cost
-    """Least cost that the search found on the training scenarios."""
+    """Lowest cost that the search found on the training scenarios."""
     parameters: Annotated[np.ndarray, Numbers(len(PARAMETERS))]
-    """(22,) k1..k22, in order and repaired as configured."""
+    """(22,) k1..k22, put in order and repaired as configured."""
     also: dict[str, float]
-    """What was tuned beside them, by key of the configuration."""
+    """Numbers that were tuned beside them, by key of the configuration."""
     training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
-    """(S,) its cost on each training scenario; infinite where it diverged."""
+    """(S,) cost of the tuned filter on each training scenario; infinite where it diverged."""
     constant_gain: float
     """The constant gain with the lowest mean cost on the training scenarios [1/s]."""
     constant_training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
-    """(S,) what that costs on each of them."""
+    """(S,) cost of the constant gain on each training scenario."""
     evaluation: Evaluation
-    """It and the best constant gain (after `evaluate`, all baselines) on held-out scenarios."""
+    """Tuned filter and best constant gain (after `evaluate`, all baselines) on held-out data."""
     endurance: Endurance
-    """Both long after the time that they were tuned for."""
+    """Both filters long after the time that they were tuned for."""
     trust: Trust
     evaluations: Annotated[int, Field(ge=1)]
     """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
     as several (`search.gradient_price`)."""
     non_finite: Annotated[int, Field(ge=0)]
-    """Number of agents whose cost, or gradient where there is one, was not finite; each counts as
-    one."""
+    """Number of evaluated agents whose cost or gradient was not finite."""
     compile_seconds: NonNegative
     search_seconds: NonNegative
     history: History
@@ -77,7 +76,7 @@ class TuneResult:
 
     @property
     def candidate(self) -> Candidate:
-        """The tuned schedule, with what was tuned beside it."""
+        """The tuned schedule, with the numbers that were tuned beside it."""
         dtype = self.experiment.run.dtype
         with jax.enable_x64(dtype == "float64"):
             values = tuple(jnp.asarray(value, dtype) for value in self.also.values())
@@ -85,7 +84,7 @@ class TuneResult:
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with all in it that was tuned beside k1..k22, its rule table too."""
+        """The experiment, with everything that was tuned beside k1..k22."""
         if self.experiment.fuzzy.rules != SEARCHED:
             return with_tuned(self.experiment, self.also)
         found = self.evaluation.contenders[TUNED].filter
@@ -113,17 +112,17 @@ class TuneResult:
         """Run the tuned filter on measurements of one's own, with the experiment's settings.
 
         Args:
-            measurements: N samples (`Measurements.from_arrays`), or a recording, brought to its
-                precision. Their vectors and landmarks have weights as `filter_for` says.
+            measurements: N samples (`Measurements.from_arrays`), or a recording; converted to the
+                experiment's precision. `filter_for` says how its weights are used.
             rotation: (3, 3) R_est at the first sample, body to inertial; by default that of the
                 recording, with its position and bias.
             position: (3,) P_est there [m], inertial frame.
             bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
 
         Raises:
-            MeasurementError: The pose or bias has the wrong shape, is not finite or no rotation.
+            MeasurementError: The pose or bias has a wrong shape, is not finite, or is no rotation.
             ArgumentError: The schedule was tuned on the signal "pose", which needs the truth; or
-                a start is missing.
+                the initial pose is missing.
         """
         check_type("measurements", measurements, Measurements, Recording)
         recorded = isinstance(measurements, Recording)
@@ -152,11 +151,11 @@ class TuneResult:
         return estimates
 
     def filter_for(self, vectors: int, landmarks: int) -> Observer:
-        """The tuned filter, for so many sensors.
+        """The tuned filter for a number of vectors and landmarks.
 
-        Weights go in order: the first vector has that of the experiment's first, and so on;
-        further ones have 1, and so have landmarks. The weights that a recording or measurements
-        have of their own are factors on these.
+        The vectors take the weights of the experiment's vectors in order; further vectors have the
+        weight 1, and so do landmarks. Weights in a recording or in measurements are factors on
+        these.
         """
         return Observer(
             self.schedule,
@@ -168,7 +167,7 @@ class TuneResult:
         return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"
 
     def summary(self) -> str:
-        """A short text for a person."""
+        """A short text."""
         run, search, last = self.experiment.run, self.experiment.search, self.trajectory
         unseen = f"({counted(self.evaluation.scenarios, 'unseen scenario')})"
         rows = [["mean cost", "training", "held out", "worst", unseen]]
@@ -234,12 +233,12 @@ class TuneResult:
 
 @dataclass(frozen=True)
 class TuneBatch:
-    """Results of a batch, in the order of its experiments and seeds."""
+    """Results of a batch of runs, in the order of its experiments and seeds."""
 
     results: tuple[TuneResult, ...]
 
     def summary(self) -> str:
-        """Median and range over the batch, of training beside held-out cost."""
+        """Median and range over the batch, of training and held-out costs."""
         costs = {f"{TUNED}, training": [float(np.mean(r.training_costs)) for r in self.results]}
         for name in (TUNED, CONSTANT):
             costs[f"{name}, held out"] = [r.evaluation.cost(name).mean for r in self.results]

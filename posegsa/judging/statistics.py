@@ -1,4 +1,4 @@
-"""Whether paired differences are more than chance: Wilcoxon's test, and Holm's correction.
+"""Significance of paired differences: Wilcoxon's test and Holm's correction.
 
 Sources: F. Wilcoxon, "Individual Comparisons by Ranking Methods", Biometrics Bulletin 1 (1945)
 80-83; S. Holm, "A Simple Sequentially Rejective Multiple Test Procedure", Scandinavian Journal of
@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 def signed_rank(differences: ArrayLike) -> float:
     """Two-sided p-value of Wilcoxon's signed rank test that paired differences centre on 0.
 
-    Exact for up to 50 differences of unequal size, and for up to 13 where some are equal; by the
-    normal approximation, corrected for ties, for more. Differences of 0 are left out, as in the
-    source; without any other, p is 1. Infinite ones rank above all finite ones.
+    The test is exact for up to 50 differences without ties, and for up to 13 with ties. Above that
+    it uses the normal approximation, corrected for ties. Differences of 0 are left out, as in the
+    source; if no others remain, p is 1. Infinite differences rank above all finite ones.
 
     Raises:
         ValueError: If a difference is NaN.
@@ -28,14 +28,14 @@ def signed_rank(differences: ArrayLike) -> float:
     values = values[values != 0]
     if len(values) == 0:
         return 1.0
-    from scipy.stats import wilcoxon  # takes a second to load, which nothing else needs
+    from scipy.stats import wilcoxon  # imported here: it takes a second to load
 
     test: Any = wilcoxon(values)
     return float(test.pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """p-values corrected for their number: below 0.05, each may be believed at that level."""
+    """p-values corrected for multiple tests: below 0.05, each is significant at that level."""
     p = np.asarray(p_values, np.float64)
     order, corrected = np.argsort(p, kind="stable"), np.empty(len(p))
     scaled = p[order] * np.arange(len(p), 0, -1)

@@ -1,4 +1,4 @@
-"""What searches with other values and seeds came to: runs, and what they are per value."""
+"""Results of a sweep: its runs, and a summary for each setting over seeds."""
 
 import csv
 import hashlib
@@ -24,17 +24,17 @@ SEED = "run.seed"
 Row = Annotated[list[Term], Field(min_length=len(TERMS), max_length=len(TERMS))]
 
 Values = dict[str, JsonValue]
-"""What is varied: the value of each key, as TOML and JSON have it."""
+"""The varied settings: the value of each key, as in TOML and JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRun:
-    """One search of a sweep, and what its best candidate costs."""
+    """One search of a sweep, and the costs of its best candidate."""
 
     base: Experiment
-    """What is not varied."""
+    """The settings that are not varied."""
     values: Values
-    """What is varied, by key, in the order of the table's columns."""
+    """The varied settings by key, in the order of the table's columns."""
     seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)]
     training_cost: Cost
     """Mean over the training scenarios; infinite where it diverged."""
@@ -42,25 +42,25 @@ class SweepRun:
     """Mean over the held-out scenarios."""
     held_out_worst: Cost
     diverged: Annotated[int, Field(ge=0)]
-    """Held-out scenarios on which it diverged."""
+    """Number of held-out scenarios on which it diverged."""
     parameters: Annotated[list[float], Numbers(len(PARAMETERS))]
     """k1..k22."""
     also: dict[str, float]
-    """What was tuned beside them."""
+    """Numbers that were tuned beside them."""
     evaluations: Annotated[int, Field(ge=1)]
     search_seconds: NonNegative
-    """Its share of the time of the batch that it was searched in."""
+    """This run's share of the time of its batch."""
     environment: dict[str, str]
     version: str
     rules: Annotated[list[Row], Field(max_length=len(TERMS))] = field(default_factory=list)
-    """The rule table that was found, as [fuzzy] rules has it; empty where it was not searched."""
+    """The rule table that was found, as in [fuzzy] rules; empty if it was not searched."""
 
     @property
     def experiment(self) -> Experiment:
-        """What was searched.
+        """The experiment of this run.
 
         Raises:
-            ConfigError: The values are none that the experiment can have.
+            ConfigError: The experiment can't have these values.
         """
         return with_values(self.base, self.values, self.seed)
 
@@ -69,13 +69,13 @@ def with_values(base: Experiment, values: Values, seed: int) -> Experiment:
     """An experiment with the values of one run of a sweep.
 
     Raises:
-        ConfigError: It can't have them.
+        ConfigError: The experiment can't have these values.
     """
     return base.replace(**{**values, SEED: seed})
 
 
 def run_name(experiment: Experiment) -> str:
-    """A name that only the run of this experiment has."""
+    """A name that is unique to the run of this experiment."""
     text = json.dumps(experiment.model_dump(mode="json"), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -88,7 +88,7 @@ class SweepRow(NamedTuple):
     training: "Spread"
     held_out: "Spread"
     diverged: int
-    """Held-out scenarios, of all seeds together, on which it diverged."""
+    """Number of held-out scenarios on which it diverged, over all seeds."""
 
 
 class Spread(NamedTuple):
@@ -96,13 +96,13 @@ class Spread(NamedTuple):
 
     mean: float
     deviation: float
-    """Standard deviation; NaN of a single seed, or where a cost is infinite."""
+    """Standard deviation; NaN for a single seed, or if a cost is infinite."""
     least: float
     most: float
 
 
 def spread(costs: list[float]) -> Spread:
-    """What costs (n,) of n seeds come to."""
+    """The spread of costs (n,) over n seeds."""
     known = len(costs) > 1 and all(map(math.isfinite, costs))
     return Spread(
         mean=float(np.mean(costs)),
@@ -117,15 +117,15 @@ class Sweep:
     """Runs that differ in the values of some keys, and in their seeds."""
 
     runs: tuple[SweepRun, ...]
-    """All of the same experiment but for those, in the order of their values; at least one."""
+    """At least one, in the order of their values; everything else is the same for all."""
 
     @property
     def keys(self) -> list[str]:
-        """What is varied."""
+        """The varied keys."""
         return list(self.runs[0].values)
 
     def rows(self) -> list[SweepRow]:
-        """The settings, in the order in which they first come."""
+        """A row for each setting, in the order of their first runs."""
         settings: dict[str, list[SweepRun]] = {}
         for run in self.runs:
             settings.setdefault(json.dumps(run.values), []).append(run)
@@ -141,7 +141,7 @@ class Sweep:
         ]
 
     def table(self) -> str:
-        """The settings as text for a person: mean cost and standard deviation over seeds."""
+        """The settings as text: mean cost and standard deviation over seeds."""
         heads = ("seeds", "training", "± sd", "held out", "± sd", "least", "most", "diverged")
         rows = [[*self.keys, *heads]]
         for row in self.rows():
@@ -154,7 +154,7 @@ class Sweep:
         return f"{title}\n\n{text_table(rows)}"
 
     def csv(self) -> str:
-        """The settings as a table to compute with, numbers with all their digits."""
+        """The settings as CSV, with all digits."""
         names = [
             *(f"{of}_{what}" for of in ("training", "held_out") for what in Spread._fields),
             "diverged",
@@ -166,7 +166,7 @@ class Sweep:
         return _csv([*self.keys, "seeds", *names], rows)
 
     def runs_csv(self) -> str:
-        """The runs one by one as such a table."""
+        """The runs as CSV, with all digits."""
         names = ("training_cost", "held_out_cost", "held_out_worst", "diverged", "search_seconds")
         rows = [
             [*run.values.values(), run.seed, *(getattr(run, name) for name in names)]
@@ -176,7 +176,7 @@ class Sweep:
 
 
 def shown_value(value: JsonValue) -> str:
-    """A value for a person: as TOML has it, a word without its quotes."""
+    """A value as in TOML, but text without its quotes."""
     return value if isinstance(value, str) else toml(value)
 
 

@@ -1,4 +1,4 @@
-"""Whether a tuned result can be trusted: its numerical sensitivity, and how its rules are used."""
+"""Checks of a tuned result: its numerical sensitivity, and how its rules are used."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -20,30 +20,30 @@ from posegsa.search.candidates import Candidate
 from posegsa.settings.arrays import Cost, Numbers
 
 PERTURBATION = 1e-6
-"""Change of the initial estimate: about this much of each quaternion component, and [m]."""
+"""Change of the initial estimate: about this much per quaternion component, and in [m]."""
 SENSITIVE = 0.01
-"""Relative difference of costs above which a result is marked as sensitive."""
+"""Relative difference of costs above which a result counts as sensitive."""
 RESOLUTION = 201
-"""Points along each input for the share where no rule fires."""
+"""Grid points along each input for the share where no rule fires."""
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What was checked of one tuned result, on its training scenarios."""
+    """Checks of one tuned result on its training scenarios."""
 
     cost_float32: Cost
     """Mean training cost simulated in float32."""
     cost_float64: Cost
     """The same in float64."""
     cost_perturbed: Cost
-    """The same in the experiment's precision from a start changed by PERTURBATION."""
+    """The same in the experiment's precision, with the initial estimate changed by PERTURBATION."""
     sensitive: bool
-    """Whether one of them differs from the experiment's own by more than SENSITIVE."""
+    """Whether one of them differs from the experiment's own cost by more than SENSITIVE."""
     uncovered: Annotated[float, Field(ge=0, le=1)]
     """Share of all pairs of scaled error and rate for which no rule fires."""
     rule_weights: Annotated[np.ndarray, Numbers(5, 5, allow="any")]
     """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL; NaN if
-    the trajectory diverged to that."""
+    the trajectory diverged to NaN."""
 
     @property
     def used_rules(self) -> int:
@@ -55,9 +55,9 @@ class Trust:
 def check(
     problem: TuningProblem, tuned: Candidate, own: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
-    """Check the candidate that was found for a problem.
+    """Check the tuned candidate of a problem.
 
-    `own` is what the tuned filter did on all scenarios of the problem, `trajectory` one of these.
+    `own` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
     """
     experiment = problem.experiment
 
@@ -73,7 +73,7 @@ def check(
     perturbed = mean_cost(error_tracks(tuned, pushed))
     double = experiment.run.dtype == "float64"
     other = _cost_at("float32" if double else "float64", problem, tuned)
-    # Not finite is sensitive too: no comparison with NaN or infinity holds.
+    # A cost that is not finite counts as sensitive: its difference is NaN or infinite.
     steady = all(abs(c - cost) <= SENSITIVE * abs(cost) for c in (other, perturbed))
     return Trust(
         cost_float32=other if double else cost,
@@ -86,7 +86,7 @@ def check(
 
 
 def _cost_at(dtype: str, problem: TuningProblem, tuned: Candidate) -> float:
-    """Mean training cost of the same measurements, filtered at another precision."""
+    """Mean training cost of the same measurements, filtered with another precision."""
     own = jax.device_get((tuned, problem.training))
 
     def cast(a: np.ndarray) -> np.ndarray:
@@ -99,10 +99,10 @@ def _cost_at(dtype: str, problem: TuningProblem, tuned: Candidate) -> float:
 
 
 def _perturbed(initial: FilterState) -> FilterState:
-    """The initial estimate turned by 2 x PERTURBATION rad about z and moved by PERTURBATION m."""
+    """The initial estimate, turned 2 x PERTURBATION rad about z and moved PERTURBATION m."""
     w, x, y, z = initial.attitude
     p = PERTURBATION
-    # To first order; the filter keeps quaternions at length 1.
+    # To first order; the filter normalises quaternions.
     turned = (w - p * z, x + p * y, y - p * x, z + p * w)
     px, py, pz = initial.place
     return initial._replace(attitude=turned, place=(px + p, py + p, pz + p))
@@ -112,7 +112,7 @@ def uncovered(controller: FuzzyController) -> float:
     """Share of a grid over all scaled errors and rates on which no rule fires."""
     axis = np.linspace(0.0, 1.0, RESOLUTION).astype(controller.output_terms.dtype)
     some = np.max(np.asarray(_memberships(controller, axis)), axis=0) > 0
-    # A rule is a pair of terms and every pair has one, so it fires where both inputs have a term.
+    # Every pair of terms has a rule, so a rule fires where both inputs have a membership > 0.
     return float(1 - np.mean(some) ** 2)
 
 
