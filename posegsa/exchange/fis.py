@@ -50,7 +50,7 @@ def to_fis(controller: FuzzyController, about: Sequence[str] = ()) -> str:
     system = system_of(controller)
     notes = [
         limits(system.offset),
-        "MATLAB samples the centroid at 101 points: up to 0.5/s off the exact one.",
+        "MATLAB samples the centroid at 101 points; it differs from the exact one by up to 0.5/s.",
     ]
     if system.no_rule == "hold":
         notes.append(
@@ -141,10 +141,10 @@ def _sections(text: str) -> dict[str, list[str]]:
         if line.startswith("[") and line.endswith("]"):
             current = line[1:-1]
             if current in found:
-                raise FuzzyError(f"[{current}]: stands there twice")
+                raise FuzzyError(f"[{current}]: appears twice")
             found[current] = []
         elif current is None:
-            raise FuzzyError(f"a .fis begins with [System], got {line[:60]!r}")
+            raise FuzzyError(f"a .fis must start with [System], got {line[:60]!r}")
         else:
             found[current].append(line)
     return found

@@ -135,7 +135,7 @@ def _blocks(text: str) -> Iterator[Block]:
                 yield block
             block = (key, value, [])
         elif block is None:
-            raise FuzzyError(f"a .fll begins with Engine, got {line[:60]!r}")
+            raise FuzzyError(f"a .fll must start with Engine, got {line[:60]!r}")
         else:
             block[2].append((key, value))
     if block is not None:

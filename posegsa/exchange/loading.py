@@ -48,7 +48,7 @@ def load_controller(
         refuse(f"path = {str(path)!r}", f"a file that ends in {' or '.join(READERS)}")
     try:
         if not path.is_file():
-            raise FuzzyError("is not there, or not a file")
+            raise FuzzyError("does not exist, or is not a file")
         if path.stat().st_size > MAX_BYTES:
             raise FuzzyError(f"has more than {MAX_BYTES} bytes")
         system = READERS[path.suffix](path.read_text(encoding="utf-8"))

@@ -156,7 +156,7 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
     table = {(rule.rate, rule.error): rule.output for rule in system.rules}
     chosen = system.no_rule if no_rule is None else no_rule
     if chosen is None:
-        raise FuzzyError('no_rule: not said by the file; give "hold" or "midrange"')
+        raise FuzzyError('no_rule: not stated in the file; give "hold" or "midrange"')
     return FuzzyController(
         feet[0],
         feet[2],

@@ -93,7 +93,7 @@ def filter_to_c(
     landmarks: ArrayLike | None = None,
     name: str = NAME,
     about: Iterable[str] = (),
-    worth: Iterable[str] = ("Not known: a filter made by hand.",),
+    worth: Iterable[str] = ("Unknown: a filter made by hand.",),
     details: Iterable[str] = (),
 ) -> str:
     """C99 header of a filter with any schedule; `export_c` writes that of a result.
@@ -124,7 +124,7 @@ def filter_to_c(
     check_name(name)
     if signal.signal == "pose":
         refuse(
-            'signal = "pose": the gain looks at the true errors, which no vehicle knows, so the '
+            'signal = "pose": the gain uses the true errors, which no vehicle knows, so the '
             "filter can't run outside a simulation",
             '"measured"; tune with gain.signal = "measured"',
         )
@@ -170,7 +170,7 @@ def _limits(step: Step) -> list[dict[str, str]]:
     """The limits that apply to a filter, as C macros."""
     found = [
         ("MIN_TIME_STEP", limits.TIME_STEP.low, "[s]"),
-        ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; a longer pause needs a new beginning"),
+        ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; after a longer pause start a new filter"),
         ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "[rad/s]"),
     ]
     if step.vectors:
@@ -178,8 +178,8 @@ def _limits(step: Step) -> list[dict[str, str]]:
     if not step.attitude_only:
         found += [
             ("MAX_VELOCITY", limits.VELOCITY.high, "[m/s]"),
-            ("MAX_LANDMARK", limits.LANDMARK.high, "as seen from the body [m]"),
-            ("MAX_POSITION", limits.POSITION.high, "at the start [m]"),
+            ("MAX_LANDMARK", limits.LANDMARK.high, "relative to the body [m]"),
+            ("MAX_POSITION", limits.POSITION.high, "initial position [m]"),
         ]
     found += [("MAX_WEIGHT", limits.WEIGHT.high, "factors on s_i")]
     return [
@@ -189,7 +189,7 @@ def _limits(step: Step) -> list[dict[str, str]]:
 
 
 def _knots(schedule: KnotGain) -> dict[str, object]:
-    """The values of `knots.c` for a gain over time."""
+    """The values of `knots.c` for a `KnotGain`."""
     time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
     fits = time.ndim == 1 and time.shape == log_gain.shape and time.size > 0
     if not (fits and np.isfinite([time, log_gain]).all() and (np.diff(time) > 0).all()):
@@ -209,12 +209,13 @@ def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequenc
     ]
     rates = "angular velocity" if step.attitude_only else "angular and linear velocity"
     out = "attitude" if step.attitude_only else "attitude and position"
-    biases = "that velocity's bias" if step.attitude_only else "the velocities' biases"
+    biases = "bias of the angular velocity" if step.attitude_only else "biases of both velocities"
     if step.learns:
-        biases += " and the vectors'"
+        biases += " and of the vectors"
     return wrapped(
-        f"From measured {rates}, {' and '.join(filter(None, sensors))} of known "
-        f"{'direction' if step.attitude_only else 'direction or place'} it estimates {out}, and "
-        f"{biases}. Law: {settings.law}; {counted(settings.substeps, 'sub-step')} a sample. The "
-        f"equations stand in posegsa's posegsa/filters/observer.py."
+        f"The filter estimates {out}, and also the {biases}. It uses the measured {rates}, and "
+        f"{' and '.join(filter(None, sensors))} of known "
+        f"{'direction' if step.attitude_only else 'direction or position'}. "
+        f"Law: {settings.law}; {counted(settings.substeps, 'sub-step')} per sample. The "
+        f"equations are in posegsa/filters/observer.py."
     )

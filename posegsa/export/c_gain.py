@@ -1,7 +1,7 @@
 """The controller alone as one C99 file without includes, allocation or state.
 
-The code repeats the operations of `posegsa.model.fuzzy` one by one, so that both agree up to
-rounding even where few rules fire weakly; there the gain depends on differences of small heights.
+The code repeats the operations of `posegsa.model.fuzzy` one by one. So both agree up to rounding
+even where only a few rules fire weakly and the gain depends on differences of small heights.
 Unlike the rest of the filter (`export.c`) it is not traced: loops over tables of 25 rules and 5
 terms are shorter and easier to read than a thousand statements. The code is in `controller.c` and
 `centroid_*.c`, which the whole filter uses too.
@@ -38,10 +38,10 @@ _END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
 _FORMULAS = {
     "measured": """\
     attitude = 3 / (8 sum_i s_i) sum_i s_i |R_est v_i^B - v_i^I|^2   [no unit]
-        over the vectors i measured in this sample, s_i their weights; without any its last value,
-        0 at first
+        over the vectors i measured in this sample, with weights s_i; without any, its last value;
+        0 before the first
     position = sum_i w_i |T_est y_i - p_i| / sum_i w_i   [m]
-        over the landmarks i measured in this sample, w_i their weights; likewise""",
+        over the landmarks i measured in this sample, with weights w_i; without any, as above""",
     "pose": """\
     attitude = tr(I - R_err) / 4, R_err = R_est R^T   [0 to 1, no unit]
     position = |P_est - R_err P|   [m]""",
@@ -49,8 +49,7 @@ _FORMULAS = {
 _SYMBOLS = {
     "measured": "R_est: estimated attitude, body to inertial frame; T_est y = R_est y + P_est [m]; "
     "v_i^B: vector as the filter uses it, body frame; v_i^I: the same vector, inertial frame; y_i: "
-    "landmark as measured, body frame [m]; p_i: its place, inertial frame [m]. In the run's "
-    "scenario:",
+    "landmark as measured, body frame [m]; p_i: its position, inertial frame [m]. In this run:",
     "pose": "An oracle, for simulation only: R (body to inertial frame) and P [m] are the TRUE "
     "attitude and position, R_est and P_est the estimated ones. A vehicle does not have them.",
 }
@@ -114,13 +113,13 @@ def controller_values(controller: FuzzyController) -> dict[str, object]:
 
 
 def _terms(terms: object) -> str:
-    """Terms as rows of a C table; a float32 is written so that reading it as float is exact."""
+    """Terms as rows of a C table; a float32 is written such that reading it as float is exact."""
     values = np.asarray(terms).tolist()
     return _rows([[f"POSEGSA_C({x!r})" for x in term] for term in values])
 
 
 def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
-    """Rows of a C table; with five rows, each has the name of its term."""
+    """Rows of a C table; five rows are labelled with the names of their terms."""
     texts = ["{" + ", ".join(row) + "}," for row in rows]
     if len(texts) == len(TERMS):
         texts = [f"{text} /* {of}{name} */" for text, name in zip(texts, TERMS, strict=True)]
@@ -141,7 +140,7 @@ def signal_in_words(result: TuneResult | RecordingResult) -> list[str]:
         f"    error = e / {gain.error_scale!r}",
         f"    rate = |e - before|{' / dt' if gain.rate == 'per_second' else ''} "
         f"x {gain.rate_scale!r}",
-        "    before is e of the sample before, and now at the first sample: there rate is 0",
+        "    before: e of the previous sample; at the first sample before = now, so that rate is 0",
         *wrapped(_SYMBOLS[gain.signal]),
         *(_known(result) if gain.signal == "measured" else []),
         *settings_of(gain),
@@ -156,7 +155,7 @@ def _known(result: TuneResult | RecordingResult) -> list[str]:
         try:
             sensors = result.known_sensors
         except ArgumentError:
-            return ["  the recordings that it was tuned on differ in their vectors and landmarks"]
+            return ["  vectors and landmarks that differ between the training recordings"]
     vector_weights, cross_weight, landmark_weights = _weights(experiment, sensors)
     rows = [
         f"  v_{i}^I = {tuple(vector)}, weight {weight!r}"
@@ -168,12 +167,12 @@ def _known(result: TuneResult | RecordingResult) -> list[str]:
         rows.append(f"  v_{len(rows) + 1} = v_1 x v_2, weight {cross_weight!r}")
     if used.vector_bias == "estimated":
         rows += [
-            "  c_i, its estimated bias, is taken off each measured vector first, body frame:",
+            "  its estimated bias c_i is subtracted from each measured vector first, body frame:",
             "      dc_i/dt = gamma_c (v_i^B as measured - c_i - R_est^T v_i^I) - leak c_i,",
-            "      gamma_c, leak and bound as vector_bias_... below, R_est before the step",
+            "      gamma_c, leak and bound: vector_bias_... below; R_est: before the step",
         ]
     if used.normalise_vectors:
-        rows.append("  all of them at length one, v_i^B and v_i^I")
+        rows.append("  all v_i^B and v_i^I are normalised to length 1")
     rows += [
         f"  p_{i} = {tuple(landmark)} m, weight {weight!r}"
         for i, (landmark, weight) in enumerate(

@@ -2,7 +2,7 @@
 
 Each part is a function of `posegsa.model` or `posegsa.filters`. It is traced with records that hold
 the C expression of each scalar: a field of the state, of the measurement or of the step's work
-space, a `static const`, or a number where the filter does not have that scalar.
+space, a `static const`, or a number if the filter does not have that scalar.
 """
 
 import textwrap
@@ -47,12 +47,12 @@ _NUMBERS = {
     "per_angular_bias_bound": ("", "1 / bound^2 of the angular velocity's bias [s^2/rad^2]"),
     "per_linear_bias_bound": ("", "1 / bound^2 of the velocity's bias [s^2/m^2]"),
     "gain_limit": ("", "largest step of the innovation, K h L"),
-    "vectors.cross_weight": ("cross_vector_weight", "s of v_1 x v_2"),
+    "vectors.cross_weight": ("cross_vector_weight", "s_i of v_1 x v_2"),
     "vector_bias.gain": ("", "gamma_c, gain of the vectors' bias law at K = 10/s [1/s]"),
     "vector_bias.leak": ("", "rate at which a vector's bias is forgotten [1/s]"),
-    "vector_bias.per_bound": ("", "1 / bound^2, bound the largest length of a vector's bias"),
-    "vector_bias.per_turning": ("", "1 / w_0^4, w_0 [rad/s] the turning from which all is learnt"),
-    "vector_bias.excitation_time": ("", "time constant of the turning's low-pass filter [s]"),
+    "vector_bias.per_bound": ("", "1 / bound^2; bound: maximum length of a vector's bias"),
+    "vector_bias.per_turning": ("", "1 / w_0^4, w_0 [rad/s]: from this rate gamma_c is full"),
+    "vector_bias.excitation_time": ("", "time constant of that rate's low-pass filter [s]"),
     "position_weight": ("", "weight of the position part of the error [1/m]"),
     "smoothing": ("", "time constant of the error's low-pass filter [s]"),
     "error_scale": ("", "the error at which the scaled error is 1"),
@@ -60,7 +60,7 @@ _NUMBERS = {
     "vectors.weights": ("weight_of_vector", "s_i of each vector"),
     "landmark_weights": ("weight_of_landmark", "s_i of each landmark [1/m^2]"),
 }
-"""By path in the model's settings: a number's name in C, if it is not the path, and its comment."""
+"""The name in C ("" for the path) and the comment of each number, by its path in the settings."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class References:
     vectors: np.ndarray
     """(n, 3) v_i^I, in the unit of their sensor."""
     directions: np.ndarray
-    """(n + 1, 3) the same as the innovation uses them, then their cross product."""
+    """(n + 1, 3) v_i^I as the innovation uses them, then the cross product v_1 x v_2."""
     landmarks: np.ndarray
     """(m, 3) p_i [m]."""
 
@@ -179,7 +179,7 @@ class Step:
     def _write(self, schedule: GainSchedule) -> None:
         settings, now, following = self._settings, self._state("now"), self._state("next")
         sample, seen = self._sample(), self._seen()
-        names = ("see", "the vectors freed of their biases, Wahba's sums, the weights")
+        names = ("see", "the vectors without their biases, Wahba's sums, and the weights")
         self._piece(*names, see, (now, sample, settings), _wanted(seen))
         memory = self._memory("now")
         self._piece(
@@ -201,14 +201,14 @@ class Step:
                 gamma = "w->gamma"
             named = self._named(schedule, "schedule.")
             self._piece(
-                *("schedule", f"{type(schedule).__name__}: the gain that is asked for"),
+                *("schedule", f"{type(schedule).__name__}: the gain before the gain limit"),
                 lambda schedule, inputs: tuple(jax.tree.leaves(schedule.prepare()(inputs))),
                 (named, inputs),
                 ("w->gain", "w->learning", *([] if gamma is None else [gamma])),
             )
         moved = None if self.attitude_only else _vec3("w->v")
         self._piece(
-            *("correct", "the innovation U, its gain after the limit, and the biases' law"),
+            *("correct", "the innovation U, its gain after the limit, and the bias laws"),
             _correct,
             (following, sample, seen, "w->gain", gamma, "h", "moving", settings),
             (
@@ -224,7 +224,7 @@ class Step:
         ]
         self.pieces["exponential"] = Piece(
             name="exponential",
-            about="Coefficients of the exponential of SE(3), by as many terms as the type needs.",
+            about="Coefficients of the exponential of SE(3); the type sets the number of terms.",
             code=Code(
                 both[0].statements + both[1].statements, both[0].functions | both[1].functions
             ),
@@ -233,7 +233,7 @@ class Step:
         )
         omega, v = _vec3("w->omega"), _NOTHING if self.attitude_only else _vec3("w->v")
         self._piece(
-            *("move", "the estimate moved by w->omega and w->v"),
+            *("move", "moves the estimate by w->omega and w->v"),
             se3.displaced,
             (following.attitude, following.place, omega, v, coefficients),
             (following.attitude, _wanted(following.place)),
@@ -257,7 +257,7 @@ class Step:
         self.pieces[name] = Piece(name=name, about=about, code=code, body=code.text(4))
 
     def _named(self, settings: Any, prefix: str = "") -> Any:
-        """Settings with a C name for each of their numbers."""
+        """The settings with a C name in place of each number."""
 
         def name(path: Any, leaf: Any) -> Known:
             if np.ndim(leaf):
@@ -345,7 +345,7 @@ def _signal(
 ) -> tuple[tuple[Any, Any], SignalMemory]:
     """The inputs of a schedule, and the memory after the sample."""
     errors, step = measured_errors(state, sample, seen), sample.time_step
-    # Only the inputs are used, so any schedule and any time will do.
+    # Only the inputs are used, so the schedule and the time do not matter.
     _, inputs, after = scheduled_gain(
         lambda inputs: Gains(inputs.last), memory, errors, step, step, settings
     )
@@ -362,7 +362,7 @@ def _correct(
     moving: Any,
     settings: FilterSettings,
 ) -> Any:
-    """A sub-step up to its exponential, as `filters.observer.observe` makes it."""
+    """A sub-step of `filters.observer.observe` up to its exponential."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
     biases = learnt_biases(state, sample, W, used, h, settings, gamma)
@@ -412,11 +412,11 @@ def constants(step: Step, known: References) -> str:
             define(f"posegsa_{own}", about, f"[{len(values)}]", _row(values))
     for name, about, rows in (
         ("vectors", "v_i, inertial frame, in the unit of their sensor", known.vectors),
-        ("directions", "the same as the innovation uses them, then v_1 x v_2", known.directions),
+        ("directions", "v_i as the innovation uses them, then v_1 x v_2", known.directions),
         ("landmarks", "p_i [m], inertial frame", known.landmarks),
     ):
         table = ",\n    ".join(map(_row, rows.tolist()))
-        # The references are for the user too, as in the example at the head of the file.
+        # The user needs the references too, as in the example at the top of the file.
         always = len(rows) > 0 and name != "directions"
         define(f"posegsa_{name}", about, f"[{len(rows)}][3]", f"{{\n    {table}\n}}", always)
     return "\n".join(lines)
@@ -427,6 +427,6 @@ def _row(values: Iterable[float]) -> str:
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Many numbers as the lines of a table."""
+    """Numbers as the lines of a table."""
     text = ", ".join(map(literal, values))
     return textwrap.indent("\n".join(textwrap.wrap(text, 92)), "    ")

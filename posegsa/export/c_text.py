@@ -122,7 +122,7 @@ def comment(lines: Iterable[str]) -> str:
 
 
 def origin(result: TuneResult | RecordingResult) -> list[str]:
-    """The search that a file comes from."""
+    """The version and the search that a file comes from."""
     run, search = result.tuned.run, result.tuned.search
     if isinstance(result, RecordingResult) and result.best_cost is None:
         return wrapped(
@@ -155,8 +155,8 @@ def worth(result: TuneResult | RecordingResult) -> list[str]:
     lines = text_table(rows).splitlines()
     lines += wrapped(
         f"Means over {counted(len(result.training_costs), 'training scenario')} and over "
-        f"{result.evaluation.scenarios} held-out ones, which the search has not seen; worst of the "
-        "held-out ones."
+        f"{result.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
+        "over the held-out ones."
     )
     return lines + _warnings(result)
 
@@ -168,7 +168,7 @@ def _warnings(result: TuneResult | RecordingResult) -> list[str]:
 def _on_recordings(result: RecordingResult) -> list[str]:
     """The errors of a filter on recordings, and which data are measured or synthetic."""
     if not (result.training or result.held_out):
-        return ["Not known: it was judged on no recording.", *_warnings(result)]
+        return ["Unknown: it was not evaluated on any recording.", *_warnings(result)]
     lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
     if not result.held_out:
         lines += wrapped("WARNING: no recording was held out.")

@@ -1,6 +1,7 @@
-/* Adds `sign` times area and first moment under both of the output terms i <= j, clipped at one
- * height: F(h) = D h - (u + v) h^2/2 and M(h) = 1/2 [(c_i^2 - a_j^2) h - (c_i v + a_j u) h^2 +
- * (v^2 - u^2) h^3/3] with u = b_j - a_j, v = c_i - b_i, D = c_i - a_j, up to where they cross. */
+/* Adds `sign` times the area and first moment of the intersection of output terms i <= j, clipped
+ * at a height h, or where they cross: F(h) = D h - (u + v) h^2/2 and
+ * M(h) = 1/2 [(c_i^2 - a_j^2) h - (c_i v + a_j u) h^2 + (v^2 - u^2) h^3/3]
+ * with u = b_j - a_j, v = c_i - b_i, D = c_i - a_j. */
 static inline void posegsa_add_overlap(int i, int j, posegsa_real height, posegsa_real sign,
                                        posegsa_real *area, posegsa_real *moment)
 {
@@ -24,7 +25,7 @@ static inline void posegsa_add_overlap(int i, int j, posegsa_real height, posegs
 }
 
 /* Area and first moment under the union of the clipped output terms, by inclusion and exclusion:
- * terms i < j overlap above the tallest one between them. */
+ * the overlap of terms i < j is subtracted only above the tallest term between them. */
 static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS],
                                      posegsa_real *area, posegsa_real *moment)
 {

@@ -1,10 +1,10 @@
-/* Samples of the output, ends included, and the weight of the two at the ends. */
+/* Number of samples of the output, ends included, and the weight of the two end samples. */
 enum { POSEGSA_POINTS = {{ points }} };
 static const posegsa_real posegsa_end_weight = POSEGSA_C({{ end_weight }});
 static const posegsa_real posegsa_low = POSEGSA_C({{ low }});   /* [1/s] */
 static const posegsa_real posegsa_high = POSEGSA_C({{ high }}); /* [1/s] */
 
-/* Adds to a sum and keeps the rounding error for the next time (Kahan): sums of many samples. */
+/* Adds to a sum and keeps the rounding error for the next addition (Kahan). */
 static inline void posegsa_add(posegsa_real x, posegsa_real *sum, posegsa_real *excess)
 {
     const posegsa_real wanted = x - *excess;
@@ -13,7 +13,7 @@ static inline void posegsa_add(posegsa_real x, posegsa_real *sum, posegsa_real *
     *sum = next;
 }
 
-/* Area and first moment under the clipped output terms by samples, the spacing being 1. */
+/* Area and first moment under the clipped output terms from samples, in units of their spacing. */
 static inline void posegsa_integrals(const posegsa_real heights[POSEGSA_OUTPUTS],
                                      posegsa_real *area, posegsa_real *moment)
 {

@@ -10,14 +10,14 @@ static const posegsa_real posegsa_output_terms[POSEGSA_OUTPUTS][3] = {
 {{ output_terms }}
 };
 
-/* Output term (0 is VS) of each rule: rows are the rate, columns the error, both VS to VL. */
+/* Output term of each rule (0 is VS): rows are the rate, columns the error, both from VS to VL. */
 static const unsigned char posegsa_rules[POSEGSA_INPUTS][POSEGSA_INPUTS] = {
 {{ rules }}
 };
 
 static const posegsa_real posegsa_middle_gain = POSEGSA_C({{ initial_gain }}); /* [1/s] */
 
-/* Areas up to this count as none: the square root of the least normal number. */
+/* Areas up to this count as 0: the square root of the smallest normal number. */
 static const posegsa_real posegsa_minimum_area =
     POSEGSA_C(sizeof(posegsa_real) < sizeof(double) ? 1.0842021724855044e-19
                                                     : 1.4916681462400413e-154);
@@ -31,7 +31,7 @@ static inline posegsa_real posegsa_membership(posegsa_real x, const posegsa_real
     if (!(distance > 0)) {
         return 1;
     }
-    /* min before the difference: a fused multiply-add would leave a little of 0 at the foot. */
+    /* min before the difference: a fused multiply-add would give nearly 0, not 0, at the foot. */
     return width > 0 ? 1 - posegsa_min(distance * (1 / width), 1) : 0;
 }
 
@@ -77,8 +77,8 @@ static inline posegsa_real posegsa_membership(posegsa_real x, const posegsa_real
 
     posegsa_integrals(heights, &area, &moment);
     if (!(area > posegsa_minimum_area)) {
-        /* Rules fire, but under no area: terms of no width, or heights near underflow. The limit
-         * is that of equally narrow terms, each at the middle of its support. */
+        /* Rules fire, but the area is 0: terms of zero width, or heights near underflow. The result
+         * is the limit for equally narrow terms, each at the middle of its support. */
         area = 0;
         moment = 0;
         for (i = 0; i < POSEGSA_OUTPUTS; ++i) {

@@ -2,7 +2,7 @@
  * {{ file }}: {{ "an attitude" if attitude_only else "a pose" }} filter with a scheduled gain, as C99; also valid C++17.
 {{ origin }}
  *
- * WHAT IT DOES
+ * DESCRIPTION
 {{ purpose }}
  *
  * USE
@@ -12,8 +12,8 @@
  *     int main(void) {
  *         const posegsa_real turned[4] = {2, 1, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
- *         posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}); // 53 degrees off
- *         for (int k = 0; k < 1000; ++k) { // at 100 Hz what the sensors say: at rest, upright
+ *         posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}); // initial error 53 degrees
+ *         for (int k = 0; k < 1000; ++k) { // 10 s at 100 Hz, the body at rest and upright
 {% if vectors %}
  *             for (int i = 0; i < 3 * POSEGSA_VECTORS; ++i)
  *                 now.vectors[i / 3][i % 3] = posegsa_vectors[i / 3][i % 3];
@@ -30,27 +30,27 @@
  *
  * CONVENTIONS
  * Frames: I inertial, B body. A rotation takes body to inertial coordinates; quaternions are w, x,
- * y, z (Hamilton) of length 1. A state holds the estimate for the time of the sample that comes
- * next: posegsa_step(state, measurement, dt) takes the sample, and moves the estimate on by dt.
+ * y, z (Hamilton) of length 1. A state holds the estimate at the time of the next sample:
+ * posegsa_step(state, measurement, dt) processes that sample and propagates the estimate by dt.
  *
- * WHAT IS MISSING AND WHAT IS WRONG
- * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
- * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
- * its last value. Any other number that is NaN, or beyond the limits below, is refused with
- * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would not be finite, or whose
- * quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A refused sample leaves
- * the state as it was: let the next dt cover its time too. Pointers must be valid.
+ * MISSING AND INVALID INPUT
+ * A vector or a landmark with weight 0 was not measured: its numbers are ignored and may be NaN.
+ * A vector of length 0 is ignored too. A part of the error that is not measured keeps its last
+ * value. Any other number that is NaN or outside the limits below is refused with
+ * POSEGSA_INVALID_INPUT. An estimate that would not be finite, or whose quaternion would not have
+ * length 1, is refused with POSEGSA_NOT_FINITE. A refused sample does not change the state; the
+ * next dt should include its time. Pointers must be valid.
  *
  * PRECISION, MEMORY, THREADS
  * posegsa_real is double; compile with -DPOSEGSA_REAL=float for single precision. No heap, no
- * globals, no headers but <math.h>: each state is a filter of its own, for any thread or interrupt.
- * Not for -ffast-math, which takes the checks for NaN away.
+ * global state, no header except <math.h>: filters with different states are independent and may
+ * run in any thread or interrupt. Do not use -ffast-math, which removes the checks for NaN.
  *
- * WHAT IT IS WORTH
+ * ACCURACY
 {{ worth }}
 {% if settings %}
  *
- * SETTINGS OF THE RUN; the numbers below are these
+ * SETTINGS OF THE RUN, which the numbers below come from
 {{ settings }}
 {% endif %}
  */
@@ -59,7 +59,7 @@
 #define POSEGSA_H
 
 #if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
-#error "{{ file }}: -ffast-math or -ffinite-math-only would take the checks for NaN away"
+#error "{{ file }}: -ffast-math or -ffinite-math-only would remove the checks for NaN"
 #endif
 
 #include <math.h>
@@ -68,8 +68,8 @@
 
 /* ---- Limits ---------------------------------------------------------------------------------- */
 
-/* The largest numbers that are taken, in each component and of either sign. Beyond
- * them no sensor measures. Define one before this line, or with -D, to move it. */
+/* The largest accepted magnitude of each component. No sensor gives larger numbers. To change a
+ * limit, define it before this line or with -D. */
 {% for limit in limits %}
 #ifndef {{ limit.name }}
 #define {{ limit.name }} {{ limit.value }} /* {{ limit.about }} */
@@ -91,11 +91,11 @@ enum {
 /* What posegsa_init and posegsa_step return. */
 enum {
     POSEGSA_OK = 0,
-    POSEGSA_INVALID_INPUT = 1, /* NaN, or beyond the limits */
-    POSEGSA_NOT_FINITE = 2     /* the estimate would be none: NaN, or beyond the limits */
+    POSEGSA_INVALID_INPUT = 1, /* NaN, or outside the limits */
+    POSEGSA_NOT_FINITE = 2     /* the estimate would be invalid: NaN, infinite, or |q| not 1 */
 };
 
-/* What the sensors say at one sample. Start from all zeros: then nothing is measured. */
+/* The measurements of one sample. In a record of all zeros nothing is measured. */
 typedef struct posegsa_measurement {
     posegsa_real angular_velocity[3]; /* [rad/s], body frame */
 {% if not attitude_only %}
@@ -111,7 +111,7 @@ typedef struct posegsa_measurement {
 {% endif %}
 } posegsa_measurement;
 
-/* The filter. Made by posegsa_init; the estimates may be read, and set, at any time. */
+/* The state of a filter, set by posegsa_init. The estimates may be read and set at any time. */
 typedef struct posegsa_state {
     posegsa_real attitude[4];     /* quaternion w, x, y, z, body to inertial */
 {% if not attitude_only %}
@@ -125,38 +125,38 @@ typedef struct posegsa_state {
     posegsa_real vector_bias[POSEGSA_VECTORS][3]; /* c_i, body frame, the vectors' units */
     posegsa_real turning[3];      /* low-passed angular velocity [rad/s], body frame */
 {% endif %}
-    /* What the gain schedule remembers, and what it asked for at the last sample. */
+    /* The memory of the gain schedule, and its gain at the last sample. */
 {% if vectors %}
-    posegsa_real attitude_error;  /* the last that was measured, 0 to 1 */
+    posegsa_real attitude_error;  /* the last measured one, 0 to 1 */
 {% endif %}
 {% if landmarks %}
-    posegsa_real position_error;  /* the last that was measured [m] */
+    posegsa_real position_error;  /* the last measured one [m] */
 {% endif %}
-    posegsa_real error;           /* what the schedule looks at, smoothed, before it is scaled */
+    posegsa_real error;           /* the schedule's input, smoothed, before it is scaled */
     posegsa_real since_last;      /* dt of the last sample [s]; infinite before the first */
 {% if uses_time %}
     posegsa_real time;            /* since the first sample [s] */
 {% endif %}
-    posegsa_real gain;            /* K that the schedule asked for [1/s] */
-    posegsa_real gain_used;       /* the same after the gain limit [1/s] */
+    posegsa_real gain;            /* K from the schedule [1/s] */
+    posegsa_real gain_used;       /* K after the gain limit [1/s] */
 } posegsa_state;
 
 /* ---- Functions ----------------------------------------------------------------------------- */
 
-/* Begins a filter. attitude: quaternion of any length but 0{{ "" if attitude_only else "; position [m], inertial frame" }}. Biases
- * begin at 0. Returns POSEGSA_OK, or POSEGSA_INVALID_INPUT and leaves the state as it was. */
+/* Starts a filter. attitude: quaternion of any length but 0{{ "" if attitude_only else "; position [m], inertial frame" }}. Biases
+ * start at 0. Returns POSEGSA_OK, or POSEGSA_INVALID_INPUT and does not change the state. */
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
                                const posegsa_real position[3]" }});
 
-/* Takes one sample and moves the estimate on to the next, dt [s] later. Returns POSEGSA_OK, or why
- * the state is as it was. */
+/* Processes one sample and propagates the estimate to the next one, dt [s] later. Returns
+ * POSEGSA_OK, or an error code and does not change the state. */
 static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *measurement,
                                posegsa_real dt);
 
 /* The attitude as a matrix by rows, body to inertial. */
 static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rotation[3][3]);
 
-/* ---- Numbers: what was tuned, and what was set ---------------------------------------------- */
+/* ---- Numbers, tuned and chosen --------------------------------------------------------------- */
 
 {{ constants }}
 
@@ -170,7 +170,7 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
 {% for function in functions %}
 static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 {
-    /* The comparison is decided while compiling. */
+    /* The compiler evaluates the comparison. */
     return sizeof(posegsa_real) < sizeof(double) ? (posegsa_real){{ function }}f((float)x)
                                                  : (posegsa_real){{ function }}((double)x);
 }
@@ -179,12 +179,12 @@ static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 {% if knots %}
 {{ knots }}
 {% endif %}
-/* What one step works with. */
+/* Intermediate results of one step. */
 typedef struct posegsa_work {
 {% if vectors %}
     posegsa_real profile[3][3]; /* B = sum_i s_i u_i v_i^T */
     posegsa_real power;         /* sum_i s_i (|u_i|^2 + |v_i|^2) */
-    posegsa_real curvature;     /* the vectors' part of L */
+    posegsa_real curvature;     /* the part of L from the vectors */
     posegsa_real scale;         /* 3 / (8 sum_i s_i), 0 without vectors */
 {% endif %}
 {% if learns %}
@@ -199,9 +199,9 @@ typedef struct posegsa_work {
     posegsa_real gain;           /* K [1/s] */
     posegsa_real learning;       /* factor on the gain of the vectors' bias law */
     posegsa_real gamma;          /* factor on gamma */
-    posegsa_real used;           /* K after its limit [1/s] */
+    posegsa_real used;           /* K after the gain limit [1/s] */
     posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
-    posegsa_real v[3];           /* and its displacement [m] */
+    posegsa_real v[3];           /* a sub-step's displacement [m], body frame */
     posegsa_real angle_squared;  /* |omega|^2 [rad^2] */
     posegsa_real exponential[4]; /* coefficients of the exponential of SE(3) */
 } posegsa_work;
@@ -216,7 +216,7 @@ static inline void posegsa_{{ piece.name }}({{ piece.signature }})
 {% endfor %}
 /* ---- The step -------------------------------------------------------------------------------- */
 
-/* Whether all of n numbers are within a limit of either sign; NaN is not. */
+/* Whether all n numbers are between -limit and limit; NaN is not. */
 static inline int posegsa_are_within(const posegsa_real *x, int n, posegsa_real limit)
 {
     int i;
@@ -229,8 +229,8 @@ static inline int posegsa_are_within(const posegsa_real *x, int n, posegsa_real 
 }
 
 {% if vectors or landmarks %}
-/* Copies n sensors' numbers and weights, all 0 where one is missing; 0 where one is refused. A
- * direction of no length says nothing, a landmark may be where the body is. */
+/* Copies n vectors or landmarks with their weights; missing ones become 0. Returns 0 if a number is
+ * refused. A direction of length 0 counts as missing; a landmark may be at the body's position. */
 static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights_to,
                                     const posegsa_real (*from)[3], const posegsa_real *weights,
                                     int n, posegsa_real limit, int directions)
@@ -255,7 +255,7 @@ static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights
 }
 
 {% endif %}
-/* Whether all of n numbers are finite. */
+/* Whether all n numbers are finite. */
 static inline int posegsa_are_finite(const posegsa_real *x, int n)
 {
     int i;
@@ -267,7 +267,7 @@ static inline int posegsa_are_finite(const posegsa_real *x, int n)
     return 1;
 }
 
-/* Whether a state is an estimate: all numbers finite, and a quaternion of length 1. */
+/* Whether an estimate is valid: all numbers finite, and a quaternion of length 1. */
 static inline int posegsa_is_estimate(const posegsa_state *state)
 {
     const posegsa_real *const q = state->attitude;
@@ -313,7 +313,7 @@ static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude
     if (!(largest > 0)) {
         return POSEGSA_INVALID_INPUT;
     }
-    for (i = 0; i < 4; ++i) { /* by the largest first, so that no square overflows */
+    for (i = 0; i < 4; ++i) { /* divided by the largest first, so that no square overflows */
         first.attitude[i] = attitude[i] / largest;
         square += first.attitude[i] * first.attitude[i];
     }
@@ -408,7 +408,7 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
         return POSEGSA_NOT_FINITE;
     }
 
-    /* The measurement is held over the sub-steps; its velocity moves the estimate in the last. */
+    /* All sub-steps use the same measurement; the last one adds the motion of the whole dt. */
     for (i = 0; i < POSEGSA_SUBSTEPS; ++i) {
         const posegsa_real h = dt / POSEGSA_C(POSEGSA_SUBSTEPS);
         const posegsa_real moving = i == POSEGSA_SUBSTEPS - 1 ? dt : 0;

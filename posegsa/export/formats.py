@@ -1,6 +1,6 @@
 """Export of a tuned filter or its schedule, in one of `FORMATS`.
 
-Writers are imported when they are used, so that the list of formats is quick to import.
+Writers are imported when they are used, so that importing the list of formats is fast.
 """
 
 from pkgutil import resolve_name
@@ -20,7 +20,7 @@ class Format(NamedTuple):
     """The function that maps a result to text, as module:name."""
     about: str
     named: bool = False
-    """Whether the user can choose a prefix of its names."""
+    """Whether the user can choose the prefix of the names in it."""
     controller: bool = False
     """Whether it needs a fuzzy gain."""
 
@@ -28,7 +28,7 @@ class Format(NamedTuple):
 FORMATS = {
     "json": Format(
         "posegsa.export.tables:export_json",
-        "the schedule, its settings and what it is worth, for other programs",
+        "the schedule, its settings and its costs, for other programs",
     ),
     "csv": Format(
         "posegsa.export.tables:export_csv",
@@ -37,12 +37,12 @@ FORMATS = {
     ),
     "c": Format(
         "posegsa.export.c:export_c",
-        "the whole filter, sensors in, pose out: one header of C99",
+        "the whole filter, from measurements to pose, as one C99 header",
         named=True,
     ),
     "c-gain": Format(
         "posegsa.export.c_gain:export_c_gain",
-        "the gain's controller alone, for a filter of your own: one file of C99",
+        "only the gain's controller, for your own filter, as one C99 file",
         named=True,
         controller=True,
     ),

@@ -1,6 +1,6 @@
-/* ---- The gain: over time --------------------------------------------------------------------- */
+/* ---- The gain as a function of time ---------------------------------------------------------- */
 
-/* Knots [s] since the first sample, and the logarithm of the gain [1/s] there. */
+/* Times of the knots since the first sample [s], and the logarithm of the gain [1/s] there. */
 enum { POSEGSA_KNOTS = {{ count }} };
 static const posegsa_real posegsa_knot_times[POSEGSA_KNOTS] = {
 {{ times }}
@@ -9,7 +9,7 @@ static const posegsa_real posegsa_knot_log_gains[POSEGSA_KNOTS] = {
 {{ log_gains }}
 };
 
-/* The gain [1/s] at a time: its logarithm is linear between knots, and stays beyond the ends. */
+/* The gain [1/s] at a time: its logarithm is linear between knots and constant outside them. */
 static inline posegsa_real posegsa_gain_at(posegsa_real time)
 {
     const posegsa_real *const t = posegsa_knot_times, *const log_gain = posegsa_knot_log_gains;

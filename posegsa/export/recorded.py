@@ -20,11 +20,11 @@ INFERENCE = (
 FORMULAS = {
     "fuzzy": INFERENCE,
     "constant": "K = gain [1/s]",
-    "smooth": "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e the scaled error in [0, 1]",
-    "switch": "K = before until time [s], after from then on [1/s]",
+    "smooth": "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e: the scaled error in [0, 1]",
+    "switch": "K = before [1/s] until time [s], then K = after [1/s]",
     "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
 }
-"""The formula of each kind of schedule, with its numbers."""
+"""The formula of each kind of schedule, with the names of its numbers."""
 
 
 def recorded_json(result: RecordingResult) -> str:

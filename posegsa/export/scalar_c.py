@@ -1,11 +1,11 @@
-"""A JAX function of scalars as statements of C, traced and not written a second time.
+"""Translates a JAX function of scalars to C statements, from its trace.
 
 The model computes with one array for each coordinate, so that the trace (jaxpr) of one of its
-functions for one agent is arithmetic of scalars: sums, products, comparisons, choices. Each
-operation becomes an expression of C. One that is used several times becomes a local constant, named
-after the function of the model that it comes from; one that is used once stands where it is used.
-Operations on numbers that are known when the code is written (0, 1, an infinite limit) are done
-here; what no result needs is left out.
+functions for one agent is scalar arithmetic: sums, products, comparisons, choices. Each operation
+becomes a C expression. If its value is used several times, it becomes a local constant named after
+the function of the model that it comes from; if it is used once, it is written in place. Operations
+on numbers that are known at export (0, 1, an infinite limit) are computed here. Operations that no
+result needs are omitted.
 """
 
 import math
@@ -23,9 +23,9 @@ from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
 
 WIDTH = 96
-"""Of a line of C."""
+"""Width of a line of C."""
 _LONGEST = 64
-"""Characters of an expression that stands where it is used."""
+"""Largest length of an expression that is written in place."""
 
 
 @dataclass(frozen=True)
@@ -37,28 +37,28 @@ class Known:
 
 
 Argument = str | float | Known
-"""A leaf of an argument: a variable of C by its text, a number, or a number with a name."""
+"""A leaf of an argument: the text of a C variable, a number, or a number with a name."""
 
 
 @dataclass(frozen=True)
 class _Operation:
-    """One operation on others, in C's terms."""
+    """An operation and its operands."""
 
     name: str
     of: tuple["_Value", ...]
     origin: str
-    """The function that it comes from."""
+    """The function of the model that it comes from."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Value:
-    """A value by identity; of the leaves, the text or the number."""
+    """A value: an operation, or a leaf with a text or a number. Equality is identity."""
 
     operation: _Operation | None = None
     text: str = ""
     number: float | bool | None = None
     named: bool = False
-    """Whether a number stands in the code by its name."""
+    """Whether the code has the number's name, not its value."""
 
 
 _INFIX = {
@@ -66,7 +66,7 @@ _INFIX = {
     **{"lt": ("<", 4), "gt": (">", 4), "le": ("<=", 4), "ge": (">=", 4)},
     **{"eq": ("==", 3), "ne": ("!=", 3), "and": ("&&", 2), "or": ("||", 1)},
 }
-"""C's operators and how strongly they bind, by JAX's names."""
+"""C operators and their precedence, by their names in JAX."""
 _ARITHMETIC, _ARITHMETIC_BINDS = ("add", "sub", "mul", "div"), 5
 _PREDICATES = ("lt", "gt", "le", "ge", "eq", "ne", "and", "or", "not", "is_finite")
 FUNCTIONS = {
@@ -75,12 +75,12 @@ FUNCTIONS = {
     },
     **{"abs": "fabs", "floor": "floor", "round": "rint"},
 }
-"""Functions of `<math.h>` by JAX's names; in C they are called through `posegsa_NAME`."""
+"""Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
 _AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
 
 
 class _Trace:
-    """The operations of one jaxpr as values, equal ones once."""
+    """The operations of one jaxpr as values; equal operations share one value."""
 
     def __init__(self, dtype: Any) -> None:
         self._dtype = dtype
@@ -96,7 +96,7 @@ class _Trace:
     def number(self, value: float | bool) -> _Value:
         if isinstance(value, bool | np.bool_):
             return self._once(("truth", bool(value)), number=bool(value))
-        # The shortest decimals that are this number in that type.
+        # The shortest decimal that rounds to this number in that type.
         exact = float(str(self._dtype(value)))
         return self._once(("number", exact), number=exact)
 
@@ -144,7 +144,7 @@ class _Trace:
         return self.made(name, *given, origin=_function_of(equation))
 
     def _power(self, value: _Value, exponent: int) -> _Value:
-        """A value to a whole power from 1, by squares; 1 to the power of 0."""
+        """A value to a whole power >= 0, by repeated squaring."""
         if exponent < 2:
             return value if exponent else self.number(1.0)
         half = self._power(value, exponent // 2)
@@ -152,7 +152,7 @@ class _Trace:
         return self.made("mul", square, value) if exponent % 2 else square
 
     def made(self, name: str, *of: _Value, origin: str = "") -> _Value:
-        """An operation, or what is known of it already."""
+        """The value of an operation, simplified where possible."""
         if name == "rsqrt":
             return self.made("div", self.number(1.0), self.made("sqrt", *of, origin=origin))
         if name == "select_n":
@@ -174,7 +174,7 @@ class _Trace:
         )
 
     def _simplified(self, name: str, *of: _Value) -> _Value | None:
-        """The value of an operation where it needs none in C."""
+        """The value of an operation that needs no code, or None."""
         numbers = [value.number for value in of]
         if name == "is_finite" and numbers[0] is not None:
             return self.number(math.isfinite(numbers[0]))
@@ -207,7 +207,7 @@ class _Trace:
 
 
 def _within(value: _Value, condition: _Value, holds: bool) -> _Value:
-    """A value where it is known whether a condition holds: a choice by the same one is made."""
+    """A value, given that a condition holds or not: choices by that condition are resolved."""
     chosen = value.operation
     while chosen is not None and chosen.name == "select_n" and chosen.of[0] is condition:
         value = chosen.of[2 if holds else 1]
@@ -224,7 +224,7 @@ def _is_real(var: Any) -> bool:
 
 
 def _function_of(equation: core.JaxprEqn) -> str:
-    """The innermost function with a name that an operation comes from; "" where JAX can't say."""
+    """Name of the innermost function that an operation comes from; "" if JAX does not know it."""
     summary = source_info_util.summarize(equation.source_info)  # "file:line:column (a.<locals>.b)"
     names = summary.rpartition("(")[2].rstrip(")").split(".")
     return next((name.strip("_") for name in reversed(names) if name.isidentifier()), "")
@@ -239,11 +239,11 @@ _NUMPY = {
 
 @dataclass(frozen=True)
 class Code:
-    """Statements of C and what they use of it."""
+    """C statements and the functions that they call."""
 
     statements: tuple[str, ...]
     functions: frozenset[str]
-    """What they call of `<math.h>`, by its name there."""
+    """The functions of `<math.h>` that they call, by their names there."""
 
     def text(self, indent: int) -> str:
         """The statements as lines."""
@@ -260,26 +260,27 @@ class Code:
         )
 
     def mentions(self, name: str) -> bool:
-        """Whether a name of C occurs in them."""
+        """Whether a C name occurs in the statements."""
         return any(re.search(rf"\b{name}\b", statement) for statement in self.statements)
 
 
 def written(
     function: Callable[..., Any], arguments: tuple[Any, ...], results: Any, dtype: Any = np.float64
 ) -> Code:
-    """A function as C that sets variables to its results.
+    """C code that sets variables to the results of a function.
 
-    All are computed before the first is set: a variable may be an argument too.
+    All results are computed before the first variable is set, so a variable may also be an
+    argument.
 
     Args:
-        function: pure, of scalars in any records (pytrees); traced, not called.
-        arguments: its arguments, with an `Argument` for each scalar.
-        results: records as it returns them, with the text of the variable of C that each scalar is
-            given to, or None where it is not wanted.
-        dtype: floating type of the scalars while it is traced.
+        function: Pure function of scalars in any records (pytrees). It is traced, not run.
+        arguments: Its arguments, with an `Argument` for each scalar.
+        results: Records with the structure of its results. Each leaf is the text of the C variable
+            for that scalar, or None if it is not wanted.
+        dtype: Floating type of the scalars in the trace.
 
     Raises:
-        ArgumentError: The function does what this can't write.
+        ArgumentError: The function has an operation that can't be written in C.
     """
     leaves, structure = jax.tree.flatten(arguments)
     shapes = [jax.ShapeDtypeStruct((), dtype)] * len(leaves)
@@ -297,7 +298,7 @@ def written(
             refuse("a step that looks up arrays", "arithmetic of scalars")
         constants.append(trace.number(np.asarray(constant).item()))
     values = trace.run(closed.jaxpr, constants + [trace.argument(leaf) for leaf in leaves])
-    # A result that is not wanted is None, which is no leaf: the pairs are found by the results.
+    # None marks a result that is not wanted; it counts as a leaf here, so that the pairs match.
     wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
     assert len(wanted) == len(jax.tree.leaves(shape)), "a variable, or None, for each result"
     pairs = [(name, v) for name, v in zip(wanted, values, strict=True) if name is not None]
@@ -305,7 +306,7 @@ def written(
 
 
 class _Writer:
-    """Values as statements: each that several others use has a name."""
+    """Writes values as statements; a value that is used several times gets a name."""
 
     def __init__(self, results: list[tuple[str, _Value]]) -> None:
         self._results = results
@@ -319,7 +320,7 @@ class _Writer:
             self._visit(value)
 
     def _visit(self, value: _Value) -> None:
-        """Operands come before what is made of them; without recursion, as chains are long."""
+        """Order operands before their results; without recursion, because chains are long."""
         todo = [(value, False)]
         while todo:
             current, done = todo.pop()
@@ -338,7 +339,7 @@ class _Writer:
     def code(self) -> Code:
         statements: list[str] = []
         results = {id(value) for _, value in self._results}
-        # Where a result is set that is an argument too, all have been computed before.
+        # If a result is also an argument, all results are computed before any is set.
         before = any(value.text in dict(self._results) for value in self._leaves)
         for value in self._order:
             text, _ = self._text(value)
@@ -361,7 +362,7 @@ class _Writer:
         return f"{base}_{self._count[base]}"
 
     def _text(self, value: _Value) -> tuple[str, int]:
-        """An expression and how strongly its last operation binds."""
+        """An expression and the precedence of its last operation."""
         if id(value) in self._names:
             return self._names[id(value)], 9
         if value.operation is None:
@@ -369,8 +370,8 @@ class _Writer:
         name, of = value.operation.name, value.operation.of
         if name in _INFIX:
             sign, strength = _INFIX[name]
-            # From left to right: the right one has to bind more strongly. Compilers warn of
-            # comparisons and logic inside each other without parentheses.
+            # C's operators are left-associative: the right operand needs a higher precedence.
+            # Compilers warn of nested comparisons and logic without parentheses.
             arithmetic = name in _ARITHMETIC
             least = strength if arithmetic else _ARITHMETIC_BINDS
             left, right = self._bound(of[0], least), self._bound(of[1], least + arithmetic)
@@ -391,7 +392,7 @@ class _Writer:
 
 
 def literal(number: float | bool | None) -> str:
-    """A number in C, of its floating type."""
+    """A number in C, of type `posegsa_real` unless it is a small integer."""
     if isinstance(number, bool):
         return str(int(number))
     assert number is not None

@@ -78,7 +78,7 @@ def export_json(result: TuneResult | RecordingResult) -> str:
 
 
 def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTION) -> str:
-    """The control surface as a table with a row for each point: error, rate (both 0 to 1), gain.
+    """The control surface as CSV, one row for each point: error, rate (both 0 to 1), gain.
 
     Each input has `resolution` points. Where no rule fires and the filter would hold the last gain,
     the table has the initial gain.

@@ -34,11 +34,11 @@ _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 _MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
 """The contenders that are drawn as curves, with their markers; more would hide each other."""
 _BANDS = (TUNED, CONSTANT)
-"""Those whose spread is drawn as a band; more would blend into one colour."""
+"""The contenders whose spread is drawn as a band; more would blend into one colour."""
 _APART = 10.0
 """The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
 this factor times the median one."""
-_GOLDEN = 0.6180339887498949  # its multiples modulo 1 spread points evenly, in any number
+_GOLDEN = 0.6180339887498949  # any number of its multiples modulo 1 is spread evenly
 
 
 def angles_differ(evaluation: Evaluation) -> bool:
@@ -53,9 +53,9 @@ def angles_differ(evaluation: Evaluation) -> bool:
     title="Held-out cost",
     caption="Each point is one scenario; thin bars span 5 to 95\u00a0% of them, thick bars 25 "
     "to 75\u00a0%, the stroke is the median and the diamond the mean with its 95\u00a0% "
-    "interval. The overlap of the clouds says little, because all contenders met the same "
-    "scenarios: look at the paired differences below. An interval that excludes 0 tells two "
-    "contenders apart. Where one difference is far larger than the others, their axis is "
+    "interval. The overlap of the clouds says little, because all contenders ran on the same "
+    "scenarios: compare the paired differences below. If an interval excludes 0, the contenders "
+    "differ significantly. If one difference is far larger than the others, their axis is "
     "logarithmic on both sides of 0.",
 )
 def plot_costs(evaluation: Evaluation) -> Figure:
@@ -108,7 +108,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the time switch and of the "
     "Kalman filter, which has no such gain. Other schedules are not drawn. The left shows which "
     "filter reduces the initial error first, the right which one stays lower afterwards. The "
-    "gain shown is that after the gain limit. The position error is that of the cost, "
+    "gain shown is that after the gain limit. The position error is the one in the cost, "
     "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
@@ -151,9 +151,9 @@ def plot_bands(evaluation: Evaluation) -> Figure:
     FIGURES,
     name="angles",
     title="Cost against initial angle",
-    caption="Points are scenarios, lines running medians. A curve that rises towards 180 deg "
-    "shows starts from which the filter takes long to recover; triangles at the upper edge are "
-    "runs without a finite cost.",
+    caption="Points are scenarios, lines are running medians. If a curve rises towards 180 deg, "
+    "the filter recovers slowly from large initial errors. Triangles at the upper edge are runs "
+    "without a finite cost.",
 )
 def plot_angles(evaluation: Evaluation) -> Figure | None:
     """Cost against the attitude error at the start [deg]: scenarios, and their running median.
@@ -245,7 +245,7 @@ def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np
     """Running medians of angle [deg] and cost, ordered by angle; NaN where infinite."""
     order = np.argsort(angle, kind="stable")
     width = min(len(angle), max(5, len(angle) // 10))
-    width -= width % 2 == 0  # odd: the median is one of them
+    width -= width % 2 == 0  # odd, so that the median is one of the values
     windows = np.lib.stride_tricks.sliding_window_view
     middle = windows(angle[order], width)[:, width // 2]
     costs = np.where(np.isnan(cost), np.inf, cost)[order]

@@ -92,8 +92,8 @@ def plot_position(replay: Replay) -> Figure | None:
 def plot_gain(replay: Replay) -> Figure | None:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
 
-    The latter only where a vector or landmark is measured, because the limit depends on them. None
-    if the gain is constant.
+    The latter is drawn only where a vector or landmark is measured, because the limit depends on
+    them. None if the gain is constant.
     """
     recording, estimates = replay.recording, replay.estimates
     m = recording.measurements
@@ -119,7 +119,7 @@ def plot_gain(replay: Replay) -> Figure | None:
 
 
 def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
-    """Set the limits of a logarithmic axis without the smallest 1 % of the errors; the others.
+    """Scale a logarithmic axis without the smallest 1 % of the errors; returns the other errors.
 
     Where errors pass through 0, a single sample at 1e-4 would take half of the axis.
     """

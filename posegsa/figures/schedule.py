@@ -37,9 +37,8 @@ _SQUARE_ROOT = (
     FIGURES,
     name="control_surface",
     title="Control surface",
-    caption="The gain that the schedule asks for, by how large the error is and how fast it "
-    "changes. Both axes are stretched towards 0, where a filter spends most of its time. No rule "
-    "fires in hatched regions.",
+    caption="The gain as a function of the error and its rate of change. Both axes are stretched "
+    "towards 0, where a filter spends most of its time. No rule fires in hatched regions.",
 )
 def plot_surface(controller: FuzzyController) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
@@ -76,8 +75,8 @@ def plot_surface(controller: FuzzyController) -> Figure:
     FIGURES,
     name="rules",
     title="Use of the rules",
-    caption="Rules that never fire had little or no part in the cost: what the schedule does "
-    "where they apply is largely chance.",
+    caption="Rules that never fire had little or no influence on the cost, so their outputs are "
+    "largely arbitrary.",
 )
 def plot_rules(trust: Trust) -> Figure:
     """Mean firing strength [-] of each rule over a held-out trajectory, by the terms of its inputs.
@@ -112,7 +111,8 @@ def plot_rules(trust: Trust) -> Figure:
     FIGURES,
     name="input_terms",
     title="Input terms",
-    caption="How the scaled error and its rate are read as very small (VS) to very large (VL).",
+    caption="Membership of the scaled error and its rate in the terms very small (VS) to very "
+    "large (VL).",
 )
 def plot_input_terms(controller: FuzzyController) -> Figure:
     """Input terms VS to VL over the scaled error and rate, 0 to 1; gaps between them are marked."""
@@ -126,8 +126,8 @@ def plot_input_terms(controller: FuzzyController) -> Figure:
     FIGURES,
     name="output_terms",
     title="Output terms",
-    caption="What the rules ask for; the gain is the offset plus the centroid of these terms as "
-    "they fire.",
+    caption="The outputs of the rules. The gain is the offset plus the centroid of the union of "
+    "these terms, each clipped at its firing strength.",
 )
 def plot_output_terms(controller: FuzzyController) -> Figure:
     """Output terms VS to VL over the output k_op [1/s]; the gain is offset + centroid."""

@@ -22,9 +22,9 @@ FIGURES: list[ResultFigure] = []
     FIGURES,
     name="convergence",
     title="Convergence",
-    caption="A best cost that still falls at the end asks for more iterations. These are "
-    "training costs: what they are worth is the held-out cost. The worst may leave the figure at "
-    "the top.",
+    caption="If the best cost still falls at the end, more iterations may help. These are "
+    "training costs; the held-out cost measures the result. The worst cost may be above the "
+    "figure.",
 )
 def plot_convergence(history: History) -> Figure:
     """Best cost so far, mean and worst training cost [-] of each iteration of the search.

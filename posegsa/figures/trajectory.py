@@ -33,8 +33,8 @@ _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle"
     FIGURES,
     name="errors",
     title="Errors",
-    caption="The fall at the start is the transient part of the cost, the level after it the "
-    "steady part. The position error drawn is that of the cost, |P_est - R_err P|; the distance "
+    caption="The fall at the start is the transient part of the cost, the level after it is the "
+    "steady part. The position error is the one in the cost, |P_est - R_err P|; the distance "
     "|P_est - P| is in trajectory.csv.",
 )
 def plot_errors(trajectory: Trajectory) -> Figure:
@@ -55,8 +55,8 @@ def plot_errors(trajectory: Trajectory) -> Figure:
     FIGURES,
     name="gain",
     title="Gain",
-    caption="Where the two curves part, the gain limit keeps the filter's step stable. Jumps "
-    "between few levels are a schedule that has become a switch.",
+    caption="Where the two curves differ, the gain limit keeps the filter's step stable. If the "
+    "gain jumps between a few levels, the schedule acts as a switch.",
 )
 def plot_gain(trajectory: Trajectory) -> Figure:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
@@ -101,8 +101,8 @@ def plot_position(trajectory: Trajectory) -> Figure:
     FIGURES,
     name="vector_biases",
     title="Biases of the vectors",
-    caption="How far each estimated bias is from the true one. It falls while the body turns, and "
-    "then stays at what the noise of the vectors leaves.",
+    caption="The error of each estimated bias. It falls while the body turns, down to a level "
+    "that the noise of the vectors determines.",
 )
 def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
     """Errors of the estimated biases of the vectors over time [s]; None if none are estimated."""

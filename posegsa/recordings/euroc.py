@@ -58,7 +58,7 @@ def read_euroc(
     step = np.median(np.diff(imu_stamps))
     both = np.abs(stamps[nearest] - imu_stamps) <= WITHIN * step
     if both.sum() < 2:
-        raise RecordingError(f"{folder}: no stamps of the IMU and the reference go together")
+        raise RecordingError(f"{folder}: no time stamps of the IMU and the reference match")
     first, last = np.flatnonzero(both)[[0, -1]]
     used = slice(int(first), int(last) + 1)
     known, row = both[used], nearest[used]
@@ -86,7 +86,7 @@ def read_euroc(
         "truth_position": P,
         "sensors": {"accelerometer": imu[used, 3:]},
         "sources": {
-            "angular velocity": "measured (EuRoC's gyroscope, bias and all)",
+            "angular velocity": "measured (EuRoC's gyroscope, with its bias)",
             "velocity": f"synthetic: R^T v of the reference + bias {bias.tolist()} m/s + white "
             f"noise of {velocity_noise:g} m/s per axis, seed {seed}",
             "landmarks": f"synthetic: {len(points)} points at {rate:.4g} Hz, R^T (p - P) of the "

@@ -282,7 +282,7 @@ def prepared(
 
     east_at_first = None
     if signals.mag is None:
-        sources["heading"] = "free, without a magnetometer: it begins anywhere, and drifts"
+        sources["heading"] = "free, without a magnetometer: starts arbitrarily and drifts"
     else:
         turned = np.einsum("kij,kj->ki", S, signals.mag)
         usual = _median("mag", turned[:first])
@@ -357,8 +357,8 @@ def _median(name: str, values: np.ndarray) -> np.ndarray:
     median = np.median(values[known], axis=0) if known.any() else np.zeros(3)
     if not median.any():
         raise RecordingError(
-            f"{name}: no sample of the first {len(values)} says anything (all missing, or zero); "
-            "allowed: some that do, from which the start is made"
+            f"{name}: the first {len(values)} samples are all missing or zero; allowed: some valid "
+            "ones, from which the initial estimate is computed"
         )
     return median
 
@@ -373,7 +373,7 @@ def _used(values: np.ndarray, length: float, settings: ImuVectorsConfig) -> tupl
         words += f"; {counted(missing, 'sample')} missing"
     if outliers := int(np.sum(far)):
         words += (
-            f"; {counted(outliers, 'sample')} passed over, more than {settings.outlier:g} times as "
+            f"; {counted(outliers, 'sample')} ignored, more than {settings.outlier:g} times as "
             "long as the reference"
         )
     return known & ~far, words

@@ -68,8 +68,8 @@ def outliers_in_words(outliers: np.ndarray, time: np.ndarray, factor: float) -> 
     first = float(time[np.argmax(outliers.any(axis=1))])
     each = ", ".join(f"{n} of landmark {i}" for i, n in enumerate(outliers.sum(axis=0)) if n)
     return (
-        f"{counted(count, 'sighting')} passed over: more than {factor:g} times as far as usual "
-        f"from where the velocities put the landmark; {each}, the first at {first:.6g} s"
+        f"{counted(count, 'sighting')} ignored: more than {factor:g} times the usual distance "
+        f"from the position that the velocities predict; {each}, the first at {first:.6g} s"
     )
 
 

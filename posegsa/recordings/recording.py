@@ -361,7 +361,7 @@ class Recording:
         readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
         if path.suffix.lower() not in readers:
             kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
-            what = "is no recording" if path.exists() else "there is no such file or folder"
+            what = "is not a recording" if path.exists() else "there is no such file or folder"
             raise RecordingError(f"{path}: {what}; allowed: {kinds}")
         return readers[path.suffix.lower()](path, **more)
 

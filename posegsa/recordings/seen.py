@@ -24,7 +24,7 @@ def check_something_is_seen(
     told = f" ({'; '.join(notes)})" if notes else ""
     imu = ""
     if "accelerometer" in sensors:
-        imu = "; of accelerometer and magnetometer `posegsa replay imu` makes vectors"
+        imu = "; `posegsa replay imu` computes vectors from accelerometer and magnetometer"
     raise RecordingError(
         f"{name}: has no vectors and no landmarks, so that nothing corrects an estimate{told}; "
         "allowed in a CSV file: columns v0_x v0_y v0_z of a vector and l0_x l0_y l0_z of a "

@@ -117,7 +117,7 @@ class _Table:
             return float(cell) if cell else float("nan")
         except ValueError:
             raise RecordingError(
-                f"{self.path}: {cell!r} in column {name!r} of sample {k} is no number"
+                f"{self.path}: {cell!r} in column {name!r} of sample {k} is not a number"
             ) from None
 
 

@@ -1,7 +1,7 @@
 """The report of a result: a single HTML file without network access or scripts.
 
-`page.html` is the page from top to bottom, `parts.html` has its repeated parts. Python passes them
-the result and everything that a template cannot compute.
+`page.html` is the page, `parts.html` has the macros for its repeated parts. Python passes them the
+result and everything that a template cannot compute.
 """
 
 from base64 import b64encode
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 
 
 NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", random_phase=False)
-"""The family whose scenarios differ only in their noise."""
+"""A family whose scenarios differ only in their noise."""
 
 
-# A filter may diverge to any number, and a cost may be 0.
+# Costs may be 0, infinite or very large.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
-    """A result as one HTML page, with its figures, PNG files by name."""
+    """A result as one HTML page; pictures are the PNG files of its figures by name."""
     page = templates().get_template("page.html")
     return page.render(
         result=result,

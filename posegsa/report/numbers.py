@@ -1,4 +1,4 @@
-"""Numbers for people: a true minus, an infinity sign, a dash for a missing value."""
+"""Numbers for readers: a minus sign, an infinity sign, a dash for a missing value."""
 
 import math
 

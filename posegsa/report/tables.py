@@ -15,12 +15,12 @@ Noted = tuple[str, list[tuple[str, str]]]
 
 
 def input_terms(result: TuneResult) -> list[Noted]:
-    """The corners of the input terms, VS to VL, each with the parameter that it is."""
+    """The corners of the input terms, VS to VL, each with the name of its parameter."""
     return _terms(result, slice(11), config.INPUT_RANGE)
 
 
 def output_terms(result: TuneResult) -> list[Noted]:
-    """The corners of the output terms, VS to VL, each with the parameter that it is."""
+    """The corners of the output terms, VS to VL, each with the name of its parameter."""
     return _terms(result, slice(11, None), result.experiment.parameters.gain_range)
 
 
@@ -37,7 +37,7 @@ def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[N
 def rules(result: TuneResult) -> list[Noted]:
     """The output term of each rule with its weight; a row is a rate, a column an error."""
     table = result.tuned.fuzzy.rules
-    assert table != config.SEARCHED  # the tuned experiment has the table that was found
+    assert table != config.SEARCHED  # a tuned experiment has a table of rules
     targets, rows = rule_indices(table), []
     for rate, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
         outputs = [config.TERMS[i] for i in row]
@@ -55,7 +55,7 @@ class Rule(NamedTuple):
 
 
 def heaviest_rule(result: TuneResult) -> Rule:
-    """The rule that fires most."""
+    """The rule with the largest mean firing strength."""
     weights = result.trust.rule_weights
     rate, error = np.unravel_index(np.argmax(weights), weights.shape)
     return Rule(config.TERMS[error], config.TERMS[rate], weights[rate, error])
@@ -69,8 +69,8 @@ def simulations(result: TuneResult) -> list[tuple[str, float, float]]:
     trust, own = result.trust, result.experiment.run.dtype
     costs = {"float32": trust.cost_float32, "float64": trust.cost_float64}
     reference = np.float64(costs[own])
-    costs[f"{own}, start changed by {PERTURBATION:g}"] = trust.cost_perturbed
+    costs[f"{own}, initial pose changed by {PERTURBATION:g}"] = trust.cost_perturbed
     return [
-        (f"{name} (the run's own)" if name == own else name, cost, cost / reference - 1)
+        (f"{name} (used in the run)" if name == own else name, cost, cost / reference - 1)
         for name, cost in costs.items()
     ]

@@ -31,7 +31,7 @@ def verdict(evaluation: Evaluation) -> str:
         own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, CONSTANT))
         bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
         if not any(bad):
-            return f"The tuned schedule cannot be compared with {against}: they are too few."
+            return f"The tuned schedule cannot be compared with {against}: there are too few."
         return (
             f"The mean cost of the tuned schedule cannot be compared with that of {against}: "
             f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
@@ -39,8 +39,8 @@ def verdict(evaluation: Evaluation) -> str:
         )
     if low <= 0 <= high:
         return (
-            f"The tuned schedule cannot be told apart from {against}: the 95 % interval of their "
-            f"difference, {interval(difference)}, includes 0."
+            f"The tuned schedule does not differ significantly from {against}: the 95 % interval "
+            f"of the difference, {interval(difference)}, includes 0."
         )
     less = high < 0
     by, minimum, maximum = (-mean, -high, -low) if less else (mean, low, high)
@@ -56,7 +56,7 @@ def cost_words(result: TuneResult) -> str:
     """Sentences that explain the cost of a run."""
     if result.cost != CONFIGURED:
         return (
-            f"The cost of a run is what the function {result.cost} makes of its errors over time; "
+            f"The function {result.cost} computes the cost of a run from its errors over time; "
             "less is better."
         )
     settings, step = result.experiment.cost, result.experiment.scenario.sampling_time
@@ -66,10 +66,10 @@ def cost_words(result: TuneResult) -> str:
     ]
     return (
         "The cost of a run is a sum of errors over its samples, without a unit; less is better. "
-        "The error of a sample is that of the attitude, from 0 (none) to 1 (turned by "
-        f"180\u00a0deg), plus {number(settings.position_weight, 'g')} for each metre that the "
-        f"position is off. From {spans[0]} it counts {number(settings.transient_weight, 'g')} "
-        f"times, from {spans[1]} {number(settings.steady_weight, 'g')} times."
+        "The error of a sample is the attitude error, from 0 (none) to 1 "
+        f"(180\u00a0deg), plus {number(settings.position_weight, 'g')} for each metre of "
+        f"position error. Its weight is {number(settings.transient_weight, 'g')} from {spans[0]} "
+        f"and {number(settings.steady_weight, 'g')} from {spans[1]}."
     )
 
 
@@ -91,16 +91,16 @@ def worse_words(evaluation: Evaluation) -> str:
     listed = "; ".join(worse)
     return (
         f"The tuned filter is worse than the best constant gains in: {listed}. The search "
-        "minimises the cost alone: what is not part of it, such as the errors of the estimated "
-        "biases, may get worse."
+        "minimises only the cost; quantities that are not part of it, for example the errors of "
+        "the estimated biases, may get worse."
     )
 
 
 def better_words(evaluation: Evaluation) -> str:
     """Which contenders, except the best constant gains, are better than the tuned schedule, if any.
 
-    By the mean, if the interval of the paired differences excludes 0; by the median, if it is lower
-    in the digits shown.
+    The mean counts as better if the interval of the paired differences excludes 0, the median if it
+    is lower in the digits shown.
     """
     own, lower = evaluation.summary(TUNED), _lower_medians(evaluation)
     found = []
@@ -119,7 +119,7 @@ def better_words(evaluation: Evaluation) -> str:
     if not found:
         return ""
     return (
-        f"Other filters do better than the tuned schedule on these scenarios: {'; '.join(found)}."
+        f"Other filters are better than the tuned schedule on these scenarios: {'; '.join(found)}."
     )
 
 
@@ -130,7 +130,7 @@ def _clearly_better(evaluation: Evaluation) -> list[str]:
 
 
 def _lower_medians(evaluation: Evaluation) -> list[str]:
-    """Contenders whose median cost is lower than that of the tuned schedule, as shown."""
+    """Contenders whose median cost is lower than that of the tuned schedule in the digits shown."""
     own = evaluation.summary(TUNED).median
     medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
     return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
@@ -138,22 +138,22 @@ def _lower_medians(evaluation: Evaluation) -> list[str]:
 
 def _instead(names: list[str]) -> str:
     """Advice if these filters are better than the tuned schedule."""
-    advice = f"Better here by the mean: {'; '.join(names)}. "
+    advice = f"These have a lower mean cost: {'; '.join(names)}. "
     if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
         advice += (
-            "Gains by the clock alone are simpler and need no error signal. They fit a filter that "
-            "starts as these scenarios do, and do not answer an error that comes later. "
+            "Gains that depend only on time are simpler and need no error signal. They suit a "
+            "filter that starts as in these scenarios, and do not react to later errors. "
         )
     if any(name in (EKF, EKF_VECTORS) for name in names):
         advice += "The Kalman filter is `posegsa.KalmanFilter`. "
     return (
-        f"{advice}The numbers of each are in `evaluation.json`. What was tuned can still be used: "
-        "`posegsa export RUN --format c`."
+        f"{advice}Their parameters are in `evaluation.json`. The tuned schedule can still be "
+        "exported: `posegsa export RUN --format c`."
     )
 
 
 def next_words(result: TuneResult) -> list[str]:
-    """Advice on next steps, one sentence or more each; text between backticks is code."""
+    """Advice on next steps; each item is one or more sentences, with code between backticks."""
     evaluation = result.evaluation
     steps = []
     if result.warnings():
@@ -163,23 +163,24 @@ def next_words(result: TuneResult) -> list[str]:
         steps.append(_instead(better))
     elif evaluation.difference(CONSTANT).high < 0:
         steps.append(
-            "The schedule pays: write the whole filter as C with `posegsa export RUN --format c`, "
-            "or run it over recordings of your own with `posegsa replay RUN FILE`."
+            "The schedule is better than constant gains: export the whole filter as C with "
+            "`posegsa export RUN --format c`, or run it on your own recordings with "
+            "`posegsa replay RUN FILE`."
         )
     else:
         steps.append(
-            "A schedule that is not better than constant gains is not worth its trouble: search "
-            "longer (`search.iterations`) or with more training scenarios, or take the constant "
-            f"gain of {number(result.constant_gain, '.4g')} 1/s."
+            "The schedule is not better than constant gains: search longer (`search.iterations`) "
+            "or with more training scenarios, or use the constant gain of "
+            f"{number(result.constant_gain, '.4g')} 1/s."
         )
     if SWITCH not in evaluation.contenders:
         steps.append(
-            "`posegsa evaluate RUN` judges it on many more scenarios, beside simpler schedules and "
-            "Kalman filters that may do as well."
+            "`posegsa evaluate RUN` evaluates it on many more scenarios, and compares it with "
+            "simpler schedules and Kalman filters, which may be as good."
         )
     elif lower := _lower_medians(evaluation):
         steps.append(
-            f"Where rare failures do not count, look at the medians: {'; '.join(lower)} "
+            f"If rare failures do not matter, compare the medians: {'; '.join(lower)} "
             f"{'has' if len(lower) == 1 else 'have'} a lower one."
         )
     if any("RUN" in step for step in steps):
@@ -188,7 +189,7 @@ def next_words(result: TuneResult) -> list[str]:
 
 
 def filter_words(found: Description) -> str:
-    """A contender described by its numbers."""
+    """A contender described by its parameters."""
     match found.kind:
         case "fuzzy":
             own = f"fuzzy, k1 to k{len(found.numbers['k'])}"

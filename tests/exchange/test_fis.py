@@ -1,4 +1,4 @@
-"""MATLAB's format: as fuzzylite reads it, and as a reader of two dozen lines does."""
+"""MATLAB's format, read by fuzzylite, by Octave and by a short reader written here."""
 
 import re
 import shutil
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.quick
 
 OCTAVE = shutil.which("octave-cli")
 FUZZYLITE_PARTS = 100
-"""fuzzylite's resolution where a file says none, as a .fis can't."""
+"""fuzzylite's default resolution; a .fis file can't set it."""
 
 
 @needs_fuzzylite
@@ -63,7 +63,7 @@ def test_octave_reads_the_gain(tmp_path):
 
 
 def sections(text: str) -> dict[str, dict[str, str]]:
-    """Key and value by section; rules are keys without values."""
+    """Keys and values of each section; rules are keys without values."""
     found: dict[str, dict[str, str]] = {}
     for line in text.splitlines():
         if line.startswith("["):
@@ -94,7 +94,7 @@ def test_what_stands_in_it_is_the_controller(case):
             f"'{term}':'trimf'" for term in ("VS", "S", "M", "L", "VL")
         ]
         feet = [[float(x) for x in re.findall(r"[\d.e+-]+", f.split(",")[1])] for f in functions]
-        # Where the peak is an end of the range, a foot is beyond it.
+        # If the peak is at an end of the range, the foot is outside it.
         expected, (low, high) = np.array(terms), ends
         expected[expected[:, 1] == low, 0] = low - (high - low)
         expected[expected[:, 1] == high, 2] = high + (high - low)
@@ -107,7 +107,7 @@ def test_what_stands_in_it_is_the_controller(case):
 
 
 def test_matlabs_own_sum_is_what_its_samples_say():
-    """The controller that samples as MATLAB does has the gain that MATLAB has of the file."""
+    """A controller that samples like MATLAB has the gain that MATLAB computes from the file."""
     result = tuned(K, "fuzzy.centroid=sampled", dtype="float64")
     given = inputs()
     expected = by_samples(result.controller, given, np.linspace(0, 100, 101))

@@ -1,4 +1,4 @@
-"""fuzzylite's language: as fuzzylite and pyfuzzylite read it."""
+"""fuzzylite's format, read by fuzzylite and pyfuzzylite."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.quick
 
 
 def with_pyfuzzylite(text: str, given: np.ndarray) -> np.ndarray:
-    """What pyfuzzylite reads in a text, row by row."""
+    """The outputs of pyfuzzylite for a file's text, one for each row of inputs."""
     fuzzylite = pytest.importorskip("fuzzylite", reason="pyfuzzylite is not installed")
     engine = fuzzylite.FllImporter().from_string(text)
     read = []
@@ -47,8 +47,8 @@ def test_fuzzylite_reads_the_gain(case, tmp_path):
     read = with_fuzzylite(posegsa.export_fll(one), "fll", given, tmp_path)
     expected = held(by_midpoints(one, given, RESOLUTION), 50.0)
     np.testing.assert_allclose(read, expected, rtol=1e-10)
-    # At vertical edges, and beside gaps, where a term may be clipped so low that few of the parts
-    # see it, it is less.
+    # It is less accurate at vertical edges, and next to gaps, where a term may be clipped so low
+    # that only a few parts contain it.
     assert np.nanquantile(np.abs(read - exact(one, given)), 0.9) < 0.02
 
 

@@ -24,7 +24,7 @@ def test_a_controller_comes_back_as_it_was(form, case, tmp_path):
     path = tmp_path / f"gain.{form}"
     path.write_text(WRITERS[form](one), encoding="utf-8")
     with jax.enable_x64(True):
-        # Only a .fis can't say that the last gain is kept.
+        # A .fis can't state that the last gain is kept.
         again = posegsa.load_controller(path, no_rule="hold" if form == "fis" else None)
     for field in dataclasses.fields(FuzzyController):
         if field.name not in ("reach", "sampled_points"):
@@ -84,7 +84,7 @@ def test_inputs_in_the_other_order(tmp_path):
         ("\n1 1, 1 (1) : 1", "\n1 -1, 1 (1) : 1", "rate has no term -1"),
         ("\n1 1, 1 (1) : 1", "\n1 1, 9 (1) : 1", "gain_minus_1 has no term 9"),
         ("\n1 1, 1 (1) : 1", "\n1 1, 1 (1) : 1\n1 1, 2 (1) : 1", "rules: 2 of them"),
-        ("[System]", "System", "a .fis begins with"),
+        ("[System]", "System", "a .fis must start with"),
         ("Version=2.0", "Version 2.0", "must be key=value"),
     ],
 )
@@ -129,7 +129,7 @@ def test_what_no_file_says_must_be_given(tmp_path):
     path = tmp_path / "gain.fll"
     unsaid = text.replace("lock-previous: true", "lock-previous: false")
     path.write_text(unsaid.replace("default: 50.0", "default: nan"), encoding="utf-8")
-    with pytest.raises(FuzzyError, match="no_rule: not said by the file"):
+    with pytest.raises(FuzzyError, match="no_rule: not stated in the file"):
         posegsa.load_controller(path)
     assert posegsa.load_controller(path, no_rule="hold").no_rule == "hold"
 
@@ -137,7 +137,7 @@ def test_what_no_file_says_must_be_given(tmp_path):
 def test_what_is_no_such_file_is_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"ends in \.fis or \.fll"):
         posegsa.load_controller(tmp_path / "gain.txt")
-    with pytest.raises(FuzzyError, match="is not there"):
+    with pytest.raises(FuzzyError, match="does not exist"):
         posegsa.load_controller(tmp_path / "gain.fis")
     with pytest.raises(ArgumentError, match="no_rule = 'zero'"):
         posegsa.load_controller(tmp_path / "gain.fis", no_rule="zero")  # type: ignore[arg-type]  # wrong on purpose

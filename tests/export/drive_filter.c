@@ -1,5 +1,6 @@
-/* Runs an exported filter: from standard input its first attitude (and position), then dt and a
- * measurement a sample; to standard output what the step returned and the state before it. */
+/* Runs an exported filter. Standard input: the initial attitude (and position), then dt and the
+ * measurement of each sample. Standard output, for each sample: the return code of the step and the
+ * state before it. */
 
 #include "posegsa.h"
 #include <stdio.h>

@@ -1,6 +1,6 @@
-/* Feeds an exported filter a million samples and checks its state after each. Most samples hold
- * garbage; after one that is refused comes a plausible one, which must be taken. Ends with 0, or
- * with the number of the check that failed. */
+/* Gives an exported filter a million samples and checks its state after each. Most samples contain
+ * garbage. A plausible sample follows each refused one and must be accepted. Returns 0, or the
+ * number of the check that failed. */
 
 #include "posegsa.h"
 #include <string.h>
@@ -22,7 +22,7 @@ static posegsa_real noise(void)
     return POSEGSA_C((double)(bits() >> 11) / 4503599627370496.0 - 1.0);
 }
 
-/* Any number: special, of any magnitude, or of one that a sensor might give. */
+/* Any number: a special one, one of any magnitude, or one that a sensor might give. */
 static posegsa_real garbage(void)
 {
     const posegsa_real tiny = POSEGSA_C(sizeof(posegsa_real) < sizeof(double) ? 1e-45 : 5e-324);
@@ -48,7 +48,7 @@ static posegsa_real garbage(void)
     }
 }
 
-/* What a body at rest and upright measures at the origin, with noise. */
+/* The measurements of a body at rest and upright at the origin, with noise; returns dt. */
 static posegsa_real plausible(posegsa_measurement *sample)
 {
     int i, k;
@@ -83,7 +83,7 @@ int main(void)
         const int wild = !refused && bits() % 16;
         int code;
         if (wild) {
-            /* One number, several or all. */
+            /* Replace one number, several or all. */
             const unsigned long long share = 1 + bits() % NUMBERS;
             memcpy(numbers, &sample, sizeof sample);
             for (n = 0; n < NUMBERS; ++n) {

@@ -1,4 +1,4 @@
-"""A tuned schedule out of Python: JSON, CSV, and formats by name; C has a file of its own."""
+"""Export of a tuned schedule as JSON and CSV, and by the name of a format."""
 
 import csv
 import dataclasses
@@ -57,7 +57,7 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
         again, own = rebuilt(data), result.controller
         assert result.controller is own, "it is made once"
         for field in dataclasses.fields(FuzzyController):
-            if field.name == "reach":  # saves time, changes nothing
+            if field.name == "reach":  # only saves time
                 continue
             np.testing.assert_array_equal(getattr(again, field.name), getattr(own, field.name))
         assert again.output_terms.dtype == dtype
@@ -71,7 +71,7 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
     gains = np.array(surface["gain_1_s"])
     assert gains.shape == (101, 101)
     assert (gains == gains.astype(dtype)).all()
-    # Compiled otherwise, with fused multiply-adds.
+    # Another program, compiled with fused multiply-adds.
     tolerance = 100 * np.finfo(dtype).eps
     np.testing.assert_allclose(gains.ravel()[:COUNT], expected, rtol=tolerance)
 

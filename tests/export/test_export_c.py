@@ -1,9 +1,9 @@
 """The whole filter as C: the compiled header against the Python filter, step by step.
 
-Both forget: a rounding error of one step dies out over the next ones, so that runs of any length
-can be compared number by number. In double they agree to 1e-12 of the largest magnitude that a
-quantity has in the run. In float both are off the run in double; the C may be off by four times as
-much as JAX in float32 is, and by a few units of rounding.
+Both filters forget: a rounding error of one step decays over the next ones, so runs of any length
+can be compared number by number. In double they agree to 1e-12 of the largest magnitude of a
+quantity in the run. In float both differ from the run in double; the C may differ by four times
+the difference of JAX in float32, plus a few units of rounding.
 """
 
 import re
@@ -74,7 +74,7 @@ RECOMMENDED = (
     *("filter.gamma_law=quadratic", "filter.substeps=2", "filter.cross_vector=true"),
     *("gain.smoothing=1.5", "gain.error_scale=0.3", "filter.excitation=0.1"),
 )
-"""The recommended filter, on the paper's sensors."""
+"""The recommended filter with the paper's sensors."""
 ALSO = {"filter.vector_bias_gain": 0.4375, "filter.cross_vector_weight": 0.75}
 
 
@@ -121,7 +121,7 @@ def recommended_result(*more: str, **fields: Any) -> TuneResult:
 
 
 def recommended() -> Case:
-    """As `TuneResult` has it; what is exported of it is `export_c`'s."""
+    """The recommended filter, built from the settings of a `TuneResult`."""
     result = recommended_result()
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     scenario = experiment.scenario
@@ -136,7 +136,7 @@ def recommended() -> Case:
 
 
 def printed() -> Case:
-    """The paper's law and its choices: nothing learnt, nothing normalised, no limit."""
+    """The paper's filter: no estimated vector biases, no normalisation, no gain limit."""
     low = np.array([[0, 0, 1], [0.5, 1, 2], [1, 2, 3], [2, 3, 4], [3.5, 5, 5]]) / 2
     high = np.array([[0, 0, 0.2], [0.1, 0.2, 0.4], [0.3, 0.4, 0.6], [0.5, 0.7, 0.9], [0.8, 1, 1]])
     controller = fuzzy(
@@ -165,7 +165,7 @@ def printed() -> Case:
 
 
 def attitude_only() -> Case:
-    """Vectors alone, a smooth gain, a bias law with a leak that follows the gain's square."""
+    """Vectors only, a smooth gain, and a vector bias law with a leak that scales with K^2."""
     learnt = vector_bias(gain=0.3, leak=0.05, bound=0.3, follows="quadratic")
     return Case(
         schedule=SmoothGain(*(jnp.asarray(x, np.float64) for x in (3.0, 20.0, 0.4))),
@@ -183,7 +183,7 @@ def attitude_only() -> Case:
 
 
 def landmarks_alone() -> Case:
-    """No vectors, a gain that changes with time, gamma of its own for each velocity."""
+    """Landmarks only, a gain that changes with time, and a different gamma for each velocity."""
     numbers = {"before": 12.0, "after": 4.0, "time": 12.3456, "learning_time": 5.4321}
     return Case(
         schedule=SwitchGain(**{k: jnp.asarray(v, np.float64) for k, v in numbers.items()}),
@@ -202,7 +202,7 @@ def landmarks_alone() -> Case:
 
 
 def settling() -> Case:
-    """As for inertial sensors: vectors as they are, nothing learnt of them, a gamma that grows."""
+    """As for inertial sensors: vectors not normalised, without biases, and a growing gamma."""
     numbers = {"gain": 8.0, "time": 4.321}
     return Case(
         schedule=SettlingGain(**{k: jnp.asarray(v, np.float64) for k, v in numbers.items()}),
@@ -215,7 +215,7 @@ def settling() -> Case:
 
 
 def over_time() -> Case:
-    """Open-loop gains, whose knots begin after the start and end before the end."""
+    """Open-loop gains; the first knot is after the start of the run and the last before its end."""
     time, gain = np.array([0.3, 1.0, 7.654321, 40.0]), np.array([25.0, 40.0, 6.0, 3.0])
     return Case(
         schedule=KnotGain(jnp.asarray(time), jnp.log(jnp.asarray(gain))),
@@ -239,13 +239,13 @@ CASES: dict[str, Callable[[], Case]] = {
 }
 
 
-# What the sensors say -----------------------------------------------------------------------------
+# Measurements -------------------------------------------------------------------------------------
 
 
 def sensed(case: Case, step: np.ndarray, missing: float = 0.0) -> Measurements:
-    """What a body that turns and moves all the time measures, with noise and biases, at steps (N,).
+    """Measurements of a turning and moving body, with noise and biases, for time steps (N,) [s].
 
-    A share `missing` of vectors and landmarks has weight 0, and NaN for its value.
+    A share `missing` of the vectors and landmarks has weight 0 and value NaN.
     """
     rng, N = np.random.default_rng(1), len(step)
     time = np.cumsum(step)
@@ -275,13 +275,13 @@ def sensed(case: Case, step: np.ndarray, missing: float = 0.0) -> Measurements:
 
 
 def recorded(case: Case) -> Measurements:
-    """As a log looks: jitter, samples lost, sensors missing for a while or at random, quantised."""
+    """Measurements as in a log: jitter, lost samples, missing sensors, quantised values."""
     rng = np.random.default_rng(2)
     step = rng.uniform(0.007, 0.013, SAMPLES)
     step[rng.random(SAMPLES) < 0.02] *= 4
     m = sensed(case, step, missing=0.2)
     away = np.zeros(SAMPLES, bool)
-    away[3000:3300] = away[7000:7050] = True  # nothing but the velocities
+    away[3000:3300] = away[7000:7050] = True  # only the velocities are measured
     v, y = (np.where(away[:, None], 0.0, w) for w in (m.vector_weights, m.landmark_weights))
     return m._replace(
         angular_velocity=np.round(m.angular_velocity * 500) / 500,
@@ -294,7 +294,7 @@ def recorded(case: Case) -> Measurements:
 
 
 def rows_of(case: Case, m: Measurements, dtype: Any = np.float64) -> np.ndarray:
-    """(N, numbers) a row is dt and the measurement as C has it; NaN where something is missing."""
+    """(N, numbers) rows of dt and the measurement in C's order; NaN where a value is missing."""
     count = len(m.time_step)
     columns = [m.time_step[:, None], m.angular_velocity]
     if len(case.landmarks):
@@ -330,7 +330,7 @@ def deviation(a: States | Estimates, exact: Estimates, name: str) -> float:
     got, want = (np.asarray(getattr(e, name), np.float64) for e in (a, exact))
     if isinstance(a, States) and name == "gain_used":  # known only after the step
         got, want = got[1:], want[:-1]
-    if isinstance(a, States) and name == "bias":  # of an attitude alone there are three
+    if isinstance(a, States) and name == "bias":  # an attitude filter in C has three
         want = want[:, : got.shape[1]]
     if not got.size:
         return 0.0
@@ -351,14 +351,14 @@ def header_of(name: str) -> str:
 
 @cache
 def exact_run(name: str) -> tuple[Measurements, Estimates]:
-    """What was "recorded", and what Python makes of it in float64."""
+    """The "recorded" measurements, and Python's estimates from them in float64."""
     m = recorded(everything()[name])
     return m, in_python(everything()[name], m, "float64")
 
 
 @cache
 def simulated_runs() -> tuple[Measurements, Estimates, Estimates]:
-    """At 100 Hz without a gap, and what Python makes of it in float64 and in float32."""
+    """Measurements at 100 Hz without gaps; Python's estimates in float64 and in float32."""
     case = everything()["recommended"]
     m = sensed(case, np.full(SAMPLES, 0.01))
     return m, in_python(case, m, "float64"), in_python(case, m, "float32")
@@ -370,7 +370,7 @@ def simulated_runs() -> tuple[Measurements, Estimates, Estimates]:
 @needs_cc
 @pytest.mark.parametrize("name", CASES)
 def test_the_c_filter_is_the_python_filter(build: Build, name: str):
-    """Under the sanitizers, with missing samples and uneven steps."""
+    """Under the sanitizers, with missing measurements and uneven time steps."""
     case, (m, exact) = everything()[name], exact_run(name)
     watched = sanitizers(COMPILERS[0])
     program = build(header_of(name), *options_of(case, *watched))
@@ -442,7 +442,7 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
 @needs_cc
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_a_million_samples_of_garbage_spoil_nothing(tmp_path, real):
-    """What is checked stands in `fuzz_filter.c`."""
+    """The checks are in `fuzz_filter.c`."""
     options = ("-std=c99", "-O1", f"-DPOSEGSA_REAL={real}", *sanitizers(COMPILERS[0]))
     source = Path(__file__).parent / "fuzz_filter.c"
     program = compile_c(tmp_path, header_of("recommended"), source, *options, compiler=COMPILERS[0])
@@ -461,7 +461,7 @@ def test_a_limit_can_be_set_when_compiling(build: Build):
 
 @needs_cc
 def test_what_is_missing_is_not_looked_at(build: Build):
-    """NaN with weight 0, and a direction of length 0, are as if the sensor had said nothing."""
+    """NaN with weight 0, and a direction of length 0, count as missing."""
     case = everything()["recommended"]
     rows = np.nan_to_num(rows_of(case, exact_run("recommended")[0])[:300])
     rows[:, [13, 14, 18]] = 1
@@ -537,7 +537,7 @@ def test_names_that_c_could_not_take_are_refused(name):
 
 
 class LookedUp(NamedTuple):
-    """A schedule of one's own that looks up an array."""
+    """A user's schedule that looks up an array."""
 
     gains: jax.Array
 
@@ -588,7 +588,7 @@ def test_what_does_not_fit_together_is_refused(x64):
 
 
 def example(header: str) -> str:
-    """The program in the head comment."""
+    """The program in the comment at the top."""
     lines = header.split(" * USE\n")[1].split(" *\n")[0].splitlines()
     assert len(lines) == 15
     return "\n".join(line.removeprefix(" * ") for line in lines) + "\n"
@@ -611,7 +611,7 @@ def test_the_example_compiles_and_runs_as_c_and_cpp(tmp_path, compiler):
 @needs_cc
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_two_filters_in_one_program_of_cpp(tmp_path, compiler):
-    """Each with types and macros of its own."""
+    """Each has its own types and macros."""
     need(compiler)
     constant = replace(everything()["attitude only"], schedule=ConstantGain(jnp.asarray(5.0)))
     first, second = (
@@ -645,7 +645,7 @@ def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
     made = compile_c(tmp_path, header, source, "-std=c99", "-O1", "-c", compiler=COMPILERS[0])
     listed = subprocess.run(["nm", made], check=True, capture_output=True, text=True).stdout
     symbols = [line.split()[-2:] for line in listed.splitlines()]
-    # A compiler may copy by calls, and guard the stack.
+    # A compiler may call memcpy and memset, and guard the stack.
     allowed = {"sqrt", "rint", "memcpy", "memset", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"}
     assert {name for kind, name in symbols if kind == "U"} <= allowed
     assert not [name for kind, name in symbols if kind in "BbDdC"], "no variable of its own"
@@ -681,7 +681,7 @@ def test_every_number_says_what_it_is():
         numbers = header_of(name).split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
         defined = [i for i, line in enumerate(numbers) if line.startswith("static const")]
         unsaid = [numbers[i] for i in defined if not re.fullmatch(r"/\* .+ \*/", numbers[i - 1])]
-        # A schedule's own numbers have only their names.
+        # The numbers of a schedule have names but no comments.
         assert all(
             line.startswith("static const posegsa_real posegsa_schedule_") for line in unsaid
         )
@@ -693,7 +693,7 @@ def test_the_page_shows_the_example_and_its_python_runs():
     assert f"```c\n{textwrap.dedent(example(everything()['recommended'].header()))}```" in page
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     names: dict[str, Any] = {}
-    exec(code, names)  # the page's own text
+    exec(code, names)  # code from our own page
     assert "posegsa_schedule_gain = 10;" in names["text"]
 
 

@@ -1,4 +1,4 @@
-"""A tuned schedule out of Python as C: the compiled file against the JAX controller."""
+"""The controller as C: the compiled file against the JAX controller."""
 
 import ctypes
 import dataclasses
@@ -29,7 +29,7 @@ WARNINGS = [
 needs_cc = pytest.mark.skipif(CC is None, reason="there is no C compiler")
 PRECISIONS = {"float": (np.float32, ctypes.c_float), "double": (np.float64, ctypes.c_double)}
 TOLERANCE = {"float": 1e-5, "double": 1e-12}
-"""Relative; measured are 0 for the exact centroid, and 4e-7 and 7e-16 for the sampled one."""
+"""Relative; measured: 0 for the exact centroid, 4e-7 and 7e-16 for the sampled one."""
 
 WIDE = (f"parameters.lower={[0.0] * 22}", f"parameters.upper={[1.0] * 11 + [100.0] * 11}", *GAPS)
 """Boxes as wide as the universes, so that any ordered terms are a vector."""
@@ -37,17 +37,17 @@ NO_WIDTH = [
     *(0.0, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.5, 0.6, 0.6, 0.6),
     *(0.0, 10.0, 10.0, 10.0, 10.0, 40.0, 40.0, 70.0, 70.0, 70.0, 100.0),
 ]
-"""Vertical edges, terms of no width among others, and gaps."""
+"""Terms with vertical edges, some of zero width, and gaps."""
 SPIKES = [
     *(0.1, 0.1, 0.2, 0.3, 0.2, 0.4, 0.6, 0.5, 0.8, 0.9, 0.8),
     *(0.0, 0.0, 0.0, 0.0, 40.0, 40.0, 40.0, 40.0, 40.0, 40.0, 100.0),
 ]
-"""Output terms all of no width: rules fire over no area."""
+"""All output terms have zero width: rules fire, but the area is 0."""
 TINY = [
     *(1e-39, 0.0, 1e-39, 1e-12, 1e-30, 1e-12, 1e-7, 1e-12, 0.5, 0.5, 0.5),
     *(1e-38, 1e-39, 1e-38, 1e-30, 1e-30, 1e-12, 1e-12, 50.0, 50.0, 50.0, 50.0),
 ]
-"""Widths down to below the least normal number of float."""
+"""Widths down to less than the smallest normal float."""
 
 CASES = {
     "exact": (K, ()),
@@ -72,7 +72,7 @@ CASES = {
     "no width, sampled, gaps": (np.array(NO_WIDTH), (*SAMPLED, *WIDE)),
     "spikes": (np.array(SPIKES), WIDE),
 }
-"""Vectors k and settings; "gaps" where some inputs fire no rule."""
+"""Vectors k and settings; with "gaps", some inputs fire no rule."""
 
 Gain = Callable[[float, float, float], float]
 
@@ -118,7 +118,7 @@ def in_c(gain: Gain, real: str, given: np.ndarray) -> np.ndarray:
 
 
 IN_FLOAT = ("exact", "gaps, hold", "corner, gaps", "sampled", "no width, gaps", "spikes")
-"""The cases whose arithmetic differs, in the other precision too."""
+"""The cases that are also tested in float, because their arithmetic differs."""
 
 
 @needs_cc
@@ -155,10 +155,10 @@ def test_the_c_gain_of_a_run_in_float64(compiled, real):
 @pytest.mark.parametrize("real", PRECISIONS)
 def test_the_c_gain_where_the_compiler_fuses_multiply_and_add(compiled, real):
     how = ("-std=gnu99", "-O3", "-ffp-contract=fast")
-    # The last has an output term of no width at 0, beside one whose input term has its foot at 0.
+    # The last has an output term of zero width at 0, next to one whose input term starts at 0.
     for k in (DRAWN[0], corner_vectors(4)[3], corner_vectors(12, seed=9)[7]):
         result, given = tuned(k, *GAPS), inputs()
-        try:  # where such instructions are not in every processor of a kind
+        try:  # not every compiler knows the processor
             library = compiled(export_c_gain(result), real, *how, "-march=native")
         except subprocess.CalledProcessError:
             library = compiled(export_c_gain(result), real, *how)
@@ -228,7 +228,7 @@ def test_the_c_file_includes_nothing_and_remembers_nothing(settings):
 
 
 def head(result: TuneResult) -> str:
-    """The head comment's words, without its line breaks."""
+    """The text of the head comment without line breaks."""
     return " ".join(export_c_gain(result).split("*/", 1)[0].replace("\n *", " ").split())
 
 

@@ -1,4 +1,4 @@
-"""Functions of scalars as statements of C: what is written, and what is left out."""
+"""Functions of scalars as C statements: what is written, and what is omitted."""
 
 import math
 import subprocess
@@ -22,7 +22,7 @@ def lines(function, arguments, results) -> list[str]:
 
 def test_what_is_used_once_stands_where_it_is_used():
     assert lines(lambda a, b: a * (b - 1.5), ("x", "y"), "z") == ["z = x * (y - POSEGSA_C(1.5));"]
-    # From left to right, as Python has it: no other order of rounding.
+    # Evaluated from left to right, as in Python, so that rounding is the same.
     assert lines(lambda a, b: a - (b - a) - b, ("x", "y"), "z") == ["z = x - (y - x) - y;"]
     assert lines(lambda a, b: -(a / (b * a)), ("x", "y"), "z") == ["z = -(x / (y * x));"]
 
@@ -41,7 +41,7 @@ def test_what_is_used_twice_has_a_name_of_the_function_it_comes_from():
 
 
 def test_results_may_be_arguments_too():
-    """All are read before one is set."""
+    """All arguments are read before any result is set."""
 
     def turned(a, b):
         return b + a, a - b
@@ -113,7 +113,7 @@ def test_what_is_no_arithmetic_of_scalars_is_refused(function, words):
 
 @needs_cc
 def test_the_c_computes_what_the_function_does(tmp_path):
-    """Every operation that is known, on numbers of all kinds."""
+    """Every supported operation, with numbers of all kinds."""
 
     def function(a, b):
         far = maximum(jnp.abs(a), minimum(b, a)) > 1.25

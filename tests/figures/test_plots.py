@@ -1,4 +1,4 @@
-"""The figures: what they show is what they were given, and they leave nothing behind."""
+"""The figures show the data that they were given, and do not change matplotlib's settings."""
 
 import importlib
 import re
@@ -46,7 +46,7 @@ FIGURES = {
 
 
 def assert_drawn(ax, *curves):
-    """The lines of some axes are these curves (x, y), in this order."""
+    """Assert that the lines of the axes are these curves (x, y), in this order."""
     assert len(ax.lines) == len(curves)
     for drawn, curve in zip(lines(ax), curves, strict=True):
         np.testing.assert_array_equal(drawn, curve)

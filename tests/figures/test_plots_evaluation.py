@@ -1,4 +1,4 @@
-"""The figures of an evaluation: what they show is what they were given."""
+"""The figures of an evaluation show its data."""
 
 import re
 from dataclasses import replace
@@ -116,7 +116,7 @@ def test_one_difference_far_from_the_others_leaves_them_their_room():
     across = below.transData + below.transAxes.inverted()
     far, near, nearest = (across.transform((-x, 0))[0] for x in (1000.0, 4.0, 1.0))
     assert 0 <= far < near < nearest < 1
-    assert nearest - near > 0.05  # it would be 0.003
+    assert nearest - near > 0.05  # 0.003 on a linear axis
     assert plots.plot_costs(evaluation((TUNED, CONSTANT))).axes[1].get_xscale() == "linear"
 
 

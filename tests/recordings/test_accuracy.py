@@ -1,4 +1,4 @@
-"""Errors of estimates against a reference, by definitions written out here and by SciPy."""
+"""Errors of estimates against a reference, compared with their definitions and with SciPy."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_a_turn_about_the_vertical_is_heading_and_any_other_axis_inclination() -
         error = Rotation.from_rotvec(np.radians(2) * np.array(axis))
         found = posegsa.attitude_errors((error * true).as_matrix(), true.as_matrix())
         np.testing.assert_allclose(np.ravel(found), expected, atol=1e-9)
-    small = Rotation.from_rotvec([1e-9, 0, 0])  # an arc cosine would lose it
+    small = Rotation.from_rotvec([1e-9, 0, 0])  # too small for an arc cosine
     found = posegsa.attitude_errors((small * true).as_matrix(), true.as_matrix())
     np.testing.assert_allclose(found.inclination, np.degrees(1e-9), rtol=1e-4)
 
@@ -80,7 +80,7 @@ def test_root_mean_squares() -> None:
         np.sqrt(12.5)
     )
     assert np.isnan(posegsa.rmse([1.0], np.array([False])))
-    assert posegsa.rmse([1.0, np.nan]) == np.inf  # a filter that diverged has no small error
+    assert posegsa.rmse([1.0, np.nan]) == np.inf  # diverged: no small error
     with pytest.raises(RecordingError, match=r"mask:.* bool"):
         posegsa.rmse([1.0], np.array([1]))
     np.testing.assert_allclose(posegsa.position_errors([[1, 2, 2]], [[0, 0, 0]]), [3])

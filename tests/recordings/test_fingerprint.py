@@ -1,4 +1,4 @@
-"""A recording's fingerprint: of its numbers, all of them, and of nothing else."""
+"""A recording's fingerprint depends on all of its numbers and on nothing else."""
 
 from dataclasses import fields, replace
 from pathlib import Path

@@ -22,7 +22,7 @@ HORIZONTAL = float(np.hypot(*FIELD[:2]))
 
 
 def looped(given: dict[str, Any], rest: int, low_pass: float, tolerance: float) -> np.ndarray:
-    """Up, east and east's weight (K, 7), sample by sample, in plain NumPy."""
+    """Up, east and the weight of east (K, 7), sample by sample, in plain NumPy."""
     gyr, acc, mag = given["gyr"], given["acc"], given["mag"]
     step = 1 / given["rate"]
     bias = gyr[:rest].mean(axis=0)
@@ -81,7 +81,7 @@ def test_frames_are_those_of_their_names(frame: Any) -> None:
     measured, truth = recording.measurements, given["truth_rotation"]
     np.testing.assert_allclose(recording.initial().rotation, truth[0], atol=1e-9)
     assert np.linalg.det(recording.initial().rotation) == pytest.approx(1)
-    # Without noise or acceleration, the truth takes what is measured to the references.
+    # Without noise or acceleration, the true rotation maps the measurements to the references.
     np.testing.assert_allclose(
         np.einsum("kij,knj->kni", truth, measured.vectors), measured.vector_references, atol=1e-6
     )
@@ -108,7 +108,7 @@ def test_without_a_rest_bias_and_references_are_those_of_motion() -> None:
     assert "begins in motion" in recording.sources["start"]
     error = Rotation.from_matrix(recording.initial().rotation @ given["truth_rotation"][0].T)
     assert np.degrees(error.magnitude()) < 2
-    # At first the field is believed as it is, whatever it is.
+    # At first the field has full weight even if it is disturbed.
     given["mag"][50:] += [30.0, 0.0, 0.0]
     disturbed = posegsa.imu(**given).measurements.vector_weights[:, 1]
     assert (disturbed >= np.exp(-np.arange(600) / RATE / 10) - 1e-9).all()
@@ -139,9 +139,9 @@ def test_what_is_missing_or_out_of_all_proportion_has_no_weight_and_is_told() ->
     assert np.flatnonzero(weights[:, 0] == 0).tolist() == [500, 501, 502, 600]
     assert np.flatnonzero(weights[:, 1] == 0).tolist() == [500, 501, 502, 600, 650, 651, 700]
     told = recording.describe()
-    assert_told(told, "accelerometer", "3 samples missing", "1 sample passed over", "10 times")
+    assert_told(told, "accelerometer", "3 samples missing", "1 sample ignored", "10 times")
     assert_told(told, "magnetometer", "2 samples missing")
-    # They leave no trace in the low-pass filter, nor in the weights of the samples after them.
+    # They affect neither the low-pass filter nor the weights of later samples.
     np.testing.assert_allclose(
         recording.measurements.vectors[701:, 0], clean.measurements.vectors[701:, 0], atol=2e-3
     )
@@ -189,8 +189,8 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
         ({"rate": None}, r"rate, time:.*one of both"),
         ({"acc": np.zeros((5, 3))}, "acc: must have"),
         ({"gyr": np.full((900, 3), np.nan)}, "gyr: 900 samples"),
-        ({"mag": np.zeros((900, 3))}, "mag: no sample"),
-        ({"mag": np.full((900, 3), np.nan)}, "mag: no sample"),
+        ({"mag": np.zeros((900, 3))}, "mag: the first .* samples are all missing"),
+        ({"mag": np.full((900, 3), np.nan)}, "mag: the first .* samples are all missing"),
         ({"settings": 3}, "settings: a int"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The attitude filter for inertial sensors, on simulated ones."""
+"""The attitude filter for inertial sensors, with simulated sensors."""
 
 import re
 from pathlib import Path
@@ -39,7 +39,7 @@ def test_it_follows_a_motion_it_was_not_tuned_on() -> None:
     assert total(found) < 1.0
     assert np.isnan(found.estimates.position).all()
     np.testing.assert_array_equal(found.estimates.rotation, posegsa.run_imu(recording).rotation)
-    # What each of its parts is for: without them it is worse.
+    # It is worse without the low-pass filter.
     plain = config.ImuVectorsConfig(low_pass=0.0)
     shaken = posegsa.as_imu(recording, settings=plain)
     assert total(replayed(shaken)) > 3 * total(found)
@@ -52,7 +52,7 @@ def test_it_learns_the_gyroscope_s_bias_without_a_rest() -> None:
     found = replayed(recording)
     wrong = np.linalg.norm(found.estimates.bias[-1, :3] - BIAS)
     assert wrong < 0.45 * np.linalg.norm(BIAS)
-    # With numbers for larger biases, sooner.
+    # Settings for larger biases estimate it faster.
     eager = config.ImuConfig(
         vectors=config.ImuVectorsConfig(low_pass=1.0),
         observer=config.ImuObserverConfig(gamma=3.0),
@@ -120,7 +120,7 @@ def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert len((out / "my" / "estimated.tum").read_text().splitlines()) >= len(time)
     mine = tmp_path / "mine.toml"
     mine.write_text("[vectors]\nlow_pass = 0.0\n", encoding="utf-8")
-    # A window that begins in motion, in another frame, with numbers of one's own.
+    # A window that begins in motion, in another frame, with the user's settings.
     assert main(["replay", str(mine), str(path), "--window", "5:", "--frame", "NED"]) == 0
     said = capsys.readouterr().out
     assert "begins in motion" in said
@@ -131,16 +131,16 @@ def test_the_command_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 @needs_cc
 def test_the_observer_goes_out_as_the_page_says(build: Build) -> None:
-    """With the vectors that the recording has, the C of docs/imu.md is `run_imu`."""
+    """With the recording's vectors, the C code of docs/imu.md computes the same as `run_imu`."""
     page = Path(__file__).parents[2] / "docs" / "imu.md"
     (code,) = re.findall(r"## Export\n.*?```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     names: dict[str, Any] = {}
-    exec(code, names)  # the page's own text
+    exec(code, names)  # code from our own page
     recording = posegsa.imu(**inertial_motion(3.0, 4.0, noise=1.0))
     start, m = recording.initial(), recording.measurements
     columns = [
         np.asarray(m.time_step)[:, None],
-        np.asarray(m.angular_velocity) - start.bias[:3],  # the C begins with no bias
+        np.asarray(m.angular_velocity) - start.bias[:3],  # the C filter starts with bias 0
         np.asarray(m.vectors).reshape(recording.samples, -1),
         m.vector_weights,
     ]

@@ -1,4 +1,4 @@
-"""Landmarks that are seen where they cannot be lose their weight; all others keep theirs."""
+"""Measurements of landmarks at impossible positions get weight 0; all others keep theirs."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ def noisy(noise: float = 0.03, **changes: Any) -> dict[str, Any]:
 
 
 def passed_over(given: dict[str, Any], **more: Any) -> list[tuple[int, int]]:
-    """(sample, landmark) of each that was seen and has no weight."""
+    """(sample, landmark) of each measurement that has weight 0."""
     recording = Recording.from_arrays(**given, **more)
     seen = np.isfinite(given["landmarks"]).all(axis=-1)
     lost = seen & (recording.measurements.landmark_weights == 0)
@@ -36,7 +36,7 @@ def test_where_there_is_no_outlier_none_is_found(noise: float, every: int) -> No
     given["landmarks"][np.arange(400) % every != 0] = np.nan
     given["landmarks"][150:300, 1] = np.nan  # out of sight for 1.5 s
     assert not passed_over(given)
-    given["velocity"] = np.zeros((400, 3))  # no such sensor
+    given["velocity"] = np.zeros((400, 3))  # no velocity sensor
     assert not passed_over(given)
 
 
@@ -47,7 +47,7 @@ def test_an_outlier_is_found_wherever_it_stands() -> None:
     for k, i in wrong:
         given["landmarks"][k, i] += [2.0, -1.0, 1.5 + k % 7]
     assert passed_over(given) == wrong
-    given["landmarks"][200] = np.roll(given["landmarks"][200], 1, axis=0)  # taken for each other
+    given["landmarks"][200] = np.roll(given["landmarks"][200], 1, axis=0)  # mistaken for each other
     assert passed_over(given) == sorted([*wrong, (200, 0), (200, 1), (200, 2)])
     assert passed_over(given, landmark_outlier="off") == []
     assert passed_over(given, landmark_outlier=1e3) == []
@@ -61,7 +61,7 @@ def test_what_lasts_is_believed_after_one_sighting() -> None:
     moved = noisy()
     moved["landmarks"][200:, 2] += 3.0
     assert passed_over(moved) == [(200, 2)]
-    garbage = noisy()  # a sensor that says nothing: and then recovers
+    garbage = noisy()  # a sensor that measures garbage and then recovers
     garbage["landmarks"][100:170, 1] = np.random.default_rng(1).uniform(-50, 50, (70, 3))
     assert passed_over(garbage) == [(k, 1) for k in range(100, 170)]
 
@@ -106,7 +106,7 @@ def test_the_limit_grows_with_the_root_of_the_time_between_two_sightings() -> No
     y = np.full((80, 1, 3), np.nan)
     y[at, 0] = [5.0, 0, 0] + 0.05 * rng.normal(size=(len(at), 3))
     median = np.median(np.linalg.norm(np.diff(y[at, 0], axis=0), axis=1))
-    limit = 7 * median * 3  # 9 samples after the one before, not 1
+    limit = 7 * median * 3  # 9 samples after the previous one, not 1
     still = np.zeros((80, 3))
     for jump, expected in ((1.15 * limit, 1), (0.85 * limit, 0)):
         moved = y.copy()

@@ -1,4 +1,4 @@
-"""Recordings from files: small ones of the published formats, made here."""
+"""Recordings from files: small files in the published formats, written by these tests."""
 
 import csv
 import math
@@ -93,10 +93,10 @@ def test_vectors_and_landmarks_have_usual_names_and_references_beside_the_file(
     np.testing.assert_array_equal(m.vector_references[0], [[0, 0, 1]])
     np.testing.assert_array_equal(m.landmarks[0, 0], [2, 3, 4])
     np.testing.assert_array_equal(m.landmark_references[0], [[5, 6, 7]])
-    assert m.landmark_weights[1, 0] == 0  # an empty cell is not seen
+    assert m.landmark_weights[1, 0] == 0  # an empty cell is a missing measurement
     (note,) = recording.notes
     assert_told(note, "pressure")
-    # What Python says goes before it.
+    # Arguments in Python override the TOML file.
     other = Recording.from_csv(tmp_path / "flight.csv", landmark_references=[[1, 1, 1]])
     np.testing.assert_array_equal(other.measurements.landmark_references[0], [[1, 1, 1]])
 
@@ -256,7 +256,7 @@ def test_an_npz_file_holds_nothing_else(tmp_path: Path) -> None:
 
 
 def euroc(folder: Path, samples: int = 400) -> tuple[Rotation, np.ndarray]:
-    """A sequence of 2 s at 200 Hz, the reference's stamps 64 ns later and 10 samples shorter."""
+    """A sequence of 2 s at 200 Hz; the reference is 64 ns later and 10 samples shorter."""
     stamps = 1_403_715_523_912_143_104 + 5_000_000 * np.arange(samples)
     time = np.arange(samples) * 0.005
     R = Rotation.from_rotvec(np.stack([0.5 * time, 0 * time, 0.2 * time], axis=1))
@@ -325,7 +325,7 @@ def test_euroc_files_that_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="stamps must ascend"):
         Recording.from_euroc(tmp_path)
     path.write_text("\n".join([lines[0], *("2" + line[1:] for line in lines[1:])]))
-    with pytest.raises(RecordingError, match=r"no stamps .* go together"):
+    with pytest.raises(RecordingError, match=r"no time stamps .* match"):
         Recording.from_euroc(tmp_path)
 
 
@@ -361,7 +361,7 @@ def test_broad_is_read(tmp_path: Path) -> None:
     start = recording.initial()
     np.testing.assert_allclose(start.rotation, R[0].as_matrix(), atol=1e-6)
     np.testing.assert_allclose(start.bias, [0.003, 0, 0, 0, 0, 0], atol=1e-9)
-    # East and up, wherever the body turns.
+    # In the inertial frame, the vectors are east and up for every attitude.
     inertial = np.einsum("kij,knj->kni", R.as_matrix(), recording.measurements.vectors)
     np.testing.assert_allclose(inertial, recording.measurements.vector_references, atol=2e-2)
     del trial["imu_mag"]

@@ -1,4 +1,4 @@
-"""Recordings from a user's arrays: what is refused, what is bridged, and where they start."""
+"""Recordings from a user's arrays: what is refused, what is bridged, and the initial estimate."""
 
 from typing import Any
 
@@ -80,7 +80,7 @@ def test_attitude_only_has_no_position() -> None:
 def test_weights_go_with_the_rate_of_their_sensor() -> None:
     given = motion()
     given["landmarks"][np.arange(400) % 10 != 0] = np.nan
-    given["landmarks"][100:200] = np.nan  # an outage changes no rate
+    given["landmarks"][100:200] = np.nan  # an outage does not change the rate
     recording = Recording.from_arrays(**given, landmark_weights=0.5)
     weights = recording.measurements.landmark_weights
     assert set(np.unique(weights)) == {0.0, 5.0}
@@ -90,11 +90,11 @@ def test_weights_go_with_the_rate_of_their_sensor() -> None:
     assert set(np.unique(as_given.measurements.landmark_weights)) == {0.0, 0.5}
 
 
-# What is missing -----------------------------------------------------------------------------
+# Missing samples -----------------------------------------------------------------------------
 
 
 def broken(**changes: Any) -> dict[str, Any]:
-    """The motion with a stamp that goes back, a gap of 0.2 s and velocities that are NaN."""
+    """The motion with a time stamp that decreases, a gap of 0.2 s and velocities that are NaN."""
     given = motion()
     given["time"][200:] += 190_000_000
     given["time"][50] = given["time"][48]
@@ -112,7 +112,7 @@ def test_what_is_bridged_is_counted_and_told(policy: Any) -> None:
     assert_told(recording.notes[1], "19 samples", policy)
     assert_told(recording.notes[2], "3 samples", "velocities", "300")
     assert recording.samples == 400 - 1 + 19
-    np.testing.assert_allclose(np.diff(recording.time)[49], 0.02)  # the one dropped
+    np.testing.assert_allclose(np.diff(recording.time)[49], 0.02)  # where one sample was dropped
     np.testing.assert_allclose(np.delete(np.diff(recording.time), 49), 0.01, atol=1e-9)
     gap = slice(199, 218)
     m = recording.measurements
@@ -120,7 +120,7 @@ def test_what_is_bridged_is_counted_and_told(policy: Any) -> None:
     assert not m.landmark_weights[gap].any()
     assert not recording.judged[gap].any()
     assert recording.judged.sum() == 399
-    # Both policies between what was measured before and after.
+    # "hold" gives the measurement before the gap, "interpolate" one between before and after.
     before, after = m.angular_velocity[198], m.angular_velocity[218]
     share = 0.0 if policy == "hold" else 0.5
     np.testing.assert_allclose(m.angular_velocity[208], (1 - share) * before + share * after)
@@ -188,7 +188,7 @@ def test_refusals_name_the_argument(changes: dict[str, Any], words: str) -> None
         Recording.from_arrays(**motion(**changes))
 
 
-# Where it starts -----------------------------------------------------------------------------
+# Initial estimates ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kept", ["both", "vectors", "landmarks"])
@@ -204,7 +204,7 @@ def test_a_start_at_rest_has_pose_and_bias(kept: str) -> None:
     np.testing.assert_allclose(start.rotation, given["truth_rotation"][0], atol=1e-6)
     expected = [0, 0, 0] if kept == "vectors" else given["truth_position"][0]
     np.testing.assert_allclose(start.position, expected, atol=1e-6)
-    # The last sample at rest already moves to the next one.
+    # The velocity of the last sample at rest is not 0: it leads to the first sample in motion.
     np.testing.assert_allclose(start.bias, [0.02, 0, 0, 0, 0, 0], atol=2e-2)
     np.testing.assert_allclose(start.bias[:3], [0.02, 0, 0], atol=1e-2)
 
@@ -264,7 +264,7 @@ def test_a_window_is_its_samples_and_starts_from_its_own() -> None:
     np.testing.assert_array_equal(start.bias, recording.initial().bias)
     early = recording.window(0, 0.5)
     assert early.start == "rest"
-    # Its first 0.1 s, in which the body turns by less than 0.1 rad.
+    # The start uses the first 0.1 s of the window, in which the body turns by less than 0.1 rad.
     np.testing.assert_allclose(start.rotation, motion()["truth_rotation"][150], atol=0.1)
     for window in ((3, 3), (100, 200), (0, 0.005)):
         with pytest.raises(RecordingError, match="window"):

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.quick
 def test_it_lasts_until_shortly_before_the_motion(rest: float) -> None:
     given = inertial_motion(rest, 4.0, noise=1.0)
     found = rest_at_start(given["gyr"], given["acc"], 1 / RATE) / RATE
-    # The motion begins slowly: it shows within half a second.
+    # The motion begins slowly, so its start is detected only to about half a second.
     assert rest - MARGIN - WINDOW <= found <= rest
     resting = given["gyr"][: round(found * RATE)]
     np.testing.assert_allclose(resting.mean(axis=0), BIAS, atol=3e-3)

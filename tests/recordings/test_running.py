@@ -1,4 +1,4 @@
-"""A filter run over recordings: in parts as in one piece, from the recording's own start."""
+"""A filter run over recordings in parts, and in one piece, from the recording's start."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ GAIN = Observer(ConstantGain(jnp.float32(8.0)))
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """Three parts that are whole, and one that is filled up."""
+    """A recording with three full parts and one padded part."""
     return Recording.from_arrays(**motion(350, start="rest"), landmark_weights=0.1)
 
 
@@ -44,7 +44,7 @@ def test_it_follows_the_truth_and_learns_the_bias(recording: Recording) -> None:
 
 
 def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
-    """As the model alone makes them of measurements."""
+    """They are compared with those of the model for all measurements at once."""
     parts = posegsa.run_filter(GAIN, recording)
     m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
     initial = running.state_of(recording.initial())

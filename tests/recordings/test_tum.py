@@ -1,4 +1,4 @@
-"""TUM files, and what evo makes of them."""
+"""TUM files, also as read by evo."""
 
 import re
 import shutil
@@ -20,7 +20,7 @@ def test_a_line_is_time_position_and_quaternion_scalar_last() -> None:
     matrices = R.as_matrix()
     matrices[1] = np.nan
     lines = posegsa.tum_text([0, 0.5, 1.0000000012], matrices, P).splitlines()
-    assert len(lines) == 2  # what is not known is left out
+    assert len(lines) == 2  # unknown samples are omitted
     numbers = np.array([line.split(" ") for line in lines], float)
     np.testing.assert_array_equal(numbers[:, 0], [0, 1.000000001])
     np.testing.assert_allclose(numbers[:, 1:4], P[[0, 2]])

@@ -1,4 +1,4 @@
-"""Signals in another unit are told."""
+"""Signals in a wrong unit are detected."""
 
 import numpy as np
 import pytest

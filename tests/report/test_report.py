@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else, and shows what the result holds."""
+"""The report: one self-contained page that shows the result."""
 
 import base64
 import html
@@ -51,7 +51,7 @@ VOID = {"meta", "img", "br"}
 
 
 class Page(HTMLParser):
-    """What a reader finds in a page; refuses elements that are not closed in their order."""
+    """The elements, tables and texts of a page; elements must be closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class Page(HTMLParser):
 
 
 def spaced(text: str) -> str:
-    """A text as a browser shows it: spaces and ends of lines in a row are one space."""
+    """A text as a browser shows it: consecutive spaces and line ends become one space."""
     return re.sub(r"[ \n]+", " ", text).strip(" ")
 
 
@@ -176,7 +176,7 @@ def test_the_table_of_costs_is_the_evaluation():
 
 def test_the_table_of_behaviour_is_the_evaluation():
     given = evaluation()
-    head, *rows = page(result(evaluation=given)).table("Where the cost comes from")
+    head, *rows = page(result(evaluation=given)).table("Parts of the cost")
     for unit in ("[s]", "[deg]", "[cm]", "[rad/s]", "[m/s]"):
         assert any(unit in cell for cell in head)
     for name, *cells in rows:
@@ -210,7 +210,7 @@ def test_training_stands_beside_held_out():
     [
         (-1.0, ["1.00 less"]),
         (1.0, ["1.00 more"]),
-        (0.0, ["cannot be told apart"]),
+        (0.0, ["does not differ significantly"]),
         (np.inf, ["40", "0", "infinite", "medians", "\u221e"]),
     ],
 )
@@ -235,9 +235,9 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     order = ("What it is for", "What is minimised", "What came out", "What to do next", "Held out:")
     places = [text.index(words) for words in order]
     assert places == sorted(places)
-    assert_told(text, "0.2 for each metre", "0 to 1 s", "0.3 times", "4 to 59 s", "1 times")
+    assert_told(text, "0.2 for each metre", "0.3 from 0 to 1 s", "1 from 4 to 59 s")
     assert_told(text, "bias error, linear", "0.500", "0.250 m/s")
-    assert_told(text, "The schedule pays", "posegsa evaluate RUN")
+    assert_told(text, "The schedule is better than constant", "posegsa evaluate RUN")
     other = changed(better, TUNED, cost=np.linspace(5, 6, 40))
     text = page(result(evaluation=other, cost="mine.cost")).text
     assert_told(text, "constant gain of 53.5 1/s", "mine.cost")
@@ -249,19 +249,19 @@ def test_it_says_which_other_filters_do_better():
     for name in CONTENDERS[1:]:
         given = changed(given, name, cost=np.linspace(13, 14, 40))
     text = page(result(evaluation=given)).text
-    assert "Other filters do better" not in text
-    assert "The schedule pays" in text
-    # Rarely far worse, so that only its median is lower.
+    assert "Other filters are better" not in text
+    assert "The schedule is better than constant" in text
+    # Only its median is lower, because it is rarely much worse.
     rare = np.linspace(9, 10, 40)
     rare[-3:] = 500
     given = changed(given, EKF_VECTORS, cost=rare)
     text = page(result(evaluation=given)).text
     assert_told(text, "invariant EKF, vector biases", "lower median", "9.50", "11.00")
-    assert_told(text, "The schedule pays")
+    assert_told(text, "The schedule is better than constant")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
     assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.20 to 1.30")
-    assert "The schedule pays" not in found.text
+    assert "The schedule is better than constant" not in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
 
 
@@ -306,12 +306,12 @@ def test_an_oracle_signal_is_labelled():
 def test_the_trust_checks_are_shown():
     rows = page(result(trust=trust(cost_float64=46.305))).table("Mean training cost")[1:]
     assert [row[0] for row in rows] == [
-        *("float32 (the run's own)", "float64", "float32, start changed by 1e-06"),
+        *("float32 (used in the run)", "float64", "float32, initial pose changed by 1e-06"),
     ]
     assert [values(cost)[0] for _, cost, _ in rows] == [44.1, 46.305, 44.05]
     np.testing.assert_allclose([values(d)[0] for _, _, d in rows], [0, 5.0, -0.11])
     double = page(result("run.dtype=float64")).table("Mean training cost")
-    assert [row[0] for row in double[1:3]] == ["float32", "float64 (the run's own)"]
+    assert [row[0] for row in double[1:3]] == ["float32", "float64 (used in the run)"]
 
 
 def test_every_rule_is_shown_with_its_weight():
@@ -417,11 +417,11 @@ def test_what_was_tuned_too_is_shown_with_its_bounds():
     lines = '[{key = "filter.gamma", lower = 0.5, upper = 20.0, scale = "logarithmic"}]'
     settings = ("filter.gamma=5.0", f"parameters.also={lines}")
     found = page(result(*settings, also={"filter.gamma": 2.345678}))
-    (row,) = found.table("What was tuned beside k1 to k22")[1:]
+    (row,) = found.table("Tuned values other than k1 to k22")[1:]
     assert row[0] == "filter.gamma"
     assert_told(found.text, "gamma = 2.346")
     assert values(row[1]) == [pytest.approx(2.345678, rel=1e-3)]
-    assert not any(caption.startswith("What was tuned") for caption in page().tables)
+    assert not any(caption.startswith("Tuned values") for caption in page().tables)
 
 
 def test_endurance_is_shown_by_windows_and_warned_of():
@@ -478,7 +478,7 @@ def test_infinite_costs_and_missing_intervals_are_shown_as_such():
     rows = {row[0]: row for row in found.table("Cost on")}
     assert rows[TUNED][1:3] == ["\u221e", "\u2013"]
     assert rows[CONSTANT][1:8] == ["\u221e", "\u2013", *["\u221e"] * 3, "\u2013", "\u2013"]
-    behaviour = {row[0]: row for row in found.table("Where the cost")}
+    behaviour = {row[0]: row for row in found.table("Parts of the cost")}
     assert behaviour[TUNED][1] == "\u2013"
     assert behaviour[CONSTANT][3] == "\u221e"
     cells = [cell for rows in found.tables.values() for row in rows for cell in row]
@@ -526,7 +526,7 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
     assert shown == set(figures.values()), "every figure is in the report"
     loaded = posegsa.load(folder)
     assert report_html(loaded, figures) == text
-    # Those that are asked for, or none; what was there before goes.
+    # Only the named figures are kept, or none; earlier files are removed.
     for names in (["gain", "rules"], []):
         posegsa.save(whole, folder, overwrite=True, figures=names)
         assert {path.stem for path in (folder / "figures").iterdir()} == set(names)
