@@ -14,10 +14,10 @@ def main(base="paper", gammas=(0.5, 1, 2, 5, 10, 20), seeds=range(5), out="gamma
     base = base if isinstance(base, posegsa.Experiment) else posegsa.load_config(base)
     experiments = [posegsa.config.override(base, [f"filter.gamma={float(g)}"]) for g in gammas]
 
-    # Experiments that differ in numbers only are one compiled search, all seeds of each.
+    # Experiments that differ only in numbers run in one compiled search, each with all seeds.
     results = posegsa.tune_batch(experiments, seeds=seeds).results
 
-    # What each seed's result costs on scenarios that it was not tuned on.
+    # The cost of each seed's result on scenarios that it was not tuned on.
     costs = {
         name: np.reshape([r.evaluation.cost(name).mean for r in results], (len(gammas), -1))
         for name in (TUNED, CONSTANT)

@@ -1,4 +1,4 @@
-"""Minimise a function of one's own, a whole population at once, with any of the optimisers.
+"""Minimise your own function, a whole population at once, with any of the optimisers.
 
 python examples/minimise.py
 """
@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 import posegsa
 
-DISTANCES = jnp.array([5.1, 4.4, 3.9, 6.3])  # m, from four places to something
+DISTANCES = jnp.array([5.1, 4.4, 3.9, 6.3])  # m, from four known places to an object
 PLACES = jnp.array([[0.0, 0.0], [6.0, 0.0], [6.0, 6.0], [0.0, 8.0]])
 
 
 def cost(positions):
-    """Where is it? Costs (agents,) of positions (agents, 2): the sum of squared residuals."""
+    """Costs (agents,) of possible positions (agents, 2): the sum of squared residuals."""
     away = jnp.linalg.norm(positions[:, None] - PLACES, axis=-1)
     return jnp.sum((away - DISTANCES) ** 2, axis=-1)
 

@@ -1,4 +1,4 @@
-"""Run a tuned filter over arrays of one's own: uneven steps, sensors that come and go.
+"""Run a tuned filter over your own arrays, with uneven steps and missing measurements.
 
 python examples/own_arrays.py RUN       # a folder that `posegsa tune --out RUN` has written
 """
@@ -14,7 +14,7 @@ import posegsa
 def main(run, samples=2000):
     result = posegsa.load(run)
 
-    # A body that turns about a slanted axis and flies a circle. Yours comes from a file.
+    # A body that rotates about an inclined axis and flies a circle. Read your own from a file.
     rng = np.random.default_rng(0)
     time = np.cumsum(rng.uniform(0.008, 0.012, samples))  # s; uneven
     turn = np.array([0.1, -0.2, 0.4])  # rad/s
@@ -22,7 +22,7 @@ def main(run, samples=2000):
     position = np.stack([np.sin(0.5 * time), np.cos(0.5 * time), 0.1 * time], axis=1)  # m
     velocity = np.stack([0.5 * np.cos(0.5 * time), -0.5 * np.sin(0.5 * time), 0 * time + 0.1], 1)
 
-    # What its sensors say, all in the body frame, each with some noise.
+    # The measurements of its sensors, all in the body frame, each with noise.
     up, north = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     beacon = np.array([2.0, -1.5, 1.0])  # m
     to_body = attitude.inv()
@@ -31,8 +31,8 @@ def main(run, samples=2000):
     vectors = np.stack([to_body.apply(np.tile(v, (samples, 1))) for v in (up, north)], axis=1)
     vectors += 0.02 * rng.normal(size=vectors.shape)
     seen = to_body.apply(beacon - position)[:, None] + 0.05 * rng.normal(size=(samples, 1, 3))
-    seen[np.arange(samples) % 4 > 0] = np.nan  # the beacon answers 25 times a second
-    vectors[samples // 3 : samples // 2, 1] = np.nan  # the compass is lost for a while
+    seen[np.arange(samples) % 4 > 0] = np.nan  # the beacon is measured at 25 Hz
+    vectors[samples // 3 : samples // 2, 1] = np.nan  # the compass fails for a while
 
     measurements = posegsa.Measurements.from_arrays(
         time_step=np.diff(time, append=time[-1] + 0.01),

@@ -1,4 +1,4 @@
-"""A filter of one's own: a complementary filter, run over an array and as a stream.
+"""Your own filter: a complementary filter, run over an array and as a stream.
 
 python examples/own_filter.py
 """
@@ -22,22 +22,22 @@ UP, NORTH, BEACON = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [2.0, -1.5, 1.0]  # inerti
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ComplementaryFilter:
-    """Velocities carry the pose on; vectors pull its attitude, landmarks its position."""
+    """Integrates the velocities; vectors correct the attitude, landmarks the position."""
 
     attitude_gain: jax.Array  # [1/s]
     position_gain: jax.Array  # [1/s]
     bias_gain: jax.Array  # of the gyroscope's bias [1/s^2]
 
     def with_values(self, values):
-        """The same with other numbers, for a search."""
+        """The same filter with other numbers, for a search."""
         return replace(self, **values)
 
     def prepare(self, measurements):
-        """What `step` reads."""
+        """The input of `step`."""
         return prepare(measurements, VectorSettings(each_agent=True))  # vectors one by one
 
     def start(self, initial, vectors):
-        """The state: here it is the estimate."""
+        """The initial state; here it is the estimate itself."""
         return initial
 
     def ready(self):
@@ -67,7 +67,7 @@ class ComplementaryFilter:
 
 
 def made_measurements(samples):
-    """What a body's sensors say while it turns and flies a circle, and its true poses."""
+    """The measurements of a body that rotates and flies a circle, and its true poses."""
     rng = np.random.default_rng(0)
     time = 0.01 * np.arange(samples)
     turn, bias = np.array([0.1, -0.2, 0.4]), np.array([0.02, -0.03, 0.01])  # [rad/s]
@@ -79,19 +79,19 @@ def made_measurements(samples):
     exact |= {"velocity": to_body.apply(velocity), "vectors": np.stack(vectors, axis=1)}
     exact |= {"landmarks": to_body.apply(BEACON - position)[:, None]}
     sensed = {name: a + 0.02 * rng.normal(size=a.shape) for name, a in exact.items()}
-    sensed["landmarks"][np.arange(samples) % 4 > 0] = np.nan  # the beacon answers at 25 Hz
+    sensed["landmarks"][np.arange(samples) % 4 > 0] = np.nan  # the beacon is measured at 25 Hz
     return sensed, attitude, position
 
 
 def main(samples=3001):
     sensed, attitude, position = made_measurements(samples)
     known = {"vector_references": np.array([UP, NORTH]), "landmark_references": np.array([BEACON])}
-    begun = {"rotation": Rotation.from_rotvec([1.5, 0, 0]).as_matrix(), "position": np.zeros(3)}
+    start = {"rotation": Rotation.from_rotvec([1.5, 0, 0]).as_matrix(), "position": np.zeros(3)}
     own = ComplementaryFilter(*(jnp.asarray(gain) for gain in (1.0, 4.0, 0.2)))
     measurements = posegsa.Measurements.from_arrays(time_step=0.01, **sensed, **known)
-    # Its sample k is the estimate before the measurements of k: so is the k-th pose of the stream.
-    run = posegsa.run_filter(own, measurements, posegsa.initial_state(**begun))
-    stream = posegsa.PoseFilter(own, **begun, **known)
+    # Sample k is the estimate before measurement k; so is the k-th pose of the stream.
+    run = posegsa.run_filter(own, measurements, posegsa.initial_state(**start))
+    stream = posegsa.PoseFilter(own, **start, **known)
     each = ({name: a[k] for name, a in sensed.items()} for k in range(samples - 1))
     poses = [stream.pose, *(stream.update(time_step=0.01, **one) for one in each)]
     errors = []

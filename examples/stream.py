@@ -1,11 +1,11 @@
-"""Filter a stream: lines of CSV as they come in, a hundred a second, a pose for each.
+"""Filter a stream of CSV lines, a hundred per second, and print a pose for each.
 
     python examples/stream.py --make 30 > sensors.csv     # 30 s of made-up sensors
     python examples/stream.py < sensors.csv               # or from a serial port, a socket, ...
 
 A line is time, gyroscope (3), velocity (3), accelerometer (3), compass (3), beacon (3), in the body
-frame and SI units; a field that is empty was not measured, and there is no head. The body hardly
-accelerates. Printed are time, position (3) [m] and roll, pitch, yaw [deg].
+frame and SI units. Empty fields were not measured, and there is no header line. The body hardly
+accelerates. The output is time, position (3) [m] and roll, pitch, yaw [deg].
 """
 
 import csv
@@ -21,7 +21,7 @@ UP, NORTH, BEACON = [0, 0, 9.81], [0.5, 0, -0.8], [4.0, -3.0, 2.0]  # inertial f
 
 
 def made_filter():
-    """A filter with a gain of one's own; `posegsa.PoseFilter(posegsa.load(RUN), ...)` is tuned."""
+    """A filter with a fixed gain; for a tuned one: `posegsa.PoseFilter(posegsa.load(RUN), ...)`."""
     experiment = posegsa.config.override(posegsa.Experiment(), ["filter.vector_bias=off"])
     gain = posegsa.ConstantGain(jnp.asarray(20.0))  # K [1/s]
     return posegsa.PoseFilter(
@@ -34,7 +34,7 @@ def made_filter():
 
 
 def poses(lines, pose_filter):
-    """Yield the time and pose of each line but the first, where the pose is that of the start.
+    """Yield the time and pose of each line except the first, whose pose is the initial one.
 
     The filter moves from one sample to the next, so a line waits for the time of the next one.
     """
@@ -57,7 +57,7 @@ def poses(lines, pose_filter):
 
 
 def made_lines(seconds):
-    """Lines of a body that turns and flies a circle, and the true poses."""
+    """Lines for a body that rotates and flies a circle, and the true poses."""
     rng = np.random.default_rng(0)
     for k in range(round(100 * seconds)):
         t = k / 100
@@ -68,7 +68,7 @@ def made_lines(seconds):
         noise = 0.02 * rng.normal(size=(5, 3))
         values = [f"{x:.5f}" for x in np.ravel(exact + noise)]
         if k % 10:
-            values[12:] = [""] * 3  # the beacon answers ten times a second
+            values[12:] = [""] * 3  # the beacon is measured at 10 Hz
         yield ",".join([f"{t:.3f}", *values]), (attitude, position)
 
 

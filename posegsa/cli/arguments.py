@@ -33,14 +33,14 @@ def add_search_arguments(
         out: Help text of --out.
         replaced: What --overwrite replaces, in words.
     """
-    words = f"TOML file of the experiment, or a name of `posegsa configs`; without it, {config}"
+    words = f"TOML file of the experiment, or a name from `posegsa configs` (default: {config})"
     parser.add_argument("config", nargs="?", metavar="CONFIG", help=words)
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help=f"replaces a value of the experiment, e.g. {setting}; may be given again",
+        help=f"change a value of the experiment, e.g. {setting}; may be given several times",
     )
     parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--overwrite", action="store_true", help=f"replace {replaced}")
@@ -55,9 +55,9 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
 def add_figures(parser: argparse.ArgumentParser) -> None:
     """--figures and --no-figures, for a command that draws. `options.figures` is None for all."""
     group = parser.add_mutually_exclusive_group()
-    words = "draw these figures only, names with commas between"
+    words = "draw only these figures (names separated by commas)"
     group.add_argument("--figures", type=_names, metavar="NAMES", help=words)
-    words = "draw none"
+    words = "draw no figures"
     group.add_argument("--no-figures", action="store_const", const=[], dest="figures", help=words)
 
 
@@ -91,7 +91,7 @@ def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], in
 
 def add_window(parser: argparse._ActionsContainer) -> None:
     """--window, the part of each recording that is used."""
-    words = "only these seconds of each recording, such as 0:40, 40: or :40"
+    words = "use only these seconds of each recording, e.g. 0:40, 40: or :40"
     parser.add_argument("--window", metavar="A:B", type=window, help=words)
 
 
@@ -109,9 +109,9 @@ def window(text: str) -> tuple[float, float]:
 
 def add_imu(parser: argparse._ActionsContainer) -> None:
     """--frame and --rest, of the filter for inertial sensors."""
-    words = "of imu: the inertial frame, x y z (default: %(default)s)"
+    words = "only with imu: x, y and z of the inertial frame (default: %(default)s)"
     parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
-    words = "of imu: time at rest at the start [s], 0 for none (default: found)"
+    words = "only with imu: time at rest at the start [s], 0 for none (default: detected)"
     parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
 
 
@@ -120,10 +120,10 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--bridge",
         choices=get_args(Policy),
-        help="what is done about gaps, stamps that go back and samples without velocities: "
-        "refused (default), the last velocities held, or interpolated",
+        help="what to do about gaps, time stamps that go back and samples without velocities: "
+        "refuse the recording (default), hold the last velocities, or interpolate them",
     )
-    words = f"time up to which anything is bridged [s] (default: {LONGEST_GAP:g})"
+    words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g})"
     parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
 
 

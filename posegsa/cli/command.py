@@ -59,7 +59,7 @@ def _abandon_stdout() -> None:
 
 
 def _main(arguments: Sequence[str] | None) -> int:
-    """Parse the arguments and run the command; what it refuses is a line on standard error."""
+    """Parse the arguments and run the command; print each known error as a line on stderr."""
     options = parser().parse_args(arguments)
     with warnings.catch_warnings():
         # Show posegsa's warnings as one line, without Python's file and line number.
@@ -94,7 +94,7 @@ _UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
 
 
 def _numbers(result) -> str:
-    """The numbers that a search found, with all digits."""
+    """The parameters that a search found, with all digits."""
     from posegsa.judging.imu import ImuResult  # slow, but already imported here
     from posegsa.judging.recorded import RecordingResult
 
@@ -112,7 +112,7 @@ def _run(options: argparse.Namespace) -> int:
         from posegsa import runtime  # imports JAX, which `posegsa configs` does not need
 
         runtime.enable_fast_path()
-        # Hide its two warnings about a home that can't be written; our warning is one line.
+        # Hide matplotlib's two warnings about a read-only home folder; our warning is one line.
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
     return options.command(options)
 
@@ -128,7 +128,7 @@ def _check_names(options: argparse.Namespace) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line; no command's heavy imports are made."""
+    """The parser of the whole command line. It does not make the commands' slow imports."""
     parser = Parser(
         prog="posegsa",
         description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
@@ -141,7 +141,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _say_stopping() -> None:
-    say("posegsa: stopping; again to stop at once (then only the last checkpoint is kept)")
+    say("posegsa: stopping; repeat the signal to stop at once (keeps only the last checkpoint)")
 
 
 def _say_stopped(how: str) -> None:

@@ -16,34 +16,34 @@ def add(commands) -> None:
         help="compare optimisers at equal budgets",
         description="Runs several optimisers many times on the same training scenarios, or on a "
         "test function, each with the same number of evaluations. Prints a table with paired "
-        "tests; with --out it keeps each search in the folder, goes on where it was left, and ends "
-        "with the table and a figure.",
+        "tests. With --out each search is kept in the folder, the same command resumes the "
+        "comparison, and the table and a figure are written at the end.",
     )
     parser.late_epilog = _names
     add_search_arguments(
         parser,
         config="the recommended experiment",
         setting="search.agents=50",
-        out="folder to write to, and to go on from",
+        out="folder to write to, or to resume from",
         replaced="another comparison in the folder",
     )
     parser.add_argument(
         "--optimisers",
         metavar="LIST",
-        help="names with commas between, each with settings of its own after colons if wanted, "
-        "such as gsa:g0=1.0; the others are compared with the first (default: see below)",
+        help="names separated by commas; settings of an optimiser follow its name after colons, "
+        "e.g. gsa:g0=1.0; the others are compared with the first (default: see below)",
     )
-    add_count(parser, "--repeats", REPEATS, "searches of each")
-    counted = "evaluations of a search; a gradient counts as gradient_price of them"
+    add_count(parser, "--repeats", REPEATS, "searches per optimiser")
+    counted = "evaluations per search; a gradient counts as gradient_price evaluations"
     add_count(parser, "--evaluations", EVALUATIONS, counted)
-    levels = "costs to reach, with commas between (default: medians of the optimisers)"
+    levels = "costs to reach, separated by commas (default: medians of the optimisers)"
     parser.add_argument("--levels", type=_numbers, metavar="LIST", help=levels)
-    function = "a test function instead of the filter (see below)"
+    function = "minimise a test function instead of tuning the filter (see below)"
     parser.add_argument("--function", metavar="NAME", help=function)
-    add_count(parser, "--dimensions", 30, "of the function")
+    add_count(parser, "--dimensions", 30, "dimensions of the test function")
     shift = "move the function's minimum by this in every coordinate, in half widths of the box"
     parser.add_argument("--shift", type=float, default=0.0, metavar="S", help=shift)
-    rotation = "turn the function about its minimum"
+    rotation = "rotate the function about its minimum, by a random rotation from this seed"
     parser.add_argument("--rotation", type=int, metavar="SEED", help=rotation)
     add_figures(parser)
     parser.set_defaults(command=run)
@@ -62,11 +62,13 @@ def _names() -> str:
 
 
 def _numbers(text: str) -> list[float]:
-    """Read an argument as numbers with commas between."""
+    """Read an argument as numbers separated by commas."""
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: numbers, commas between") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r}; allowed: numbers separated by commas"
+        ) from None
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     if options.optimisers is not None:
         given = (name.strip() for name in options.optimisers.split(","))
         names = list(dict.fromkeys(filter(None, given)))
-    kept = "searches that are done are kept, the same command goes on"
+    kept = "finished searches are kept; the same command resumes the comparison"
     how = "nothing is kept without --out" if options.out is None else kept
     with resumable(lambda: f"interrupted; {how}"), Display(quiet=options.quiet):
         comparison = comparing.compare(

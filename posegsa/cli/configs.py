@@ -10,18 +10,18 @@ def add(commands) -> None:
     parser = commands.add_parser(
         "configs",
         help="list the configurations that come with posegsa",
-        description="Lists the configurations that come with posegsa, by the names that other "
-        "commands take instead of a file.",
+        description="Lists the configurations that come with posegsa. Other commands take their "
+        "names instead of a file.",
     )
     parser.set_defaults(command=run, name=None)
     parser = commands.add_parser(
         "config",
-        help="print one of them",
-        description="Prints a configuration that comes with posegsa, to read or to begin from: "
-        "`posegsa config show quick > mine.toml`.",
+        help="print one of these configurations",
+        description="Prints a configuration that comes with posegsa, to read it or to start from "
+        "it: `posegsa config show quick > mine.toml`.",
     )
     parser.add_argument("show", choices=["show"])
-    parser.add_argument("name", metavar="NAME", help="what `posegsa configs` lists")
+    parser.add_argument("name", metavar="NAME", help="a name from `posegsa configs`")
     parser.set_defaults(command=run)
 
 

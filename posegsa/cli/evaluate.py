@@ -29,32 +29,30 @@ def add(commands) -> None:
     """Add the command to the others."""
     parser = commands.add_parser(
         "evaluate",
-        help="judge a finished run on more unseen scenarios or recordings, beside baselines",
-        description="Judges a finished run on unseen scenarios beside the best constant gain, "
-        "a time switch and other schedules searched with as many evaluations, and Kalman filters; "
-        "minutes. Writes the evaluation, figures and report.html to the run's folder, and the "
-        "held-out means in its result.json. With --recording it judges the run on recordings "
-        "instead, beside the best constant gains and a Kalman filter.",
+        help="compare a finished run with baselines on more unseen scenarios or on recordings",
+        description="Compares a finished run on unseen scenarios with the best constant gain, "
+        "a time switch and other schedules searched with as many evaluations, and with Kalman "
+        "filters. Takes minutes. Writes the evaluation, figures and report.html to the run's "
+        "folder, and the held-out means to its result.json. With --recording it compares the run "
+        "on recordings instead, with the best constant gains and a Kalman filter.",
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     scenarios = f"number of held-out scenarios (default: {SCENARIOS})"
     parser.add_argument("--scenarios", type=whole_number(2), metavar="S", help=scenarios)
-    seed = "another held-out set than the run's own; any whole number from 0"
+    seed = "use another held-out set than the run's own; any whole number from 0"
     parser.add_argument("--seed", type=whole_number(0), metavar="N", help=seed)
     add_figures(parser)
     add_quiet(parser)
-    group = parser.add_argument_group(
-        "recordings", "Judges a run on recorded motion, whatever it was tuned on."
-    )
+    group = parser.add_argument_group("recordings", "Evaluates any run on recorded motion.")
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
     add_window(group)
     add_bridge(group)
     words = (
-        "of a run that was tuned on recordings, one of these: constant gains and the Kalman filter "
-        "are tuned on them (without any, both are left out)"
+        "a recording that the run was tuned on: constant gains and the Kalman filter are tuned on "
+        "it too (without any, both are left out)"
     )
     group.add_argument("--training", metavar="FILE", action="append", help=words)
-    words = "the same as --window of those"
+    words = "--window for the recordings of --training"
     group.add_argument("--training-window", metavar="A:B", type=window, help=words)
     parser.set_defaults(command=run)
 
@@ -68,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     _check(options, load(options.run))  # before `locked_folder`, which would make a missing folder
     with (
         locked_folder(options.run, overwrite=True) as folder,  # before the long evaluation
-        resumable(lambda: "interrupted; the run is as it was"),
+        resumable(lambda: "interrupted; the run is unchanged"),
     ):
         # Load again: another process may have replaced the run before the lock.
         return judge(options, load(folder), folder)
@@ -110,7 +108,7 @@ def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
     for warning in result.warnings():
         print(f"  warning: {warning}")
     print(f"\nWritten to {options.run}: {REPORT}, {EVALUATION}, {TABLE}{drawn(options)}")
-    print(f"The held-out means in its {RESULT} are those of these scenarios now.")
+    print(f"The held-out means in {RESULT} are now those of these scenarios.")
     return 0
 
 

@@ -19,9 +19,9 @@ def add(commands) -> None:
     )
     parser.add_argument("run", metavar="RUN", help="folder of a finished run")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
-    parser.add_argument("--out", metavar="FILE", help="file to write; default standard output")
-    parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
-    parser.add_argument("--name", help="what names in C begin with; default posegsa")
+    parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--name", help="prefix of names in C (default: posegsa)")
     parser.set_defaults(command=run)
 
 
@@ -44,6 +44,6 @@ def _write_new(path: Path, text: str, *, overwrite: bool) -> None:
         with path.open("w" if overwrite else "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise PosegsaError(f"{path}: is there already; --overwrite replaces it") from None
+        raise PosegsaError(f"{path}: exists already; --overwrite replaces it") from None
     except OSError as error:
         raise PosegsaError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,4 +1,4 @@
-"""The parser of the command line and of each command, with errors by the command concerned."""
+"""The parser of the command line and of each command. A command reports its own errors."""
 
 import argparse
 import difflib
@@ -8,10 +8,10 @@ from typing import IO, Any
 
 
 class Parser(argparse.ArgumentParser):
-    """As `argparse.ArgumentParser`, but an error shows the usage of the command concerned.
+    """An `argparse.ArgumentParser` whose errors show the usage of the command concerned.
 
-    The error about an unknown option suggests the nearest one. If the help can't be written, that
-    is an error too.
+    The error about an unknown option suggests the most similar one. If the help can't be written,
+    this is an error too.
     """
 
     late_epilog: Callable[[], str] | None = None

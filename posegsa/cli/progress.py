@@ -19,9 +19,9 @@ from posegsa import steps
 from posegsa.steps import Step
 
 BETWEEN_LINES = 10.0
-"""Least time between two written lines of the same part [s]."""
+"""Minimum time between two written lines of the same part [s]."""
 BETWEEN_DRAWN = 0.1
-"""Least time between two updates of a redrawn line [s]."""
+"""Minimum time between two updates of a redrawn line [s]."""
 BAR = 20
 """Length of the progress bar in characters."""
 LONG = 10.0
@@ -31,7 +31,7 @@ LONG = 10.0
 class Display:
     """A context that shows the steps of the job within it.
 
-    Nothing is shown before the first step begins, so a refused job shows nothing.
+    Nothing is shown before the first step starts, so a refused job shows nothing.
     """
 
     def __init__(
@@ -57,10 +57,10 @@ class Display:
         self.drawn = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.present: Step | None = None
         """The current step."""
-        self.began = False
-        """Whether any step has begun."""
-        self._begun = self._written = 0.0
-        self._began_with = 0.0
+        self.started_any = False
+        """Whether any step has started."""
+        self._started = self._written = 0.0
+        self._done_at_start = 0.0
         self._width = 0
         self._context = ExitStack()
 
@@ -71,7 +71,7 @@ class Display:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        """End the present step."""
+        """End the current step."""
         self._context.close()
         _SHOWN.remove(self)
         self._end("stopped" if error is not None else "done")
@@ -81,9 +81,9 @@ class Display:
         now, before = self.clock(), self.present
         if before is None or step.name != before.name:
             self._end("done")
-            self._begun, self._began_with = now, step.done
+            self._started, self._done_at_start = now, step.done
             before = None
-        self.present, self.began = step, True
+        self.present, self.started_any = step, True
         self._say_whole(now)
         another = before is None or step.about != before.about
         whole = step.done >= step.parts
@@ -100,12 +100,12 @@ class Display:
     def _say_whole(self, now: float) -> None:
         """Once, after the first iteration of a search, say how long the whole search takes."""
         assert self.present is not None
-        done = self.present.done - self._began_with
+        done = self.present.done - self._done_at_start
         if not self.after_search or self.present.best_cost is None or done < 1:
             return
-        whole = (now - self._begun) / done * (self.present.parts - self._began_with)
+        whole = (now - self._started) / done * (self.present.parts - self._done_at_start)
         if whole >= LONG and not self.quiet:
-            self.say(f"about {span(whole)} to search; {self.after_search}")
+            self.say(f"the search takes about {span(whole)}; {self.after_search}")
         self.after_search = ""
 
     def _end(self, ended: str) -> None:
@@ -117,7 +117,7 @@ class Display:
         if ended == "stopped" and done == 0:  # refused at its start: show nothing
             self._clear()
             return
-        took = f"{ended} after {span(self.clock() - self._begun)}"
+        took = f"{ended} after {span(self.clock() - self._started)}"
         count = f" {int(done)}/{parts}" if best_cost is not None else ""
         known = best_cost is not None and math.isfinite(best_cost)
         best = f", best cost {best_cost:.4g}" if known else ""
@@ -142,7 +142,7 @@ class Display:
     def _left(self, now: float) -> float | None:
         """The remaining time of the step [s]; None while it can't be estimated."""
         assert self.present is not None
-        done, elapsed = self.present.done - self._began_with, now - self._begun
+        done, elapsed = self.present.done - self._done_at_start, now - self._started
         if done <= 0 or elapsed < 1:
             return None
         return elapsed / done * (self.present.parts - self.present.done)
@@ -169,7 +169,7 @@ _SHOWN: list[Display] = []
 
 
 def say(text: str) -> None:
-    """Write a line to standard error, above a redrawn one."""
+    """Write a line to standard error, above the redrawn one."""
     if _SHOWN:
         _SHOWN[-1].say(text)
     else:

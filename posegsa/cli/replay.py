@@ -20,14 +20,14 @@ def add(commands) -> None:
         "replay",
         help="run a tuned filter over recordings",
         description="Runs the filter of a finished run over recordings and, where they have a "
-        "reference, shows its errors: total, heading, inclination and position, root mean squares "
-        "by phase. Writes the table, trajectories (TUM) and figures to a folder.",
+        "reference, shows root mean square errors by phase: total, heading, inclination and "
+        "position. Writes the table, trajectories (TUM) and figures to a folder.",
     )
     parser.add_argument(
         "filter",
         metavar="RUN",
-        help='folder of a finished run; "imu" for the attitude filter for inertial sensors, or its '
-        "numbers in a .toml file",
+        help='folder of a finished run; or "imu", the attitude filter for inertial sensors; or a '
+        ".toml file with its settings",
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
@@ -35,7 +35,9 @@ def add(commands) -> None:
     add_imu(parser)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     add_figures(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace the replays it holds")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the replays in the folder"
+    )
     parser.set_defaults(command=run)
 
 

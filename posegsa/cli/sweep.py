@@ -20,16 +20,16 @@ def add(commands) -> None:
     """Add the command to the others."""
     parser = commands.add_parser(
         "sweep",
-        help="tune with other values and seeds, side by side",
-        description="Searches with every combination of values, each with several seeds. Each run "
-        "is kept in the folder as it is done; the same command goes on where it was left, and more "
-        "values or seeds come to those that are there. Ends with tables and figures in the folder.",
+        help="tune with every combination of values and seeds",
+        description="Searches with every combination of values, each with several seeds. Each "
+        "finished run is kept in the folder. The same command resumes the sweep, and more values "
+        "or seeds are added to it. At the end, tables and figures are written to the folder.",
     )
     add_search_arguments(
         parser,
         config="the recommended experiment",
         setting="search.agents=50",
-        out=f"folder to write to, and to go on from (default: {OUT})",
+        out=f"folder to write to, or to resume from (default: {OUT})",
         replaced="another sweep in the folder",
     )
     parser.add_argument(
@@ -37,23 +37,23 @@ def add(commands) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=A,B,...",
-        help="values of a key, e.g. filter.gamma=1,5,10; may be given again, for every "
-        "combination; what is set so is not searched",
+        help="values of a key, e.g. filter.gamma=1,5,10; given several times, every combination "
+        "is tried; a number set in this way is not searched",
     )
-    add_count(parser, "--seeds", 1, "searches of each, with the seeds from run.seed on")
+    add_count(parser, "--seeds", 1, "searches per combination, with the seeds from run.seed on")
     parser.add_argument(
         "--shard",
         type=_shard,
         default=(1, 1),
         metavar="I/N",
-        help="make the I-th of N parts, from 1; they may run at once and share the folder",
+        help="run the I-th of N parts, I from 1; all parts may run at once and share the folder",
     )
-    add_count(parser, "--together", TOGETHER, "searches of one batch, at most")
+    add_count(parser, "--together", TOGETHER, "maximum number of searches in one batch")
     parser.add_argument(
         "--merge",
         nargs="+",
         metavar="DIR",
-        help="search nothing: put the runs of these folders together, in --out or the first",
+        help="do not search: merge the runs of these folders into --out or the first folder",
     )
     parser.set_defaults(command=run)
 
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     if parts == 1:
         _show(found, out)
     else:
-        print(f"Part {part} of {parts} is done; with all of them: posegsa sweep --merge {out}")
+        print(f"Part {part} of {parts} is done. After all parts: posegsa sweep --merge {out}")
     return 0
 
 

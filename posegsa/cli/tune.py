@@ -36,51 +36,57 @@ def add(commands) -> None:
     parser = commands.add_parser(
         "tune",
         help="tune a gain schedule and judge it on unseen scenarios",
-        description="Tunes a gain schedule and judges it on scenarios it was not tuned on, or, "
-        "with --recording, tunes it on recordings. Writes the result, tables, figures and "
-        "report.html to a folder; on recordings, result and table.",
+        description="Tunes a gain schedule and judges it on scenarios it was not tuned on. "
+        "Writes the result, tables, figures and report.html to a folder. With --recording it "
+        "tunes on recordings, and writes only result and table.",
     )
     add_search_arguments(
         parser,
         config="the recommended experiment, or that of the run to resume",
         setting="filter.substeps=4",
-        out=f"folder to write to, checkpoints too (default: {OUT})",
-        replaced="the run that the folder holds",
+        out=f"folder for results and checkpoints (default: {OUT})",
+        replaced="the run in the folder",
     )
     add_figures(parser)
     resume = (
-        "go on with the run in this folder; a CONFIG or settings must be those of the run, but for "
-        "more iterations, and so must recordings"
+        "resume the run in this folder; CONFIG, settings and recordings must be those of the run, "
+        "except that there may be more iterations"
     )
     parser.add_argument("--resume", metavar="DIR", help=resume)
-    parser.add_argument("--iterations", type=int, metavar="N", help="replaces search.iterations")
-    parser.add_argument("--seed", type=int, metavar="N", help="replaces run.seed")
+    parser.add_argument(
+        "--iterations", type=int, metavar="N", help="same as --set search.iterations=N"
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="same as --set run.seed=N")
     group = parser.add_argument_group(
         "recordings", "Tunes on recorded motion instead of simulated scenarios."
     )
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
-    group.add_argument("--held-out", metavar="FILE", action="append", help="one that only judges")
+    group.add_argument(
+        "--held-out", metavar="FILE", action="append", help="a recording to judge on"
+    )
     add_window(group)
     group.add_argument(
-        "--held-out-window", metavar="A:B", type=window, help="the same of those that only judge"
+        "--held-out-window", metavar="A:B", type=window, help="--window for --held-out"
     )
     add_bridge(group)
     add_imu(group)
     group.add_argument(
         "--schedule",
         choices=get_args(RecordedSchedule),
-        help="what is searched: k1 to k22 (default), one gain, or K(e) of three numbers",
+        help="what is searched: k1 to k22 (default), one gain, or K(e) with three parameters",
     )
     together = parser.add_argument_group(
         "several processes",
-        "The same command in each, on one machine or many; the first writes the files. Without "
-        "addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes and others).",
+        "Start the same command in each process, on one machine or several; the first process "
+        "writes the files. Without addresses, JAX asks the cluster (Slurm, Open MPI, Kubernetes "
+        "and others).",
     )
-    together.add_argument("--distributed", action="store_true", help="search together")
-    waits = "where the first waits for the others"
+    searched = "search in several processes together"
+    together.add_argument("--distributed", action="store_true", help=searched)
+    waits = "address at which the first process waits for the others"
     together.add_argument("--coordinator", metavar="HOST:PORT", help=waits)
-    together.add_argument("--processes", type=int, metavar="N", help="how many they are")
-    together.add_argument("--process", type=int, metavar="I", help="which one this is, from 0")
+    together.add_argument("--processes", type=int, metavar="N", help="number of processes")
+    together.add_argument("--process", type=int, metavar="I", help="this process's index, from 0")
     parser.set_defaults(command=run)
 
 
@@ -156,8 +162,8 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
     """The command that compares a run on recordings with other filters, or what it needs."""
     if options.held_out is None:
         return (
-            "Whether the schedule is better than constant gains and a Kalman filter, a recording "
-            "that was held out says: --held-out FILE, which may be the same with --held-out-window."
+            "To compare the schedule with constant gains and a Kalman filter, hold out a recording "
+            "with --held-out FILE; it may be another part of the same file (--held-out-window)."
         )
     files = {"recording": options.held_out, "training": options.recording}
     parts = {"window": options.held_out_window, "training-window": options.window}
@@ -166,8 +172,8 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
     words += [f"--bridge {options.bridge}"] if options.bridge else []
     words += [f"--longest-gap {options.longest_gap!r}"] if options.longest_gap else []
     return (
-        "Beside the best constant gains and a Kalman filter, in about twice the time of this "
-        f"search:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
+        "To compare it with the best constant gains and a Kalman filter, in about twice the time "
+        f"of this search:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
     )
 
 
@@ -177,7 +183,7 @@ def _tune_imu(options: argparse.Namespace) -> int:
 
     if options.recording is None:
         raise ArgumentError(
-            f"{options.config}: is tuned on recordings alone; allowed: with --recording FILE"
+            f"{options.config}: is tuned only on recordings; allowed: with --recording FILE"
         )
     if options.resume is not None or options.distributed or options.schedule is not None:
         raise ArgumentError(
@@ -211,8 +217,11 @@ def _tune_imu(options: argparse.Namespace) -> int:
 
 
 def _say_if_finished(options: argparse.Namespace, show: Display) -> None:
-    if options.resume is not None and not show.began:
-        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
+    if options.resume is not None and not show.started_any:
+        print(
+            f"{options.resume} is finished already: nothing was searched. "
+            "For more iterations use --iterations."
+        )
 
 
 def _refuse_held_out_window(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The names of this package, and where they are (`lazy_loader`)."""
+"""The public names of this package and their modules, for `lazy_loader`."""
 
 from .experiment import CheckpointConfig as CheckpointConfig
 from .experiment import CostConfig as CostConfig

@@ -13,7 +13,7 @@ from posegsa.settings.violations import Violation
 def with_values(
     data: dict[str, Any], before: Optimiser, values: Iterable[tuple[str, object]]
 ) -> tuple[dict[str, Any], list[Violation]]:
-    """The data of an experiment with values replaced, and which could not be.
+    """The data of an experiment with values replaced, and the values that cannot be.
 
     Args:
         data: Plain data of a whole experiment, or of an `ImuConfig`; changed in place.
@@ -33,12 +33,12 @@ def with_values(
     parameters = data["parameters"]
     if range_before and "parameters.gain_range" in named and isinstance(parameters, dict):
         for key, fitted in fitted_bounds(*range_before).items():
-            # Bounds that were fitted to the range before, and are not stated, fit the new one.
+            # Refit bounds that were fitted to the old range and are not set by the user.
             stated = any(_overlap(path, f"parameters.{key}") for path in named)
             if not stated and tuple(parameters[key]) == fitted:
                 del parameters[key]
     if not any(_overlap(path, "parameters.also") for path in named):
-        # A number that is stated is not tuned any more.
+        # A number that is set is no longer tuned.
         parameters["also"] = [
             one
             for one in parameters["also"]

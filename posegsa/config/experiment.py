@@ -69,14 +69,14 @@ class FilterConfig(Section):
     gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
     """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
     substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
-    """Number of inner steps per sample, with the measurement held."""
+    """Number of inner steps per sample; the measurement is constant over them."""
     gamma_law: GainLaw = "quadratic"
     """How gamma depends on the gain K after its limit: constant, or proportional to K or K^2.
     `gamma` is its value at K = 10/s."""
     bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
-    """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
-    from data sheets, or "off" for none. They keep the estimate from running away if measurements
-    stop before it has converged; an estimate far beyond its bound is reset to 0."""
+    """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], for
+    example from data sheets; "off" means none. They limit the estimate if measurements stop before
+    it has converged; an estimate far beyond its bound is reset to 0."""
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
     """Unit of length [m], which weighs attitude against position in the gain. About the distance of
     the landmarks from the origin lets both converge equally fast."""
@@ -219,7 +219,7 @@ class Experiment(Section):
                 type(self).model_validate(data)
             except ValidationError as error:
                 for violation in violations_of(error, type(self)):
-                    reason = f"with all of them at their {name} bound: {violation}"
+                    reason = f"with each of these numbers at its {name} bound: {violation}"
                     yield Violation("parameters.also", reason)
 
     @model_validator(mode="after")
@@ -246,7 +246,7 @@ class Experiment(Section):
         if self.filter.cross_vector and not self.scenario.cross_vector:
             yield Violation(
                 "filter.cross_vector",
-                "allowed: false, or two vectors to begin with that are not collinear",
+                "allowed: false, or first two vectors that are not collinear",
                 True,
             )
         weight = self.filter.cross_vector_weight if self.filter.cross_vector else 0.0

@@ -17,7 +17,7 @@ class Occasions(Section):
     """Events that recur in each scenario."""
 
     rate: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.05
-    """How often one begins while none is going on [1/s], at most once a second."""
+    """How often one starts while none is going on [1/s], at most once a second."""
     duration: Range = (1.0, 5.0)
     """How long one lasts [s], minimum and maximum."""
 
@@ -72,9 +72,9 @@ class FamilyConfig(Section):
     landmark_interval: Range | Off = "off"
     """Time from one measurement of the landmarks to the next [s]."""
     rest: Range | Off = "off"
-    """Time at rest at the start [s], in scenarios that begin at rest."""
+    """Time at rest at the start [s], in scenarios that start at rest."""
     rest_share: Annotated[float, Field(strict=True, ge=0, le=1)] = 1.0
-    """Share of the scenarios that begin at rest, no unit."""
+    """Share of the scenarios that start at rest, no unit."""
     duration: Range | Off = "off"
     """Time after which a scenario no longer counts [s]."""
     random_phase: Flag = True

@@ -108,8 +108,8 @@ def values_of(text: str) -> tuple[str, list[Any]]:
     """Read a key and several values, as for `--vary` on the command line.
 
     Args:
-        text: Such as `filter.gamma=1,5,10` or `search.optimiser=gsa,de`: a path of keys and array
-            indices, and values in TOML, separated by commas.
+        text: A path of keys and array indices, and values in TOML, separated by commas:
+            `filter.gamma=1,5,10` or `search.optimiser=gsa,de`.
 
     Raises:
         ConfigError: The text cannot be read.

@@ -76,7 +76,7 @@ class ImuConfig(Section):
     """The optimiser, selected by `search.optimiser`, with its settings."""
 
     def _conflicts(self) -> Iterator[Violation]:
-        # A number that is "off" is not tuned by default.
+        # By default, a number that is "off" is not tuned.
         needless = ImuParametersConfig().also
         yield from also_conflicts(self, self.parameters.also, needless=needless)
 

@@ -179,7 +179,7 @@ class ParametersConfig(Section):
     lower: Bounds = tuple(low for low, _ in _PAPER_BOXES)
     """Lower bounds: k1..k11 in 0 to 1 (inputs, no unit), k12..k22 in the gain range [1/s]."""
     upper: Bounds = tuple(high for _, high in _PAPER_BOXES)
-    """Upper bounds, likewise."""
+    """Upper bounds, in the same order and units."""
     gain_range: tuple[NonNegative, NonNegative] = (0.0, 100.0)
     """Universe of the output k_op; the gain is K = fuzzy.offset + its centroid [1/s]. If it is
     given without bounds, those of k12..k22 are the paper's, shifted and scaled to it."""
@@ -219,7 +219,7 @@ class ParametersConfig(Section):
         """Bounds for which sorting could move parameters out of their boxes.
 
         Sorting numbers keeps each of them inside its own interval if the lower ends of the
-        intervals ascend and the upper ends do too. What is sorted is each triangle, so that
+        intervals ascend and the upper ends do too. Each triangle is sorted, so that
         a <= b <= c, and then the a's, the b's and the c's from term to term.
         """
         allowed = "bounds that ascend within each triangle and from term to term"

@@ -112,9 +112,9 @@ def with_numbers(data: dict[str, Any], values: Mapping[str, float]) -> dict[str,
 def also_conflicts(
     experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> Iterator[Violation]:
-    """What is wrong with the further numbers to tune.
+    """The errors in the list of further numbers to tune.
 
-    Those in `needless`, the defaults, may be without effect.
+    Those in `needless`, the defaults, may have no effect.
     """
     places, seen = tunable(experiment), set()
     for i, one in enumerate(also):

@@ -84,8 +84,8 @@ class Columns(Numbers):
 
     Args:
         names: Names of the columns, with units.
-        each: There is a set of these columns for each of several things, such as vectors; "#" in a
-            name is replaced by the number of the thing.
+        each: Whether there is a set of these columns for each of several items, for example
+            vectors; "#" in a name is replaced by the number of the item.
         numbers: Keyword arguments of `Numbers`.
     """
 
@@ -95,7 +95,7 @@ class Columns(Numbers):
         self.names, self.each = names, each
 
     def of(self, count: int) -> list[str]:
-        """The names of all columns for `count` things."""
+        """The names of all columns for `count` items."""
         if not self.each:
             return list(self.names)
         return [name.replace("#", str(i)) for i in range(1, count + 1) for name in self.names]

@@ -68,19 +68,19 @@ def violations_error(title: str, violations: Iterable[Violation]) -> ConfigError
 
 
 def config_error(title: str, error: ValidationError, model: type[BaseModel]) -> ConfigError:
-    """The error that says under a title what pydantic found where it was to make a model."""
+    """The error that lists under a title what pydantic found wrong with a model's data."""
     return violations_error(title, violations_of(error, model))
 
 
 def violations_of(error: ValidationError, model: type[BaseModel]) -> list[Violation]:
-    """What pydantic found wrong where it was to make a model."""
+    """The violations that pydantic found in a model's data."""
     found: dict[tuple[str, int], Violation] = {}
     for item in error.errors(include_url=False):
         for i, violation in enumerate(_violations(item, model.model_fields)):
             if other := found.get((violation.key, i)):  # every member of a union has its own reason
                 violation = replace(violation, reason=f"{other.reason}, or {violation.reason}")
             found[violation.key, i] = violation
-    # A union refuses the whole value beside the part of it that is wrong: the part says more.
+    # A union refuses the whole value too; the error about the part of it that is wrong says more.
     keys = [key for key, _ in found]
     return [v for v in found.values() if not any(k.startswith(f"{v.key}.") for k in keys)]
 

@@ -1,6 +1,6 @@
-"""The command line as a person types it: exit status and what they read.
+"""The command line as a user types it: exit status and printed text.
 
-Where a process of its own is the point, in one: a signal, how it ends, the installed command.
+Tests of signals, of the exit and of the installed command start a separate process.
 """
 
 import io
@@ -45,7 +45,7 @@ def finished(tmp_path_factory) -> tuple[Path, Done]:
     folder, out, err = tmp_path_factory.mktemp("anywhere"), io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.chdir(folder)
-        patch.setattr("posegsa.runtime.enable_fast_path", lambda: True)  # as it is in a process
+        patch.setattr("posegsa.runtime.enable_fast_path", lambda: True)  # JAX has already started
         patch.setattr(figure_style, "DPI", 15)
         status = main(["tune", "--seed", "3", *SETTINGS])
     return folder, Done(status, out.getvalue(), err.getvalue())
@@ -63,7 +63,7 @@ def test_tune_runs_from_any_folder(finished):
 
 def test_a_process_of_its_own_finds_the_same(finished, tmp_path):
     command = [sys.executable, "-m", "posegsa", "tune", "--seed", "3", *SETTINGS]
-    # The programs of these tests, which are compiled so.
+    # So that the process finds the compiled programs of these tests.
     environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(
         [*command, "--no-figures", "--quiet"],
@@ -88,7 +88,7 @@ def test_it_shows_progress_and_notes_in_plain_words(finished):
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
         assert f"\n{step}: done after" in done.err
     assert "best cost" in done.err
-    assert "initial_rotation" not in done.err, "of the default there is nothing to note"
+    assert "initial_rotation" not in done.err, "the default experiment needs no note"
     assert "Traceback" not in done.err
     assert "Warning" not in done.err
 
@@ -101,7 +101,7 @@ def test_a_second_run_does_not_replace_the_first(finished, monkeypatch, capsys):
     assert main(["tune", *SETTINGS]) == 2
     said = capsys.readouterr().err
     assert "holds a run already" in said
-    assert said.startswith("posegsa: "), "of what is refused nothing is shown"
+    assert said.startswith("posegsa: "), "a refused command shows no progress"
     assert "--overwrite" in said
     assert (folder / "posegsa-run" / "result.json").read_bytes() == before
 
@@ -141,12 +141,12 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    """As a cluster does it; Ctrl-C takes the same way (`test_tuning`, `test_interrupt`)."""
+    """SIGTERM, as sent by a cluster; for Ctrl-C see `test_tuning` and `test_interrupt`."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
         cwd=tmp_path,
-        # The programs of these tests, which are compiled so.
+        # So that the process finds the compiled programs of these tests.
         env={**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"},
         stderr=subprocess.PIPE,
         text=True,
@@ -196,7 +196,7 @@ def test_addresses_without_distributed_are_refused(capsys, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
-    """Another process may replace it until the folder is locked."""
+    """Another process may replace the run until the folder is locked."""
     events = []
 
     class Judged:
@@ -215,7 +215,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         return len(events)
 
     def evaluate(result, **_):
-        assert result == events.index("locked") + 2, "what was loaded before is judged"
+        assert result == events.index("locked") + 2, "judged a result loaded before the lock"
         return Judged()
 
     monkeypatch.setattr("posegsa.saving.folder.locked_folder", locked_folder)
@@ -239,7 +239,7 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     path.write_text("mine", "utf-8")
     again = ["export", run, "--format", form, "--out", str(path)]
     assert main(again) == 2
-    assert "is there already; --overwrite replaces it" in capsys.readouterr().err
+    assert "exists already; --overwrite replaces it" in capsys.readouterr().err
     assert path.read_text("utf-8") == "mine"
     assert main([*again, "--overwrite"]) == 0
     assert path.read_text("utf-8") == written
@@ -307,7 +307,7 @@ def test_help_of_compare_names_all_that_there_are(capsys):
 
 
 def test_help_and_what_is_not_there_need_not_wait_for_jax(tmp_path):
-    """One after the other in a process that has imported nothing."""
+    """The commands run one after the other in a process that has imported nothing."""
     commands = [
         ["evaluate", "--help"],
         ["sweep", "--help"],
@@ -355,7 +355,7 @@ def test_figures_that_there_are_not_are_refused_before_a_search(tmp_path, capsys
     recorded = ["tune", "--recording", str(tmp_path / "none.csv")]
     assert main([*recorded, "--figures", "gain"]) == 2
     assert "--figures; allowed: without --recording" in capsys.readouterr().err
-    # Where none are drawn, to ask for none is no mistake: what is wrong is the missing file.
+    # --no-figures is allowed where no figures are drawn; the error is about the missing file.
     for command in (["replay", str(tmp_path), str(tmp_path / "none.csv")], recorded):
         assert main([*command, "--no-figures"]) == 2
         assert "none.csv: there is no such file" in capsys.readouterr().err

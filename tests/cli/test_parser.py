@@ -1,4 +1,4 @@
-"""What the command line says of arguments that it does not know."""
+"""The command line's errors about unknown arguments."""
 
 import pytest
 

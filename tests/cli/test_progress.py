@@ -1,4 +1,4 @@
-"""What is shown of long work: on a terminal, elsewhere, and when it stops."""
+"""The progress shown for long jobs: on a terminal, elsewhere, and when a job stops."""
 
 import io
 import math
@@ -32,7 +32,7 @@ def usual_terminal(monkeypatch):
 
 
 def lines(stream: io.StringIO) -> list[str]:
-    """What a terminal shows in the end."""
+    """The lines that a terminal shows at the end."""
     shown = []
     for line in stream.getvalue().split("\n"):
         cells: list[str] = []
@@ -129,7 +129,7 @@ def test_quiet_is_quiet():
     stream = Terminal()
     with Display(stream=stream, quiet=True) as show:
         steps.begin("judging", 1, 2)
-    assert show.began
+    assert show.started_any
     assert stream.getvalue() == ""
 
 
@@ -137,12 +137,12 @@ def test_a_long_search_says_once_after_its_first_iteration_how_long_it_takes():
     stream, clock = io.StringIO(), Clock()
     with Display(after_search="then seconds to judge", stream=stream, clock=clock):
         steps.begin("compiling")
-        clock.now = 50.0  # which does not count
+        clock.now = 50.0  # compile time does not count
         for done in (5, 6, 7):
             steps.tell(Step("searching", done, 105, best_cost=3.0))
-            assert ("about 3 min to search" in stream.getvalue()) == (done > 5)
+            assert ("takes about 3 min" in stream.getvalue()) == (done > 5)
             clock.now += 2.0
-    assert stream.getvalue().count("about 3 min to search; then seconds to judge\n") == 1
+    assert stream.getvalue().count("the search takes about 3 min; then seconds to judge\n") == 1
 
 
 def test_of_a_short_search_it_is_not_said_beforehand():
@@ -151,7 +151,7 @@ def test_of_a_short_search_it_is_not_said_beforehand():
         for done in range(3):
             steps.tell(Step("searching", done, 10, best_cost=3.0))
             clock.now += 0.1
-    assert "to search" not in stream.getvalue()
+    assert "the search takes" not in stream.getvalue()
 
 
 def test_a_cost_is_shown_once_there_is_one():

@@ -37,7 +37,7 @@ TINY = {
     "parameters": {"also": [GAMMA, SCALE]},
     "search": {"optimiser": "de", "agents": 8, "iterations": 3},
 }
-"""As in `test_tune_recordings`, whose constant gain is a baseline here, but for the scale."""
+"""As in `test_tune_recordings`, but scaled; the constant gain there is a baseline here."""
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def recordings() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def result(recordings: list[Recording]) -> RecordingResult:
-    """A smooth gain from the middle of its box: how good it is, is nothing to these tests."""
+    """A smooth gain from the middle of its box; its quality does not matter here."""
     problem = recorded_problem(config.from_dict(TINY), recordings[:1], "smooth", 100.0)
     return judge_on_recordings(
         problem, Found(first_search(problem), 0, 0), 100.0, recordings[:1], []
@@ -73,9 +73,9 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
     (ekf,) = judged.baselines[EKF]
-    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # it has a position
+    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # there is a position
     assert f"{EKF}, held out" in judged.table()
-    # The filter's estimates are judged, not those of another recording or part.
+    # The judged estimates are those of this recording and this part.
     found = tune_recorded_kalman(result.experiment, recordings[:1], result.position_weight)
     (estimates,) = recorded_kalman_estimates(found, result.experiment, recordings[1:])
     again = posegsa.recording_errors(estimates, recordings[1]).rmse()["judged"]
@@ -107,7 +107,7 @@ NOISES = Description(
 
 @pytest.fixture
 def noises(run: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Instead of those of a Kalman filter's search on scenarios, which `test_evaluate` makes."""
+    """Replaces the Kalman filter's search on scenarios, which `test_evaluate` runs."""
 
     def tune_kalman(experiment: config.Experiment, one: object, **choices: object) -> Description:
         assert experiment == run.experiment
@@ -128,7 +128,7 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     assert {(step.name, step.about) for step in told} == {("searching", EKF)}
     assert list(judged.baselines) == [CONSTANT, EKF]
     assert judged.filter == run.evaluation.contenders[TUNED].filter
-    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
+    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar instead of an array
     by_hand = posegsa.by_hand(constant, run.experiment)
     for i, recording in enumerate(recordings):
         for estimates, scores in (
@@ -143,7 +143,7 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     assert "on 3 simulated scenarios" in judged.summary()
     assert f"{CONSTANT}, held out" in judged.summary()
     assert "No recording was held out" not in judged.summary()
-    # What the run has been judged beside before is not searched again.
+    # Baselines that the run already has are not searched again.
     own = run.evaluation.contenders
     other = NOISES._replace(numbers=NOISES.numbers | {"landmark": [0.3]})
     known = own[CONSTANT]._replace(filter=other)
@@ -212,9 +212,9 @@ def test_the_command_judges_runs_of_both_kinds(
     assert [one.name for one in judged.held_out] == ["bench", "bench"]
     assert isinstance(posegsa.load(folder), TuneResult), "the run stays"
     write_run(run, folder, same_run=True)
-    assert posegsa.load_recorded(folder) == judged, "judged anew on scenarios, this stays"
+    assert posegsa.load_recorded(folder) == judged, "evaluating on scenarios again keeps this file"
     posegsa.save(run, folder, overwrite=True)
-    assert not (folder / "recorded.json").exists(), "of another run it would be wrong"
+    assert not (folder / "recorded.json").exists(), "a file of another run would be wrong"
     assert main(["evaluate", str(folder), "--training", files[0]]) == 2
     assert_told(capsys.readouterr().err, "--training", "with --recording")
     assert main(["evaluate", str(folder), "--bridge", "hold"]) == 2

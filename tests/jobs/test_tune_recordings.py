@@ -1,4 +1,4 @@
-"""`tune` on recordings: what it finds, says, saves, and what it refuses."""
+"""`tune` on recordings: its result, output, files and refusals."""
 
 import json
 import re
@@ -162,7 +162,7 @@ def test_the_command_tunes_on_files(
     assert "velocity: synthetic: R^T v" in said
     assert "held out" in said
     assert "Written to" in said
-    # What it tells to type next is what it takes to judge the run beside others.
+    # The command that it prints compares the run with other filters.
     (shown,) = re.findall(r"  posegsa (evaluate .*)", said)
     options = parser().parse_args(shlex.split(shown))
     assert options.run == str(tmp_path / "run")
@@ -189,7 +189,7 @@ def test_it_warns_where_the_gain_limit_sets_the_gain(recordings: list[Recording]
     for gain, limited in ((1e5, 1.0), (1e-2, 0.0)):
         found = posegsa.by_hand(
             posegsa.ConstantGain(gain), config.from_dict(TINY), recordings=recordings
-        )  # type: ignore[arg-type]  # a number will do for an array
+        )  # type: ignore[arg-type]  # a number instead of an array
         assert [one.limited for one in found.held_out] == [limited, limited]
         warned = [w for w in found.warnings() if "gain limit" in w and "100 %" in w]
         assert len(warned) == limited
@@ -199,7 +199,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     recordings: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chosen = config.from_dict(TINY)
-    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]  # a number will do for an array
+    mine = posegsa.by_hand(posegsa.ConstantGain(8.0), chosen, recordings=recordings[:1])  # type: ignore[arg-type]  # a number instead of an array
     assert mine.filter.numbers == {"gain": [8.0]}
     assert "by hand" in mine.summary()
     posegsa.save(mine, tmp_path / "run")
@@ -252,7 +252,7 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(
     found = posegsa.tune(resume=tmp_path, **given)
     for name in ("filter", "best_cost", "training", "held_out", "experiment"):
         assert getattr(found, name) == getattr(result, name), name
-    assert posegsa.tune(resume=tmp_path, **given) == found, "it is finished"
+    assert posegsa.tune(resume=tmp_path, **given) == found, "the run is finished"
     with pytest.raises(ConfigError, match=r"iterations = 2\s+the run has 3.*as many or"):
         posegsa.tune(resume=tmp_path, iterations=2, **given)
 
@@ -269,7 +269,7 @@ def test_a_scenario_run_is_not_resumed_with_recordings(tmp_path: Path) -> None:
 def test_scenarios_are_tuned_on_beside_recordings(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
-    # The scenarios and the search of other tests, and what is tuned here.
+    # The scenarios and the search of other tests, with the numbers tuned here.
     settings = ["objective.simulated_share=0.5"]
     settings += ["parameters.also=[{key='filter.gamma.0', lower=0.01, upper=5.0}]"]
     found = posegsa.tune(
@@ -295,7 +295,7 @@ def test_scenarios_are_tuned_on_beside_recordings(
 def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
-    """Of a controller that a search might find: `test_tuning` makes one, on scenarios."""
+    """A result with a made-up controller; `test_tuning` searches one, on scenarios."""
     searched = config.from_dict(TINY | {"fuzzy": {"rules": "searched"}})
     problem = recorded_problem(searched, recordings[:1], "fuzzy", 100.0)
     low, high = map(np.asarray, problem.space.box)
@@ -358,7 +358,7 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
     ):
         with pytest.raises(ArgumentError, match=words):
             posegsa.tune(config.from_dict(TINY), **arguments)  # type: ignore[arg-type]  # wrong on purpose
-    made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]  # a number will do for an array
+    made = posegsa.by_hand(posegsa.ConstantGain(8.0), config.from_dict(TINY))  # type: ignore[arg-type]  # a number instead of an array
     for arguments, words in (
         ({"recordings": recordings, "seed": 3}, "seed with recordings"),
         ({"recordings": recordings, "scenarios": 7}, "scenarios with recordings"),

@@ -1,9 +1,9 @@
 """Every field of every file of a run, simulated or recorded, and of a comparison, altered.
 
-Each field is given a few of the values, other fields of its type others.
+Each field gets some of the values; other fields of its type get others.
 
-What is read is refused with file and field, or it makes a result that can be shown. Nothing else
-happens: no other exception, then or later, and no control character reaches a terminal.
+The file is refused by name and field, or it gives a result that can be shown. Nothing else
+happens: no other exception, now or later, and no control character in the output.
 """
 
 import copy
@@ -50,13 +50,13 @@ VALUES = (
 )
 CELLS = ("", "x", "nan", "inf", "1e308", "-1", "0", "1.5", "\x1b[31m", "true")
 DRAWN = 5
-"""Values or cells that each field or column is given: many fields are of one type, which meets all
-of them."""
+"""Number of values that each field or cell gets. Many fields have the same type, so each type gets
+all values."""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The folder of a small result with every contender, without figures."""
+    """The folder of a small result with all contenders, without figures."""
     patch = pytest.MonkeyPatch()
     patch.setattr("posegsa.saving.run.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
@@ -85,7 +85,7 @@ def comparison(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """The folder of a constant gain on recordings, with one other filter beside it."""
+    """The folder of a constant gain on recordings, compared with one other filter."""
     errors = {phase: Rmse(1.0, 0.5, 0.25, 0.1, 20) for phase in ("judged", "moving")}
     origin = {"gyroscope": "measured"}, ["a gap"]
     one = RecordingScore("a walk", 30, 0.3, False, *origin, errors, fingerprint="0" * 64)
@@ -110,7 +110,7 @@ def recorded(tmp_path_factory):
 
 
 def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
-    """Every field in plain data; of a list its first entry stands for all."""
+    """Every field in plain data; the first entry of a list stands for all."""
     items = data.items() if isinstance(data, dict) else enumerate(data[:1])
     for key, value in items:
         yield (*before, key)
@@ -119,20 +119,20 @@ def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
 
 
 def some(values: tuple, place: object, count: int = DRAWN) -> list:
-    """A few of the values: by chance, and the same in every run, but others in another place."""
+    """A few of the values: random, the same in every run, and different for each place."""
     rng = np.random.default_rng(zlib.crc32(repr(place).encode()))
     return [values[i] for i in rng.permutation(len(values))[:count]]
 
 
 def alterations(data: Any, path: tuple) -> Iterator[str]:
-    """The file with one field altered, removed, or with another one beside it."""
+    """The file with one field altered or removed, or with an additional field."""
     *above, name = path
     parent = data
     for key in above:
         parent = parent[key]
     own = parent[name]
     cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
-    own_kind = len(path) <= 2 or "filter" in path  # of which there are not many alike
+    own_kind = len(path) <= 2 or "filter" in path  # few of them are of the same type
     for value in (*(VALUES if own_kind else some(VALUES, path)), *cut):
         if value != own or type(value) is not type(own):
             parent[name] = value
@@ -153,7 +153,7 @@ def alterations(data: Any, path: tuple) -> Iterator[str]:
 
 
 def checked(file: Path, text: str, load) -> Any:
-    """What is loaded from a file with this text; None if it is refused as it should be."""
+    """The object loaded from a file with this text; None if it is refused correctly."""
     file.write_text(text, encoding="utf-8")
     try:
         return load(file.parent)
@@ -165,14 +165,14 @@ def checked(file: Path, text: str, load) -> Any:
 
 
 def shown(result: posegsa.TuneResult) -> str:
-    """A result in all texts that it has; none steers a terminal."""
+    """Check that all texts of a result can be made and have no control characters."""
     texts = (result.summary(), result.evaluation.table(), posegsa.export_c_gain(result))
     assert all(c.isprintable() or c == "\n" for text in texts for c in text)
     return "".join(texts) + report_html(result, {})
 
 
 def rebuilt(found: Description) -> object:
-    """The filter that a description means."""
+    """The filter for a description."""
     with jax.enable_x64(True):
         if found.kind == "Kalman":
             return candidate_of_noises(found, np.dtype(np.float64))
@@ -187,8 +187,8 @@ def test_every_field_of_a_run(run, name):
     try:
         for path in list(paths(data)):
             # The summary is not read, the experiment is checked like any configuration, and all
-            # contenders are of one type but for the numbers of their filters: of each kind one,
-            # and of the noises of a Kalman filter one.
+            # contenders are of one type except for the numbers of their filters: one of each kind,
+            # and one of the Kalman filter's noises.
             if path[0] == "summary" or (path[0] == "experiment" and len(path) > 2):
                 continue
             if path[0] == "contenders" and len(path) > 2 and path[1] != TUNED:
@@ -207,7 +207,7 @@ def test_every_field_of_a_run(run, name):
     finally:
         file.write_text(good, encoding="utf-8")
     assert refused > 100
-    assert 30 < accepted < refused, "numbers in the place of others, and names of versions"
+    assert 30 < accepted < refused, "accepted: only numbers in place of others and version names"
     assert shown(posegsa.load(run))
 
 
@@ -240,7 +240,7 @@ def test_every_field_of_a_result_on_recordings(recorded):
     data, accepted, refused = json.loads(good), 0, 0
     try:
         for path in list(paths(data)):
-            # The scores are of one type, on whatever recordings and of whatever filter.
+            # All scores are of one type.
             if len(path) > 2 and path[0] in ("experiment", "held_out", "baselines"):
                 continue
             for altered in alterations(data, path):
