@@ -1,10 +1,9 @@
-"""The attitude filter for inertial sensors on BROAD, judged by leave-one-out, beside other filters.
+"""The attitude filter for inertial sensors on BROAD, by leave-one-out, compared with other filters.
 
-Each trial is used twice: whole, with the rest that it begins with, and from the middle of its
-motion on, where nothing tells the gyroscope's bias (judged LATE seconds after). The numbers of the
-filter are chosen from a grid: for each trial those with the least error on all the others (WHOLE).
-Then the numbers chosen on all of them, with each part of the filter changed, and other filters on
-the same trials.
+Each trial is used twice: whole, with its initial rest, and from the middle of its motion, where the
+gyroscope bias is unknown (judged after LATE seconds). The filter's numbers are chosen from a grid:
+for each trial those with the smallest error on all other trials (weighted by WHOLE). Further rows
+show the numbers chosen on all trials with each part of the filter changed, and other filters.
 
     python benchmarks/broad.py DATA_FOLDER [--write]
 
@@ -46,13 +45,13 @@ from posegsa.recordings.rotations import matrices, product  # noqa: E402  (after
 from posegsa.runtime import environment  # noqa: E402  (after the fast path)
 
 LATE = 30.0
-"""Time after the start in motion from which on that is judged [s]."""
+"""Time after a start in motion at which judging starts [s]."""
 WHOLE = 0.75
-"""Share of whole trials in what is minimised; the rest is that of those begun in motion, which are
-run once for this, not in passes."""
+"""Weight of whole trials in the minimised error; the rest is for those started in motion, which run
+in one pass for this."""
 LOW_PASS = (1.5, 2.0, 2.5, 3.0, 4.0)
 TOLERANCE = (0.02, 0.03, 0.04, 0.06, 0.08, 0.16)
-"""From 0.02 on: no reference of the field is exact (docs/imu.md)."""
+"""At least 0.02, as no reference of the field is exact (docs/imu.md)."""
 GAIN = (2.0, 4.0, 8.0, 16.0)
 HEADING = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
 """K times the weight of east [1/s]."""
@@ -60,7 +59,7 @@ GAMMA = (0.3, 0.6, 1.0, 2.0)
 
 
 SMOOTH = 0.02, 0.1
-"""Scaled errors at which the schedules that are tried are half-way from one gain to the other."""
+"""Scaled errors at which the tested schedules are half-way between their two gains."""
 NAMES = "whole", "in motion"
 
 
@@ -87,20 +86,20 @@ GRID = [Setting(*s) for s in itertools.product(LOW_PASS, TOLERANCE, GAIN, HEADIN
 
 
 class Trial(NamedTuple):
-    """A trial, whole or from the middle of its motion on."""
+    """A trial, whole or from the middle of its motion."""
 
     name: str
     recording: Recording
     rest: Any
-    """What `as_imu` is told of the rest."""
+    """The `rest` argument of `as_imu`."""
 
     def prepared(self, vectors: config.ImuVectorsConfig) -> ImuRecording:
-        """With the vectors that a configuration makes."""
+        """The recording with the vectors of a configuration."""
         return posegsa.as_imu(self.recording, rest=self.rest, settings=vectors)
 
 
 def trials(folder: Path) -> tuple[list[Trial], list[Trial]]:
-    """Whole trials, and the same begun in motion."""
+    """Whole trials, and the same trials started in motion."""
     whole, moving = [], []
     for path in sorted(folder.glob("*.mat")):
         recording = Recording.from_broad(path)
@@ -175,19 +174,18 @@ def _sums(m: Any, R: Any, judged: Any, initial: Any, gains: Any, *, at_rest: boo
 
 
 def chosen(errors: np.ndarray, trials: list[int]) -> Setting:
-    """The setting of the grid with the least mean error on some trials.
+    """The setting of the grid with the smallest mean error on some trials.
 
     Args:
-        errors: total RMSE of settings (rows) on trials, of each (columns) whole and begun in
-            motion, (2, settings, trials).
-        trials: which of them count.
+        errors: Total RMSE (2, settings, trials), of whole trials and of those started in motion.
+        trials: Indices of the trials to use.
     """
     whole, moving = errors[:, :, trials].mean(axis=2)
     return GRID[int(np.argmin(WHOLE * whole + (1 - WHOLE) * moving))]
 
 
 class Errors(NamedTuple):
-    """Root mean squares in motion [deg]."""
+    """RMSE in motion [deg]."""
 
     total: float
     heading: float
@@ -203,18 +201,18 @@ def judged(rotation: np.ndarray, recording: Recording) -> Errors:
 
 
 def run(trial: Trial, setting: config.ImuConfig) -> Errors:
-    """The filter on a trial."""
+    """Errors of the filter on a trial."""
     recording = trial.prepared(setting.vectors)
     return judged(np.asarray(posegsa.run_imu(recording, setting).rotation), recording)
 
 
-# --- the same with a part changed ---
+# --- the filter with a part changed ---
 
 Change = Callable[[Trial, config.ImuConfig], Errors]
 
 
 def with_vectors(**changes: Any) -> Change:
-    """The same with numbers of the preparation changed."""
+    """The filter with other numbers for making the vectors."""
 
     def changed(trial: Trial, setting: config.ImuConfig) -> Errors:
         vectors = setting.vectors.model_copy(update=changes)
@@ -224,7 +222,7 @@ def with_vectors(**changes: Any) -> Change:
 
 
 def with_observer(**changes: Any) -> Change:
-    """The same with numbers of the observer changed."""
+    """The filter with other numbers of the observer."""
 
     def changed(trial: Trial, setting: config.ImuConfig) -> Errors:
         observer = setting.observer.model_copy(update=changes)
@@ -236,7 +234,7 @@ def with_observer(**changes: Any) -> Change:
 def with_settings(
     change: Callable[[FilterSettings], FilterSettings], schedule: GainSchedule | None = None
 ) -> Change:
-    """The same with other settings of the filter, or another schedule than its constant gain."""
+    """The filter with other settings, or another schedule than its constant gain."""
 
     def changed(trial: Trial, setting: config.ImuConfig) -> Errors:
         recording = trial.prepared(setting.vectors)
@@ -250,7 +248,7 @@ def with_settings(
 
 
 def magnetometer_itself(trial: Trial, setting: config.ImuConfig) -> Errors:
-    """The same with the field as a vector instead of east, its weights as they are."""
+    """The filter with the field instead of east as second vector, and the same weights."""
     recording = trial.prepared(setting.vectors)
     field = recording.sensors["magnetometer"]
     second = slice(0, recording.resting or round(1 / recording.time_step))
@@ -273,7 +271,7 @@ def magnetometer_itself(trial: Trial, setting: config.ImuConfig) -> Errors:
 
 
 def with_reference_off(trial: Trial, setting: config.ImuConfig) -> Errors:
-    """The same where the field during the first second, or the rest, is 2 % stronger."""
+    """The filter if the field is 2 % stronger during the initial rest or the first second."""
     recording = trial.recording
     first = recording.phases["motion"] | (recording.time >= 1.0 if trial.rest == 0 else False)
     factor = np.where(np.cumsum(first) > 0, 1.0, 1.02)
@@ -283,7 +281,7 @@ def with_reference_off(trial: Trial, setting: config.ImuConfig) -> Errors:
 
 
 def without_rest(trial: Trial, setting: config.ImuConfig) -> Errors:
-    """The same without what the rest at the start tells."""
+    """The filter without using the initial rest."""
     return run(trial._replace(rest=0.0), setting)
 
 
@@ -308,7 +306,7 @@ def learning(gain: float) -> Callable[[FilterSettings], FilterSettings]:
 
 
 def changes(setting: config.ImuConfig) -> dict[str, Change]:
-    """What is changed, in words."""
+    """The changes, by their description."""
     gain = setting.observer.gain
     found: dict[str, Change] = {
         "as chosen": run,
@@ -356,7 +354,7 @@ def changes(setting: config.ImuConfig) -> dict[str, Change]:
 
 
 def vqf(recording: Recording) -> np.ndarray:
-    """VQF as it comes (K, 4), east, north, up."""
+    """Quaternions (K, 4) of VQF with its default settings; axes east, north, up."""
     from vqf import VQF  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
@@ -364,19 +362,19 @@ def vqf(recording: Recording) -> np.ndarray:
 
 
 def madgwick(recording: Recording) -> np.ndarray:
-    """Madgwick's filter (K, 4) with a gain of 0.12."""
+    """Quaternions (K, 4) of Madgwick's filter with a gain of 0.12."""
     from ahrs.filters import Madgwick  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
     rate = 1 / recording.time_step
     found = Madgwick(gyr=gyr, acc=acc, mag=mag, frequency=rate, gain=0.12).Q
-    # Its x axis is north, and becomes y.
+    # Its x axis points north; here y does.
     quarter = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
     return product(quarter, found)
 
 
 def mahony(recording: Recording) -> np.ndarray:
-    """Mahony's filter (K, 4) with gains of 0.74 and 0.0012."""
+    """Quaternions (K, 4) of Mahony's filter with gains of 0.74 and 0.0012."""
     from ahrs.filters import Mahony  # pyright: ignore[reportMissingImports] - of an extra
 
     gyr, acc, mag = sensors(recording)
@@ -407,7 +405,7 @@ def row(name: str, cells: list[str]) -> str:
 
 
 def cell(errors: Errors) -> str:
-    """Total, heading and inclination."""
+    """A cell with total, heading and inclination."""
     return f"{errors.total:.2f} ({errors.heading:.2f}, {errors.inclination:.2f})"
 
 
@@ -417,7 +415,7 @@ def mean(errors: list[Errors]) -> Errors:
 
 
 def main() -> None:
-    """Everything."""
+    """Choose the numbers, run all filters, and print or write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of BROAD's trials (.mat)")
     parser.add_argument("--write", action="store_true", help="write the tables to docs/imu.md")

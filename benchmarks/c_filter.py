@@ -1,14 +1,14 @@
-"""What the exported filter costs: time on this machine, sizes, instructions of a Cortex-M4F.
+"""Cost of the exported filter: time on this machine, sizes, instructions on a Cortex-M4F.
 
-1. On this machine: nanoseconds a step over a simulated minute, in float and double; best and
+1. On this machine: nanoseconds per step over a simulated minute, in float and double; best and
    median of many passes. Sizes of state and measurement.
-2. On a Cortex-M4F, emulated by QEMU: code size, stack, and instructions a step, counted. They are
-   not cycles: a division or a root takes 14, a taken branch and some loads more than one. The board
-   has to come to the estimate that this machine comes to. Needs gcc-arm-none-eabi,
+2. On a Cortex-M4F, emulated by QEMU: code size, stack, and the number of instructions per step.
+   Instructions are not cycles: a division or a root takes 14, a taken branch and some loads more
+   than one. The board must give the same estimate as this machine. Needs gcc-arm-none-eabi,
    libnewlib-arm-none-eabi and qemu-system-arm; without them this part is left out.
 
-The filter is a tuned result's, whole, and that for its attitude alone: the same settings without
-the landmarks, which is what other attitude filters do with a gyroscope and two vectors.
+The filter is that of a tuned result, for the pose and for the attitude only. The latter has the
+same settings without landmarks, like other attitude filters with a gyroscope and two vectors.
 
     python benchmarks/c_filter.py [--run FOLDER] [--write]
 """
@@ -42,12 +42,12 @@ from posegsa.search.build import filter_settings, scenario, signal_settings
 HERE = Path(__file__).parent / "on_target"
 PASSES = 200
 ON_TARGET = 128
-"""Samples that the emulated board gets."""
+"""Number of samples for the emulated board."""
 START = np.array([0.5, -0.5, 0.5, 0.5, 1.0, -2.0, 3.0])
-"""First attitude (w, x, y, z) and position [m]."""
+"""Initial attitude (w, x, y, z) and position [m]."""
 M4F = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
 PASSES_ON_TARGET = 20
-"""As in `count_instructions.c`."""
+"""The same as in `count_instructions.c`."""
 CODE_ONLY = """
 #include "posegsa.h"
 int step(posegsa_state *state, const posegsa_measurement *seen, posegsa_real dt);
@@ -60,18 +60,18 @@ int step(posegsa_state *state, const posegsa_measurement *seen, posegsa_real dt)
 
 @dataclass(frozen=True)
 class Exported:
-    """A filter as C, and what it is run on."""
+    """A filter in C, and its input."""
 
     name: str
     header: str
     rows: np.ndarray
-    """(N, numbers) dt and a measurement, in C's order."""
+    """(N, numbers) dt and a measurement, in the order of the C struct."""
     options: tuple[str, ...]
     start: np.ndarray
 
 
 def exported(result: TuneResult) -> list[Exported]:
-    """The tuned filter, and that for its attitude alone."""
+    """The tuned filter, for the pose and for the attitude only."""
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     with jax.enable_x64(True):
         one = scenario(experiment)
@@ -96,7 +96,7 @@ def exported(result: TuneResult) -> list[Exported]:
 
 
 def rows(m: Measurements, pose: bool = True) -> np.ndarray:
-    """Dt and measurements as C has them."""
+    """Time steps and measurements in the order of the C struct."""
     flat = [a.reshape(len(m.time_step), -1) for a in m]
     step, omega, v, vectors, _, vector_weights, landmarks, _, landmark_weights = flat
     columns = [step, omega, *([v] if pose else []), vectors, vector_weights]
@@ -104,7 +104,7 @@ def rows(m: Measurements, pose: bool = True) -> np.ndarray:
 
 
 def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[float], list[int]]:
-    """Nanoseconds a step of each pass, and what `time_steps.c` writes last."""
+    """Nanoseconds per step of each pass, and the last line of `time_steps.c`."""
     dtype = np.dtype({"float": np.float32, "double": np.float64}[real])
     options = ["-O2", f"-DPOSEGSA_REAL={real}", *one.options, "-I", str(folder)]
     program = folder / f"time-{real}"
@@ -117,14 +117,14 @@ def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[
 
 
 def on_this_machine(one: Exported, real: str, folder: Path) -> list[str]:
-    """A row: time a step and sizes."""
+    """A table row: time per step and sizes."""
     times, (state, measurement, _) = run_here(one, real, PASSES, folder)
     took = f"{min(times):.0f} ns ({statistics.median(times):.0f} ns)"
     return [one.name, real, took, f"{state} B", f"{measurement} B"]
 
 
 def on_the_board(one: Exported, level: str, folder: Path) -> list[str]:
-    """A row: code, constants, stack and instructions a step, in float."""
+    """A table row: code and constants, stack, instructions per step, in float."""
     table = one.rows[:ON_TARGET, 1:].astype(np.float32)
     start = one.start.astype(np.float32)
     values = ",\n".join(", ".join(f"{x!r}f" for x in row) for row in table.tolist())
@@ -173,25 +173,25 @@ def compiled(*command: str) -> None:
     """Run a compiler.
 
     Raises:
-        CalledProcessError: It failed.
+        CalledProcessError: The compiler failed.
     """
     subprocess.run(command, check=True)
 
 
 def output(*command: str) -> str:
-    """What a program writes, to either stream."""
+    """Output of a program, stdout and stderr together."""
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
     return done.stdout + done.stderr
 
 
 def markdown(head: list[str], lines: list[list[str]]) -> str:
-    """A table."""
+    """A Markdown table."""
     rule = ["---", "---", *["--:"] * (len(head) - 2)]
     return "\n".join(f"| {' | '.join(line)} |" for line in [head, rule, *lines])
 
 
 def tables(result: TuneResult) -> str:
-    """All measurements."""
+    """All measurements as Markdown."""
     filters = exported(result)
     here, board = [], []
     emulated = all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm")))

@@ -1,9 +1,8 @@
-"""What a person waits for: whole commands, each as a process of its own, cold and warm.
+"""Waiting time of whole commands, each in its own process, cold and warm.
 
-Cold is with an empty cache folder, as on the first day; warm is with what the cold run left there.
-CPU time is that of all threads. Another version's commands are measured by its interpreter, such as
-one of a virtual environment in which it is installed, and both stand in the table; a command that
-it does not have yet is left out.
+Cold means an empty cache folder; warm means the cache that the cold run left. CPU time is that of
+all threads. To measure another version, give the interpreter of an environment in which it is
+installed. The table shows both versions, without commands that a version does not have.
 
     python benchmarks/commands.py [--write]
     python benchmarks/commands.py --python ../old/.venv/bin/python --name 0.5.0 --write
@@ -70,7 +69,7 @@ COMMANDS: dict[str, list[str]] = {
 
 
 def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float, float]:
-    """CPU time and time of a command [s]."""
+    """CPU time and wall time of a command [s]."""
     dropped = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")
     inherited = {k: v for k, v in os.environ.items() if k not in dropped}
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -91,7 +90,7 @@ Found = dict[str, dict[str, list[float]]]
 
 
 def measure(python: str, keep: Callable[[Found], None]) -> None:
-    """CPU time and time [s] of each command, cold and warm; kept after each."""
+    """CPU time and wall time [s] of each command, cold and warm; `keep` is called after each."""
     found: Found = {}
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -110,7 +109,7 @@ def measure(python: str, keep: Callable[[Found], None]) -> None:
 
 
 def table(stored: dict) -> Iterator[str]:
-    """The table of all versions that were measured."""
+    """The table of all measured versions."""
     names = list(stored["versions"])
     yield "| command | version | CPU, cold | CPU, warm | time, cold | time, warm |"
     yield "| --- | --- | --: | --: | --: | --: |"
@@ -131,7 +130,7 @@ def table(stored: dict) -> Iterator[str]:
 
 
 def main() -> None:
-    """Measure one version's commands, and show them beside what is known of others."""
+    """Measure the commands of one version, and show them with those of other versions."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--python", default=sys.executable, help="interpreter that has the version")
     parser.add_argument("--name", help="what the version is called; by default as it says")

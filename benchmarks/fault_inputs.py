@@ -1,4 +1,4 @@
-"""Faults of whoever calls: hostile configurations and arguments, refused in words or answered."""
+"""Faulty input: hostile configurations and arguments are refused with a message or work."""
 
 import sys
 import tempfile
@@ -23,16 +23,16 @@ STRUCTURES = (
     ("search.optimiser=pso", "objective.name=mean_std"),
     ("search.optimiser=de", "search.agents=4"),
 )
-"""What is compiled; the numbers in it are drawn by the hundred."""
+"""Choices that determine the compiled program; for each, hundreds of numbers are drawn."""
 TUNED_STRUCTURES = 12
-"""Those that are tuned whole in one piece of the campaign: the first ones, in which most
-configurations fall. What a whole tune compiles takes some ten seconds, and a search alone three."""
+"""Number of structures that are tuned completely in one part of the campaign: the first ones, with
+most configurations. Compiling a complete tune takes about ten seconds, a search alone three."""
 WRITTEN = 10
-"""One of so many whole tunes is written to a folder and read back, for seconds too."""
+"""Every WRITTEN-th complete tune is written to a folder and read back, which takes seconds too."""
 
 
 def inputs(wanted: int, rng: np.random.Generator) -> Counter:
-    """Configurations: refused in words, or run to a result without NaN, all of them.
+    """Configurations: each is refused with a message, or gives a result without NaN.
 
     Any other exception ends the campaign.
     """
@@ -85,7 +85,7 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
 
 
 def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, float]:
-    """Tune, sometimes with a folder; whether something is NaN, and the best cost."""
+    """Tune, sometimes with a folder; returns whether anything is NaN, and the best cost."""
     from helpers import generated
 
     count = "configurations tuned whole"
@@ -101,7 +101,7 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
 
 
 def calls(wanted: int, rng: np.random.Generator) -> Counter:
-    """Calls of public functions: refused in words, or answered."""
+    """Calls of public functions: each is refused with a message, or returns."""
     from helpers import generated
 
     from posegsa.errors import PosegsaError

@@ -1,4 +1,4 @@
-"""Faults of whole runs: processes that are killed, disks without room; what is left goes on."""
+"""Faults of whole runs: killed processes and full disks, after which the run is resumed."""
 
 import contextlib
 import json
@@ -22,14 +22,14 @@ KILLED = [
     *("search.iterations=4000", "run.training_scenarios=2", "run.held_out_scenarios=3"),
     "checkpoint.iterations=1",
 ]
-"""A search of many seconds that writes a checkpoint after each of its 50 chunks."""
+"""A search of many seconds, with a checkpoint after each of its 50 chunks."""
 KILLS_A_RUN = 20
 FILLED = [*KILLED, "search.iterations=300"]
-"""A short one, for disks."""
+"""A short search, for disk faults."""
 
 
 def next_command(folder: Path, chosen: Sequence[str] = KILLED) -> list[str]:
-    """What a person would type next."""
+    """The arguments that a user would type next."""
     if any((folder / "checkpoints").glob("*.checkpoint")):
         return ["tune", "--resume", str(folder), "--quiet"]
     settings = [word for setting in chosen for word in ("--set", setting)]
@@ -37,12 +37,12 @@ def next_command(folder: Path, chosen: Sequence[str] = KILLED) -> list[str]:
 
 
 def start_or_resume(folder: Path, chosen: Sequence[str] = KILLED) -> list[str]:
-    """The same as a command."""
+    """`next_command` as a complete command."""
     return [sys.executable, "-m", "posegsa", *next_command(folder, chosen)]
 
 
 class Forked:
-    """The command line in a process of its own, which need not load Python and JAX again."""
+    """The command line in a forked process, which does not load Python and JAX again."""
 
     def __init__(self, arguments: list[str]) -> None:
         self.pid, self.status = os.fork(), None
@@ -56,14 +56,14 @@ class Forked:
                 os._exit(99)
 
     def poll(self) -> int | None:
-        """How it ended, or None while it runs."""
+        """Exit status, or None while the process runs."""
         if self.status is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self.status = os.waitstatus_to_exitcode(status) if pid else None
         return self.status
 
     def kill(self) -> int:
-        """Kill it, unless it is done; returns how it ended."""
+        """Kill the process unless it has ended; returns its exit status."""
         if self.poll() is None:
             os.kill(self.pid, signal.SIGKILL)
             self.status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
@@ -72,7 +72,7 @@ class Forked:
 
 
 def outcome(folder: Path) -> dict[str, str]:
-    """All that must agree between two runs: the tables, and the result but for its times."""
+    """Everything that must agree between two runs: the tables, and the result without times."""
     data = json.loads((folder / "result.json").read_text("utf-8"))
     del data["search_seconds"], data["compile_seconds"]
     names = ("history.csv", "trajectory.csv", "evaluation.json", "evaluation.txt")
@@ -82,7 +82,7 @@ def outcome(folder: Path) -> dict[str, str]:
 def wait_for(
     process: Forked | subprocess.Popen, folder: Path, pattern: str, seconds: float
 ) -> bool:
-    """Wait until files like this appear or change, or the process is done."""
+    """Wait until matching files appear or change, or the process ends."""
     seen = set(folder.glob(pattern))
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline and process.poll() is None:
@@ -111,15 +111,15 @@ def kill_somewhere(process: Forked, run: Path, rng: np.random.Generator, *, last
 
 
 def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
-    """Runs that are killed again and again, until each has its result."""
+    """Runs that are killed repeatedly, until each has its result."""
     counts: Counter = Counter()
     whole = folder / "whole"
     subprocess.run(start_or_resume(whole), check=True, capture_output=True)
     right = outcome(whole)
-    # None of these starts JAX, so that a process forked from here can.
-    import matplotlib.pyplot  # noqa: F401 - loaded before the forks, not in each
+    # These imports don't start JAX, so a process forked from here can start it.
+    import matplotlib.pyplot  # noqa: F401 - loaded once, before the forks
 
-    import posegsa.evaluating  # noqa: F401 - likewise
+    import posegsa.evaluating  # noqa: F401 - loaded once, before the forks
 
     while counts["kills"] < wanted:
         run = folder / f"run{counts['killed runs']}"
@@ -128,7 +128,7 @@ def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
             process = Forked(next_command(run))
             if kill_somewhere(process, run, rng, last=i == these - 1) != -signal.SIGKILL:
                 assert process.status == 0
-                break  # it was done before
+                break  # it had already ended
             counts["kills"] += 1
             counts["kills within a checkpoint's writing"] += any(run.glob("checkpoints/*.part"))
             counts["kills within a result's writing"] += any(run.glob(".sav*"))
@@ -143,7 +143,7 @@ def kills(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
 
 @contextlib.contextmanager
 def small_disk(folder: Path, size: str) -> Iterator[Path]:
-    """A file system of this size; only root can make one."""
+    """A file system of the given size; this requires root."""
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=True)
     try:
@@ -153,7 +153,7 @@ def small_disk(folder: Path, size: str) -> Iterator[Path]:
 
 
 def disks(folder: Path) -> Counter:
-    """Disks that are full from some moment on, read-only, or allow no large file."""
+    """Disks that become full, are read-only, or limit the file size."""
     counts: Counter = Counter()
     whole = folder / "whole"
     subprocess.run(start_or_resume(whole, FILLED), check=True, capture_output=True)
@@ -187,7 +187,7 @@ def disks(folder: Path) -> Counter:
                 assert not (disk / "run" / "result.json").exists()
                 subprocess.run(["mount", "-o", "remount,size=64m", disk], check=True)
                 recovered("full disk", disk / "run")
-        with small_disk(folder / "full", "8m") as disk:  # full while the search runs
+        with small_disk(folder / "full", "8m") as disk:  # becomes full while the search runs
             process = subprocess.Popen(
                 start_or_resume(disk / "run", FILLED),
                 stdout=subprocess.PIPE,

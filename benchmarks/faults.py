@@ -1,7 +1,7 @@
-"""Faults on purpose: killed runs, damaged checkpoints, full disks, hostile input; all counted.
+"""Fault injection: killed runs, damaged checkpoints, full disks, hostile input, with counts.
 
-Each part adds what it counted to benchmarks/faults.json, so that a long campaign may be run in
-pieces; `--write` puts the totals into docs/robustness.md.
+Each part adds its counts to benchmarks/faults.json, so that a long campaign can be run in parts;
+`--write` writes the totals to docs/robustness.md.
 
     python benchmarks/faults.py --quick
     python benchmarks/faults.py [--kills 100] [--corruptions 2000] [--disks] [--inputs 2000]
@@ -29,7 +29,7 @@ COUNTS = Path(__file__).with_suffix(".json")
 
 
 def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
-    """Checkpoints cut short, with bits flipped, or with parts zeroed or swapped."""
+    """Checkpoints that are truncated, or have bits flipped or parts zeroed or swapped."""
     from posegsa.errors import DamagedCheckpointError
     from posegsa.saving.checkpoint import read
     from posegsa.saving.checkpointing import newest_checkpoint
@@ -74,7 +74,7 @@ def corruptions(wanted: int, rng: np.random.Generator, folder: Path) -> Counter:
 
 
 def searched(experiment: config.Experiment, folder: Path) -> None:
-    """Search with checkpoints in a folder, without judging."""
+    """Search with checkpoints in a folder, without an evaluation."""
     from posegsa.saving.checkpointing import CheckpointWriter
     from posegsa.saving.interrupt import StopRequest
     from posegsa.search.build import tuning_problem
@@ -113,7 +113,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
         times["with"].append(found.search_seconds)
         count = writer.count
     least = {name: min(values) for name, values in times.items()}
-    # What a checkpoint takes, by itself: the difference above is smaller than its noise.
+    # The time of one checkpoint alone, as the difference above is smaller than its noise.
     assert found is not None
     search = found.search
     often = config.override(experiment, ["checkpoint.iterations=1", "search.iterations=1000"])

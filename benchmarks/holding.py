@@ -1,14 +1,14 @@
-"""Whether the recommended filter holds: long after its window, at rest, and at rest after motion.
+"""Whether the recommended filter stays accurate: over long times, at rest, and after motion.
 
-Each row is a ratio or an error of one tuned run, measured on scenarios that nobody tuned on:
+Each row is a ratio or an error of one tuned run on scenarios that were not used for tuning:
 
-1. At rest for ten minutes at random attitudes, from 30 degrees and 1 m off: the attitude error over
-   the last minute, beside that of the same gains without the law of the vectors' biases.
-2. Two minutes of rest after one of motion: the last minute of the rest beside the last 20 s of the
-   motion.
-3. Far away: eight times as long as the scenarios that it was tuned on.
-4. What a population's step costs with that law, beside one without.
-5. Without noise, in float64: how far pose and biases are from the truth after five minutes.
+1. Ten minutes at rest at random attitudes, from initial errors of 30 degrees and 1 m: the attitude
+   error over the last minute, compared with the same gains without learning the vector biases.
+2. Two minutes of rest after one minute of motion: the last minute of the rest, compared with the
+   last 20 s of the motion.
+3. Long duration: eight times as long as the tuning scenarios.
+4. The time of a population's step with the learning of vector biases, compared with that without.
+5. Without noise, in float64: errors of pose and biases after five minutes.
 
     python benchmarks/holding.py [--run FOLDER] [--write]
 """
@@ -36,12 +36,12 @@ from posegsa.search.keys import endurance_keys
 from posegsa.search.population import evaluate_population
 
 ATTITUDES, EACH = 8, 4
-"""Random attitudes at rest, and scenarios of each."""
+"""Number of random attitudes at rest, and of scenarios with each."""
 LAW_OFF = ["filter.vector_bias=off", "parameters.also=[]"]
 
 
 def tracks(experiment: config.Experiment, candidate: Candidate, scenarios: int) -> ErrorTrack:
-    """What a candidate does on unseen scenarios of an experiment."""
+    """Errors of a candidate on unseen scenarios of an experiment."""
     keys = endurance_keys(experiment.run.seed, scenarios)
     return error_tracks(candidate, scenario_batch(experiment, scenario(experiment), keys))
 
@@ -58,12 +58,12 @@ def rms(errors: np.ndarray) -> float:
 
 
 def lasting(duration: float) -> list[str]:
-    """Settings of scenarios that take so long [s]."""
+    """Settings for scenarios of a given duration [s]."""
     return [f"scenario.duration={duration}"]
 
 
 def rest(result: TuneResult) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last minute of ten at rest, with the law and without."""
+    """Attitude RMS [deg] over the last of ten minutes at rest, with and without learning."""
     tuned, gains = result.tuned, Candidate(result.schedule)
     found = []
     for law in ([], LAW_OFF):
@@ -86,7 +86,7 @@ def rest(result: TuneResult) -> tuple[float, float]:
 
 
 def rest_after_motion(result: TuneResult) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last minute of two at rest, and over 20 s before the rest."""
+    """Attitude RMS [deg] over the last of two minutes at rest, and over 20 s before the rest."""
     settings = [*lasting(180.0), "scenario.rest=[[60.0, 180.0]]"]
     angle = degrees(tracks(config.override(result.tuned, settings), Candidate(result.schedule), 32))
     return rms(angle[:, 12000:]), rms(angle[:, 4000:6000])
@@ -118,9 +118,9 @@ def without_noise(result: TuneResult) -> dict[str, float]:
 
 
 def step_ratio(result: TuneResult, repetitions: int = 7) -> tuple[float, float]:
-    """Best time [s] of a population of 100 agents on 8 scenarios of 15 s, with the law and without.
+    """Best time [s] of 100 agents on 8 scenarios of 15 s, with and without learning vector biases.
 
-    The same agents, in turns.
+    The same agents, by turns.
     """
     experiment = config.override(
         result.experiment,

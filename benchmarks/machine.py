@@ -1,4 +1,4 @@
-"""What benchmarks say of the machine that they ran on."""
+"""The machine that a benchmark ran on."""
 
 import datetime
 import platform
@@ -10,7 +10,7 @@ from contenders import c
 
 
 def machine(jax_version: str, cores: int, load: str) -> dict[str, str]:
-    """What the figures depend on."""
+    """Hardware and software that the figures depend on."""
     return {
         "load": load,
         "cpu": " ".join(cpu()),
@@ -24,7 +24,7 @@ def machine(jax_version: str, cores: int, load: str) -> dict[str, str]:
 
 
 def cpu() -> Iterator[str]:
-    """Name of the CPU, its family and model where the name says little, and its widest vectors."""
+    """Name of the CPU, its family and model if known, and its widest vector instructions."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]
     except OSError:

@@ -1,4 +1,4 @@
-"""Optimisers at equal budgets on the recommended experiment and on test functions; their speed.
+"""Compare optimisers at equal budgets on the recommended experiment and on test functions.
 
     python benchmarks/optimisers.py filter --optimisers gsa,pso --repeats 10
     python benchmarks/optimisers.py variants --repeats 10
@@ -8,10 +8,11 @@
     python benchmarks/optimisers.py write
     python benchmarks/optimisers.py list
 
-Every call adds to a folder what it lacks (`--folder`), so that a long comparison can be made in
-pieces; `write` puts what is there into docs/optimisers.md, benchmarks/optimisers.json and two
-figures. `list` writes the page's list of optimisers from their types. `--quick` makes everything
-small, in a folder of its own, and writes nothing.
+Every call adds missing results to a folder (`--folder`), so that a long comparison can be made in
+parts. `speed` measures the time of the optimisers' own steps. `write` writes the results of the
+folder to docs/optimisers.md, benchmarks/optimisers.json and two figures. `list` writes the page's
+list of optimisers from their classes. `--quick` makes everything small, uses another folder, and
+writes nothing.
 """
 
 import argparse
@@ -50,8 +51,7 @@ VARIANTS = (
     *("gsa", "gsa:alpha=5.0", "gsa:g0=10.0", "gsa:g0=1.0"),
     *("gsa:final_percent=20.0", "gsa:final_percent=100.0", "gsa:force_power=2.0"),
 )
-"""GSA with slower decay, weaker forces, more agents that attract until the end, and the paper's
-D^2."""
+"""GSA with a slower decay, weaker forces, more attracting agents at the end, or the paper's D^2."""
 ON_FUNCTIONS = ("gsa", "gsa:g0=0.5", "random_search", "pso", "de", BEST, "cma_es", "adam")
 DIMENSIONS = 30
 FUNCTIONS = (
@@ -66,10 +66,10 @@ SPENT = (
     *(("gsa", 8), ("pso", 8), (BEST, 8)),
     *(("gsa", 32), ("pso", 32), (BEST, 32), ("cma_es:agents=20", 32)),
 )
-"""Optimisers and numbers of training scenarios that the same simulations are spent on."""
+"""Optimisers and numbers of training scenarios, with the same number of simulations."""
 VALIDATION_SCENARIOS = 64
 AGENTS, ITERATIONS = 50, 1000
-"""Of a search of a function, as in Rashedi's article."""
+"""Agents and iterations of a search on a test function, as in Rashedi's article."""
 PAGE = "docs/optimisers.md"
 JSON, FIGURE, FUNCTION_FIGURE = (
     ROOT / "benchmarks" / name
@@ -83,7 +83,7 @@ def on_filter(options: argparse.Namespace) -> None:
 
 
 def variants(options: argparse.Namespace) -> None:
-    """GSA's own settings on the recommended experiment."""
+    """Compare settings of GSA on the recommended experiment."""
     _on_filter(options, VARIANTS, options.folder / "variants")
 
 
@@ -121,13 +121,13 @@ def on_functions(options: argparse.Namespace) -> None:
 
 
 def name_of(function: ClassicalFunction) -> str:
-    """A folder's name."""
+    """The name of a function's folder."""
     turned = "" if function.rotation is None else "-rotated"
     return f"{function.name}{'-shifted' if function.shift else ''}{turned}"
 
 
 def scenarios(options: argparse.Namespace) -> None:
-    """Few or many training scenarios for the same number of simulations, on several such sets."""
+    """Few or many training scenarios for the same number of simulations, on several sets."""
     path = options.folder / "scenarios.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     held = json.loads(path.read_text()) if path.exists() else {}
@@ -141,7 +141,7 @@ def scenarios(options: argparse.Namespace) -> None:
             search = specify(experiment, name, max(100, simulations // count))
             task = tuning_problem(experiment.model_copy(update={"search": search}))
             found = run_search(task).search
-            # The same validation scenarios for all; held-out ones are not read.
+            # All use the same validation scenarios; held-out scenarios are not used.
             key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
             controller = task.space.schedules.controller(found.best_position)
             one = Candidate(FuzzyGain(jax.tree.map(lambda a: a[None], controller)))
@@ -152,10 +152,10 @@ def scenarios(options: argparse.Namespace) -> None:
 
 
 def scenarios_table(path: Path) -> str:
-    """Training and validation cost by number of training scenarios."""
+    """Validation costs by optimiser and number of training scenarios."""
     held = json.loads(path.read_text())
     seeds = sorted({int(key.split()[-1]) for key in held})
-    # Sets that all have searched on; a run that was cut short has others.
+    # Only sets that all have searched; an interrupted run leaves others.
     seeds = [s for s in seeds if all(f"{name} {count} {s}" in held for name, count in SPENT)]
     head = " | ".join(f"set {seed}" for seed in seeds)
     lines = [
@@ -176,7 +176,7 @@ def scenarios_table(path: Path) -> str:
 
 
 def speed(options: argparse.Namespace) -> None:
-    """Time of each optimiser's own step: 100 agents, 22 dimensions, an objective that is a sum."""
+    """Time of each optimiser's own step: 100 agents, 22 dimensions, the sum as objective."""
     seconds = {}
     for name in (*FILTER[:-1], "pycma"):
         optimiser = specify(config.Experiment(), name, 2000 if options.quick else 25000)
@@ -188,7 +188,7 @@ def speed(options: argparse.Namespace) -> None:
 
 
 def step_seconds(optimiser: Optimiser) -> float:
-    """Seconds of an iteration, the least of ten searches."""
+    """Seconds per iteration, the smallest of ten searches."""
     where, key = posegsa.box(np.zeros(22), np.ones(22)), jax.random.key(0)
     times = []
     for _ in range(11):  # the first one compiles
@@ -199,12 +199,12 @@ def step_seconds(optimiser: Optimiser) -> float:
 
 
 def add_up(x: jax.Array) -> jax.Array:
-    """The cheapest objective."""
+    """A cheap objective: the sum of the coordinates."""
     return jnp.sum(x, axis=1)
 
 
 def function_table(comparisons: Sequence[OptimiserComparison]) -> str:
-    """Median final cost, functions down and optimisers across."""
+    """Median final costs: functions as rows, optimisers as columns."""
     names = list(comparisons[0].repeats)
     lines = [f"| function | {' | '.join(names)} |", "|" + " --- |" * (len(names) + 1)]
     for found in comparisons:
@@ -226,7 +226,7 @@ def function_table(comparisons: Sequence[OptimiserComparison]) -> str:
 
 
 def speed_table(path: Path) -> str:
-    """Time of an iteration of each optimiser by itself."""
+    """Time of an iteration of each optimiser alone."""
     data = json.loads(path.read_text())
     lines = ["| optimiser | an iteration by itself [us] |", "| --- | --- |"]
     for name, seconds in data["seconds"].items():
@@ -283,13 +283,13 @@ def write_list(options: argparse.Namespace) -> None:
 
 
 def write(options: argparse.Namespace) -> None:
-    """Write page, JSON and figures from what the folder holds."""
+    """Write the page, JSON and figures from the results in the folder."""
     held = load_comparison(options.folder / "recommended")
     held = held.only([name for name in FILTER if held.repeats.get(name)])
     folders = [options.folder / name_of(function) for function in FUNCTIONS]
     functions = [load_comparison(folder) for folder in folders if folder.exists()]
     functions = [found.only([n for n in ON_FUNCTIONS if n in found.repeats]) for found in functions]
-    functions = [found for found in functions if all(found.repeats.values())]  # those complete
+    functions = [found for found in functions if all(found.repeats.values())]  # complete ones only
     write_block("comparison", held.markdown(), PAGE)
     if (options.folder / "variants").exists():
         of_gsa = load_comparison(options.folder / "variants").only(VARIANTS)
@@ -306,7 +306,7 @@ def write(options: argparse.Namespace) -> None:
 
 
 def names(text: str) -> list[str]:
-    """Words with commas between."""
+    """Split names separated by commas."""
     return [word for word in text.split(",") if word]
 
 

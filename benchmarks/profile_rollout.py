@@ -1,7 +1,7 @@
-"""Where the time of a step goes: kernels, bytes, operations and instructions of the time loop.
+"""Profile a step of the time loop: kernels, bytes, operations and instructions.
 
-Reads what XLA made of one population: the optimised HLO of the loop over samples and, where objdump
-is installed, the machine code of its kernel beside C's.
+Reads XLA's output for one population: the optimised HLO of the loop over samples and, if objdump is
+installed, the machine code of its kernel, compared with that of C.
 
     python benchmarks/profile_rollout.py [--agents 100] [--write]
 
@@ -56,7 +56,7 @@ class Loop(NamedTuple):
 
     instructions: int
     lanes: int
-    """Floats in its widest vectors; 1 for scalar code."""
+    """Floats in the widest vectors that it uses; 1 for scalar code."""
     counts: Counter[str]
 
 
@@ -74,7 +74,7 @@ def computations(hlo: str) -> dict[str, list[Instruction]]:
 
 
 def elements(shape: str) -> int:
-    """Numbers in the first array of a shape."""
+    """Number of elements in the first array of a shape."""
     match = _SHAPE.search(shape)
     if match is None:
         return 0
@@ -85,7 +85,7 @@ def elements(shape: str) -> int:
 
 
 def step_bytes(shape: str) -> int:
-    """Bytes of a shape that one step touches: of what is kept for all samples, one sample."""
+    """Bytes of a shape that one step accesses; of arrays over all samples, one sample."""
     total = 0
     for kind, dimensions in _SHAPE.findall(shape):
         size = BYTES.get(kind, 4)
@@ -96,10 +96,10 @@ def step_bytes(shape: str) -> int:
 
 
 def time_loop(modules: dict[str, list[Instruction]]) -> list[Instruction]:
-    """The body of the loop over samples: of all loops, the one with the most to do.
+    """The body of the loop over samples: the loop with the most instructions.
 
     Raises:
-        RuntimeError: there is none.
+        RuntimeError: There is no loop.
     """
     bodies = [
         modules[match[1]]
@@ -115,7 +115,7 @@ def time_loop(modules: dict[str, list[Instruction]]) -> list[Instruction]:
 def operations(
     instructions: list[Instruction], modules: dict[str, list[Instruction]], agents: int
 ) -> Counter[str]:
-    """Arithmetic per agent of one pass, by opcode, what is computed in several kernels so often."""
+    """Arithmetic per agent and pass, by opcode; repeated for each kernel that computes it."""
     found: Counter[str] = Counter()
     for one in instructions:
         if one.opcode in ("fusion", "call", "map") and (
@@ -179,7 +179,7 @@ def innermost_loops(library: Path) -> Iterator[Loop]:
 
 
 def of_object(library: Path) -> dict[str, Any]:
-    """Innermost loops of a kernel; instructions per agent if every loop were run once a step."""
+    """Innermost loops of a kernel; instructions per agent if each loop runs once per step."""
     loops = [loop for loop in innermost_loops(library) if loop.instructions > 20]
     vector = [loop for loop in loops if loop.lanes >= 8]
     return {
@@ -193,13 +193,13 @@ def of_object(library: Path) -> dict[str, Any]:
 
 
 def of_c(folder: Path) -> dict[str, Any] | None:
-    """The same of C's loop over blocks, the one for the paper's terms with the gain limit."""
+    """The same for C's loop over blocks, for the paper's terms with the gain limit."""
     try:
         library = c.build(folder)
     except RuntimeError:
         return None
-    # Four variants: those without the limit round angles to whole turns, and of the other two the
-    # one without far pairs is the shorter.
+    # There are four variants. Those without the limit round angles to whole turns; of the other
+    # two, the one without far pairs is shorter.
     limited = [
         loop
         for loop in innermost_loops(library)

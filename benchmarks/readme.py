@@ -1,4 +1,4 @@
-"""Puts what a benchmark measured into a page, between the marks of its name."""
+"""Write the results of a benchmark to a page, between the marks with its name."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ ROOT = Path(__file__).parent.parent
 
 
 def write_block(name: str, text: str, page: str = "README.md") -> None:
-    """Replace what stands between `<!-- NAME: begin -->` and `<!-- NAME: end -->` in a page.
+    """Replace the text between `<!-- NAME: begin -->` and `<!-- NAME: end -->` in a page.
 
     Raises:
-        ValueError: The page has no such marks, or several.
+        ValueError: The page does not have these marks exactly once.
     """
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     path = ROOT / page

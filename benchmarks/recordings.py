@@ -1,14 +1,14 @@
-"""The filter on recorded motion, beside an invariant Kalman filter; what a long recording costs.
+"""The filter on recorded motion, compared with an invariant Kalman filter; time and memory.
 
-1. EuRoC V1_02 with a velocity and landmarks made of its truth, at 200 and at 20 Hz: both filters
-   tuned on the first 40 s, from 45 deg and 1 m off and from 150 deg and 5 m off, and judged on the
-   rest from either, with other noise and other starts.
-2. The same with 1 % of the landmarks' sightings 1 to 10 m off: the tuned filter without and with
-   what passes them over, and where they are known.
-3. Seconds per sample of a filter run over recordings of 10^4 to 10^6 samples, and its memory.
+1. EuRoC V1_02 with a velocity and landmarks made from its truth, at 200 and at 20 Hz. Both filters
+   are tuned on the first 40 s, from initial errors of 45 deg and 1 m and of 150 deg and 5 m. They
+   are judged on the rest from both initial errors, with other noise and other starts.
+2. The same with outliers of 1 to 10 m in 1 % of the landmark measurements: the tuned filter without
+   and with outlier rejection, and with the outliers known.
+3. Seconds per sample and memory of a filter run over recordings of 10^4 to 10^6 samples.
 
-DATA_FOLDER has a folder `euroc` with V1_02_medium as published (docs/recordings.md says where), or
-with its two files as *imu0.csv and *groundtruth.csv. BROAD is in `benchmarks/broad.py`.
+DATA_FOLDER has a folder `euroc` with V1_02_medium as published (see docs/recordings.md), or with
+its two files as *imu0.csv and *groundtruth.csv. For BROAD see `benchmarks/broad.py`.
 
     python benchmarks/recordings.py DATA_FOLDER [--only euroc|outliers|speed] [--write]
 """
@@ -36,21 +36,21 @@ from posegsa.runtime import environment
 JSON = ROOT / "benchmarks" / "recordings.json"
 PAGE = "docs/recordings.md"
 RATES = 200.0, 20.0
-"""Of the landmarks [Hz]."""
+"""Rates of the landmarks [Hz]."""
 STARTS = (45.0, 1.0), (150.0, 5.0)
-"""How far off a filter starts [deg], [m]."""
+"""Initial errors of a filter [deg], [m]."""
 TRAINING_SEEDS, HELD_OUT_SEEDS = 3, 6
 SPLIT = 40.0
-"""What is tuned on comes before this time, what judges after it [s]."""
+"""Time that separates the tuning part from the judged part [s]."""
 WRONG, OFF = 0.01, (1.0, 10.0)
-"""Share of the landmarks' sightings that are outliers, and how far off they are [m]."""
+"""Share of outliers in the landmark measurements, and range of their errors [m]."""
 REPEATS = 7
 SAMPLES = 10_000, 100_000, 1_000_000
-"""Lengths of the recordings that are timed."""
+"""Lengths of the timed recordings."""
 
 
 def euroc(folder: Path) -> list[dict[str, Any]]:
-    """Both filters at both rates, a row for each rate, start and filter."""
+    """Results of both filters, a row for each rate, start and filter."""
     rows = []
     for rate in RATES:
         noisy = {
@@ -97,7 +97,7 @@ def _rows(rate: float, judged: RecordingResult) -> list[dict[str, Any]]:
 
 
 def euroc_table(rows: list[dict[str, Any]]) -> str:
-    """As Markdown; what is at most 1.1 times the Kalman filter's stands beside it as a ratio."""
+    """The results as a Markdown table, with ratios to the Kalman filter's errors."""
     kalman = {(r["rate"], *r["start"]): r for r in rows if r["filter"] == EKF}
     lines = [
         "| landmarks | start off by | filter | total [deg] | heading [deg] | inclination [deg] | "
@@ -119,7 +119,7 @@ def euroc_table(rows: list[dict[str, Any]]) -> str:
 
 
 def outliers(folder: Path) -> list[dict[str, Any]]:
-    """A filter tuned without outliers, judged with and without them, a row for each way."""
+    """Results of a filter tuned without outliers, a row for each of WAYS."""
     rows = []
     for rate in RATES:
         training = [
@@ -164,7 +164,7 @@ WAYS = (
 
 
 def _seen(folder: Path, rate: float, seed: int) -> list[posegsa.Recording]:
-    """A recording in each of the WAYS."""
+    """A recording for each of WAYS."""
     given = read_euroc(
         folder,
         landmarks=LANDMARKS,
@@ -195,7 +195,7 @@ def _seen(folder: Path, rate: float, seed: int) -> list[posegsa.Recording]:
 
 
 def outliers_table(rows: list[dict[str, Any]]) -> str:
-    """As Markdown."""
+    """The results as a Markdown table."""
     lines = [
         "| landmarks | start off by | | passed over | total [deg] | position [cm] |",
         "| --- | --- | --- | --: | --: | --: |",
@@ -211,7 +211,7 @@ def outliers_table(rows: list[dict[str, Any]]) -> str:
 def speed() -> list[dict[str, float]]:
     """Time and memory of filter runs over recordings of several lengths."""
     observer, rows = posegsa.Observer(posegsa.ConstantGain(jnp.float32(5.0))), []
-    for samples in (SAMPLES[0], *SAMPLES):  # the first compiles
+    for samples in (SAMPLES[0], *SAMPLES):  # the first run compiles
         recording = _recording(samples)
         before, times = _memory(), []
         for _ in range(REPEATS):
@@ -238,12 +238,12 @@ def _recording(samples: int) -> posegsa.Recording:
 
 
 def _memory() -> float:
-    """Peak of the process [MiB]."""
+    """Peak memory of the process [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def speed_table(rows: list[dict[str, float]]) -> str:
-    """As Markdown."""
+    """The results as a Markdown table."""
     lines = [
         "| samples | at 200 Hz | time | per sample | more memory than the recording itself |",
         "| --: | --: | --: | --: | --: |",
@@ -280,7 +280,7 @@ def main() -> None:
 
 
 def write(held: dict[str, Any]) -> None:
-    """Put the tables into the page."""
+    """Write the tables to the page."""
     where = held["environment"]
     by = (
         f"\n\nBy `python benchmarks/recordings.py DATA_FOLDER --write` ({where['device']}, jax "

@@ -1,15 +1,15 @@
-"""What tuning gives on unseen scenarios: the result table of the README, those of docs/results.md.
+"""Results of tuning on unseen scenarios: the tables of the README and of docs/results.md.
 
-The README's says each filter's cost on each kind of scenario. The others are:
+The README's table has the cost of each filter on each kind of scenario. The others are:
 
-1. The tuned filter beside every baseline on held-out scenarios, of each kind of scenario.
-2. Scenarios as in the field: the tuned filter against each baseline, over seeds of the search.
-3. Tuned filters long after the time that they were tuned for.
-4. Each configuration over several seeds: training beside held-out cost.
+1. The tuned filter and every baseline on held-out scenarios, for each kind of scenario.
+2. Scenarios as in the field: the tuned filter and each baseline, over seeds of the search.
+3. Tuned filters on scenarios that are much longer than those for tuning.
+4. Each configuration over several seeds: training and held-out cost.
 
     python benchmarks/results.py [--scenarios 1000] [--seeds 3] [--only NAME] [--write]
 
-What has been judged is kept in benchmarks/results.json and used again; --again judges anew.
+Results are kept in benchmarks/results.json and reused; --again computes them again.
 """
 
 import argparse
@@ -43,20 +43,20 @@ JUDGED = {
     "field": Case("as in the field, 60 s", "field"),
 }
 OVER_SEEDS = "field"
-"""The kind of scenario that is judged for each seed of the search."""
+"""The kind of scenario that is judged for several seeds of the search."""
 ENDURANCE_ONLY = {
     "paper": Case("`paper.toml`, 15 s", "paper"),
     "paper_literal": Case("`paper_literal.toml`, 15 s", "paper_literal"),
 }
 KEPT = ROOT / "benchmarks" / "results.json"
 HELD_OUT_SEED = 5
-"""A held-out set of its own: `tune` prints costs on the first scenarios of the experiment's set, so
-those have been looked at during development, and set 4 was judged before the defaults changed."""
+"""A different held-out set: `tune` prints costs on the first scenarios of the experiment's set, so
+they were seen during development; set 4 was judged before the defaults changed."""
 SEEDED = ("recommended", "paper", "paper_literal")
 
 
 def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
-    """The experiment of a kind of scenario, with a seed of search and scenarios."""
+    """The experiment of a kind of scenario, with a seed for the search and the scenarios."""
     one = config.load(ROOT / "configs" / f"{case.file}.toml")
     return config.override(one, [f"run.seed={seed}"])
 
@@ -66,7 +66,7 @@ POSITION = "Centimetres are of the cost's position error, |P_est - R_err P|, not
 
 def errors(attitude: float, position: float) -> str:
     """Errors [deg], [m] as a cell of a table."""
-    if not position < 100:  # nor does NaN
+    if not position < 100:  # true for NaN too
         return "diverged"
     return f"{attitude:.1f}° {100 * position:.1f} cm"
 
@@ -81,7 +81,7 @@ def endurance_rows(case: Case, result: TuneResult) -> list[str]:
 
 
 def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
-    """What is kept of one kind of scenario and one seed."""
+    """The stored results of one kind of scenario and one seed."""
     result = posegsa.tune(experiment_of(case, seed))
     with Display():
         result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED)
@@ -129,7 +129,7 @@ def overview(kept: dict[str, dict[str, Any]]) -> str:
 
 
 def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
-    """The first three tables, of what has been judged."""
+    """The first three tables, from the stored results."""
     found = {name: kept[f"{name} 0"] for name in JUDGED if f"{name} 0" in kept}
     lines = [
         "| scenarios | filter | held-out cost, mean ± 95 % | median | worst "
@@ -190,7 +190,7 @@ def seeded(seeds: int) -> str:
         own = experiment_of(Case(name, name))
         for search in (own.search.optimiser, "random_search"):
             experiment = config.override(own, [f"search.optimiser={search}"])
-            # One by one: a batch would hold the scenarios of all of them.
+            # One by one, as a batch would hold all scenarios in memory.
             results = [posegsa.tune(experiment, seed=seed) for seed in range(seeds)]
             for result in results:
                 contenders = result.evaluation.contenders

@@ -1,9 +1,10 @@
-"""Whether searching the rule table beside k1..k22 brings anything.
+"""Whether it helps to search the rule table in addition to k1 to k22.
 
-The paper's table, the same with the error's axis reversed, and tables that are searched, with as
-many evaluations each: on short simulated scenarios from any start (`configs/quick.toml` with a
-larger search), and on recordings of inertial sensors made ready as `posegsa replay imu` does, tuned
-on three trials and judged on the others. Medians (minimum to maximum) over seeds.
+Compares the paper's table, that table with a reversed error axis, and searched tables, with the
+same number of evaluations. The first test uses short simulated scenarios from any start
+(`configs/quick.toml` with a larger search). The second uses recordings of inertial sensors,
+prepared as in `posegsa replay imu`, tuned on three trials and judged on the others. The table has
+medians (minimum to maximum) over seeds.
 
     python benchmarks/rules.py DATA_FOLDER [--seeds 3]
 
@@ -29,9 +30,9 @@ from posegsa.words import text_table  # noqa: E402  (after the fast path)
 TABLES = "paper", "reversed", "searched"
 SIMULATED = {"search.agents": 64, "search.iterations": 80}
 TRAINING = "02", "14", "33"
-"""Trials that are tuned on: slow, with breaks, and with a magnet on the body."""
+"""Trials for tuning: slow, with breaks, and with a magnet on the body."""
 SECONDS = 90.0
-"""Of each trial."""
+"""Duration used of each trial [s]."""
 INERTIAL = {
     "filter": {"vector_bias": "off", "cross_vector": False, "normalise_vectors": False},
     "fuzzy": {"offset": 0.0},
@@ -58,14 +59,14 @@ INERTIAL = {
 
 
 def simulated(table: str, seed: int) -> tuple[float, float]:
-    """Mean costs, trained on and held out."""
+    """Mean training and held-out costs."""
     experiment = posegsa.load_config("quick").replace(**SIMULATED, **{"fuzzy.rules": table})
     result = posegsa.tune(experiment, seed=seed)
     return result.best_cost, result.evaluation.cost(TUNED).mean
 
 
 def inertial(trials: dict[str, Recording]) -> Callable[[str, int], tuple[float, float]]:
-    """The same on recordings [deg]."""
+    """A function like `simulated` for recordings; costs in [deg]."""
     training = [trials[name] for name in TRAINING]
     held_out = [one for name, one in trials.items() if name not in TRAINING]
 

@@ -1,16 +1,17 @@
-"""How fast posegsa is, beside everything that one would use instead: a table, JSON and a figure.
+"""Speed of posegsa compared with the alternatives: a table, JSON and a figure.
 
 Every contender computes the costs of the same 100 parameter vectors on the same scenario
-(configs/paper.toml: 1500 steps, gain limit, exact centroid). Costs are compared with posegsa's
-first; a contender that disagrees is reported as wrong and not timed.
+(configs/paper.toml: 1500 steps, gain limit, exact centroid). Costs are first compared with those of
+posegsa; a contender that disagrees is reported as wrong and not timed.
 
     python benchmarks/run.py [--quick] [--only posegsa] [--readme] [--fuzzylite-python PYTHON]
 
-A minute or two with --quick, up to 9 minutes without. With `--only posegsa` posegsa beside C alone:
-100 and 1000 agents, vectors of 16 and of 8 floats (AVX2), and the recommended configuration, whose
-filter learns the vectors' biases. Writes benchmarks/run.json (run-quick.json, run-posegsa.json);
-with --readme also README.md, docs/benchmarks.md and benchmarks/scaling.png. Numba is an extra:
-pip install ".[bench]". A contender whose tools are missing is skipped, and the table says so.
+It takes a minute or two with --quick, up to 9 minutes without. `--only posegsa` compares posegsa
+and C only: 100 and 1000 agents, vectors of 16 and of 8 floats (AVX2), and the recommended
+configuration, whose filter learns the vector biases. Writes benchmarks/run.json (run-quick.json,
+run-posegsa.json); with --readme also README.md, docs/benchmarks.md and benchmarks/scaling.png.
+Numba is an extra: pip install ".[bench]". A contender whose tools are missing is skipped, and the
+table says so.
 """
 
 import argparse
@@ -53,8 +54,8 @@ HERE = Path(__file__).parent
 WORKER = HERE / "contenders" / "posegsa_worker.py"
 FIGURE = HERE / "scaling.png"
 TOLERANCES = {"float32": 1e-3, "float64": 1e-6, "sampled": 1e-3}
-"""Relative, for each cost: float32 with other orders of operations; float64; loops whose library
-samples the centroid, checked on a slice with 2001 points."""
+"""Relative tolerances of a cost: float32 with other orders of operations; float64; loops whose
+library samples the centroid, checked on a slice with 2001 points."""
 
 
 def wrong(kind: str) -> str:
@@ -63,7 +64,7 @@ def wrong(kind: str) -> str:
 
 
 def timed(run: Callable[[], object], seconds: float) -> tuple[float, float]:
-    """Best and median time [s] of calls repeated for about so many seconds, at least three."""
+    """Best and median time [s] of calls repeated for about `seconds`, at least three times."""
     times: list[float] = []
     while len(times) < 3 or sum(times) < seconds:
         begun = perf_counter()
@@ -73,10 +74,10 @@ def timed(run: Callable[[], object], seconds: float) -> tuple[float, float]:
 
 
 def worker(*words: object, cache: Path) -> dict[str, Any]:
-    """What a posegsa process of its own reports; see `contenders/posegsa_worker.py`.
+    """The report of a separate posegsa process; see `contenders/posegsa_worker.py`.
 
     Raises:
-        RuntimeError: it fails.
+        RuntimeError: The process fails.
     """
     said = subprocess.run(
         [sys.executable, str(WORKER), *map(str, words)],
@@ -90,7 +91,7 @@ def worker(*words: object, cache: Path) -> dict[str, Any]:
 
 
 class Benchmark:
-    """One run: what is measured on, and what was found so far."""
+    """One run of the benchmark: its scene, and the results so far."""
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.quick, self.only = options.quick, options.only
@@ -152,7 +153,7 @@ class Benchmark:
         self.jax_version: str = found["jax"]
 
     def add(self, row: Row, kind: str, run: Callable[[], np.ndarray]) -> bool:
-        """Check a contender's costs, then time it; whether it was right."""
+        """Check a contender's costs, then time it; returns whether the costs were right."""
         costs = run().mean(axis=0)
         known = np.resize(self.costs["float32" if kind == "float32" else "float64"], costs.shape)
         difference = float(np.max(np.abs(costs / known - 1)))
@@ -165,12 +166,12 @@ class Benchmark:
         return True
 
     def skip(self, contender: str, why: str) -> None:
-        """Say that a contender could not be run."""
+        """Note that a contender could not be run."""
         tqdm.write(f"{contender}: skipped, {why}")
         self.rows.append(Row(contender, 1, note=f"skipped: {why}"))
 
     def run_c(self) -> None:
-        """The limit, with and without the gain limit."""
+        """C, as the reference for speed, with and without the gain limit."""
         try:
             library, narrow = (
                 c.build(self.folder),
@@ -196,7 +197,7 @@ class Benchmark:
             self.rows.append(replace(row, best=best, median=median))
 
     def _improve_c(self, threads: int, best: float | None) -> None:
-        """C's best time of the whole run, so that no contender profits from a disturbance."""
+        """Update C's best time over the whole run, so that a disturbance doesn't distort ratios."""
         if best is None or best >= self.c_best.get(threads, 0):
             return
         self.c_best[threads] = best
@@ -208,7 +209,7 @@ class Benchmark:
         ]
 
     def run_searches(self) -> None:
-        """First calls with an empty cache and in a second process; the paper's whole run."""
+        """Time first calls, with an empty cache and in a second process, and the paper's run."""
         cache, most = self.folder / "first", self.threads[-1]
         words = ("search", "--devices", most, "--repeats")
         self.facts["cold"] = worker(*words, 1, cache=cache)
@@ -225,7 +226,7 @@ class Benchmark:
         devices: int = 1,
         variant: str = "",
     ) -> None:
-        """One size of posegsa, by turns with C."""
+        """Time one size of posegsa, by turns with C."""
         words: list[object] = ["--agents", agents, "--scenarios", scenarios, "--dtype", dtype]
         words += ["--devices", devices, "--seconds", self.seconds]
         words += {AVX2: ["--isa", "avx2"], RECOMMENDED: ["--recommended"]}.get(variant, [])
@@ -236,7 +237,7 @@ class Benchmark:
         name, of_c = (f"{who}, {variant}" if variant else who for who in (POSEGSA, C))
         sizes = {key: found[key] for key in ("agents", "scenarios", "samples")}
         row = Row(name, devices, dtype=dtype, **sizes)
-        # C's costs of the same agents and scenarios; in float32 always.
+        # C's costs of the same agents and scenarios, always in float32.
         if not found.get("c_difference", 0.0) <= TOLERANCES["float32"]:
             self.rows.append(replace(row, note=wrong("float32")))
             return
@@ -255,13 +256,13 @@ class Benchmark:
             self.facts["memory"][str(agents)] = found["peak_bytes"]
 
     def sized(self, agents: int) -> Scene:
-        """The scene with so many agents, which repeat its own."""
+        """The scene with `agents` agents, repeated from its own."""
         shape = (agents, *self.scene.inputs.shape[1:])
         many = {name: np.resize(getattr(self.scene, name), shape) for name in ("inputs", "outputs")}
         return replace(self.scene, **many)
 
     def run_numpy(self) -> None:
-        """NumPy, on one core by its nature."""
+        """NumPy, which uses one core."""
         for agents in (100,) if self.quick else (100, 1000):
             run = numpy_vectorised.prepare(self.sized(agents))
             row = Row(NUMPY, 1, agents)
@@ -270,7 +271,7 @@ class Benchmark:
             self.rows[-1] = self._with_c(self.rows[-1])
 
     def run_numba(self) -> None:
-        """Numba, on one core and on all."""
+        """Numba, on one core and on all cores."""
         try:
             from contenders import numba_parallel
         except ImportError as error:
@@ -284,7 +285,7 @@ class Benchmark:
                 self.rows[-1] = self._with_c(self.rows[-1])
 
     def _with_c(self, row: Row) -> Row:
-        """The row with C's time for as many agents, from posegsa's rows of the same run."""
+        """The row with C's time for the same number of agents, from posegsa's rows of this run."""
         for other in self.rows:
             same = (other.contender, other.threads, other.agents) == (
                 POSEGSA,
@@ -308,7 +309,7 @@ class Benchmark:
         self.add_slice(name, found)
 
     def run_fuzzylite(self) -> None:
-        """The plain loop with pyfuzzylite, on a slice, in an environment of its own."""
+        """The plain loop with pyfuzzylite, on a slice, in a separate environment."""
         name, script = "plain loop, pyfuzzylite", HERE / "contenders" / "fuzzylite_loop.py"
         python = self.fuzzylite_python
         try:
@@ -326,7 +327,7 @@ class Benchmark:
 
     @property
     def slice_seconds(self) -> float:
-        """How long a slow loop is measured [s]."""
+        """Measuring time of a slow loop [s]."""
         return 2.0 if self.quick else 10.0
 
     def add_slice(self, name: str, found: dict[str, Any]) -> None:
@@ -350,7 +351,7 @@ def _run(words: list[object], seconds: float) -> str:
 
 
 def page(rows: list[Row], facts: dict[str, Any], about: dict[str, str], command: str) -> str:
-    """Table and sentences as Markdown."""
+    """The table and sentences as Markdown."""
     tolerances = (
         f"A cost that differs from posegsa's by more than {TOLERANCES['float32']:g} (float32) or "
         f"{TOLERANCES['float64']:g} (float64) would be reported as wrong, and not timed; slices "
@@ -377,7 +378,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.readme and (options.quick or options.only):
         parser.error("--readme: needs the whole run, without --quick and --only")
-    # Of others: timings mean little on a busy machine, those with all cores least of all.
+    # Load of other processes: timings are unreliable on a busy machine, above all with all cores.
     load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     with tempfile.TemporaryDirectory() as folder:
         benchmark = Benchmark(options, Path(folder))
@@ -403,7 +404,7 @@ def main() -> None:
 
 
 def write_pages(rows: list[Row], facts: dict[str, Any], about: dict[str, str], text: str) -> None:
-    """README, docs/benchmarks.md and the figure."""
+    """Write README, docs/benchmarks.md and the figure."""
     scaling(rows).savefig(FIGURE, dpi=200)
     write_block("benchmarks", text, "docs/benchmarks.md")
     search = facts["search"][max(facts["search"], key=int)]

@@ -1,4 +1,4 @@
-"""What `run.py` found, as tables for people and as a figure."""
+"""Results of `run.py` as tables and as a figure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ C, POSEGSA = "C, hand-vectorised", "posegsa"
 NUMPY, NUMBA = "NumPy, vectorised over agents", "Numba, parallel"
 LIMITLESS, AVX2 = "without gain limit", "AVX2"
 RECOMMENDED = "recommended configuration"
-"""What stands behind a contender's name where it computes something else, or otherwise."""
+"""Label after a contender's name for rows with another configuration."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One contender on one size."""
+    """A contender with one number of agents."""
 
     contender: str
     threads: int
@@ -27,12 +27,12 @@ class Row:
     scenarios: int = 1
     dtype: str = "float64"
     best: float | None = None
-    """Least time of one population [s]; None where it was not timed."""
+    """Best time of one population [s]; None if it was not timed."""
     median: float | None = None
     c_best: float | None = None
-    """C's least time of the same with as many threads, in the same run [s]."""
+    """C's best time of the same with as many threads, in the same run [s]."""
     difference: float | None = None
-    """Largest relative difference of a checked cost from posegsa's; None where it is posegsa's."""
+    """Largest relative difference of a checked cost from posegsa's; None for posegsa itself."""
     note: str = ""
     samples: int = SAMPLES
     """Time steps of a simulation."""
@@ -49,17 +49,17 @@ class Row:
 
     @property
     def apart(self) -> bool:
-        """Whether it is another computation than the others', or one held on narrower vectors."""
+        """Whether the row has another computation than the others, or narrower vectors."""
         return self.contender.endswith((LIMITLESS, AVX2, RECOMMENDED))
 
     @property
     def ratio(self) -> float | None:
-        """How many times C's time."""
+        """Ratio to C's time."""
         return None if self.best is None or not self.c_best else self.best / self.c_best
 
 
 def number(value: float) -> str:
-    """A number with three digits, or all before the point."""
+    """A number with three significant digits, or all digits before the point."""
     return f"{value:,.0f}".replace(",", " ") if value >= 100 else f"{value:.3g}"
 
 
@@ -93,7 +93,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def sentences(facts: dict[str, Any]) -> list[str]:
-    """What was found on compiling, searching and memory."""
+    """Sentences on compilation, search and memory."""
     lines: list[str] = []
     if not facts["warm"]:
         return lines
@@ -138,7 +138,7 @@ def overview(rows: Sequence[Row]) -> str:
         "| --- | --: | --: | --: |",
     ]
     for name in dict.fromkeys(row.contender for row in base):
-        # In the contender's fastest precision, which for posegsa and C is float32.
+        # In the fastest precision of each contender: float32 for posegsa and C.
         own = [row for row in base if row.contender == name and row.best is not None]
         if own:
             best = min(own, key=lambda row: row.best or 0.0)
@@ -149,7 +149,7 @@ def overview(rows: Sequence[Row]) -> str:
 
 @styled
 def scaling(rows: Sequence[Row]) -> Figure:
-    """Agents against the time of a population; C as a line, the limit."""
+    """Time of a population over the number of agents; C as a line, for reference."""
     figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
     ax = figure.subplots()
     style_ticks(ax)

@@ -1,8 +1,8 @@
-"""What one sample costs on-line: each call for one sample beside the compiled call that it wraps.
+"""Time per sample on-line: each call for one sample, compared with the compiled call that it wraps.
 
-The recommended filter with the controller in the middle of its boxes, which costs what any other
-does: two vectors, one landmark. Times are of single calls, one after the other, in a process of its
-own for each precision.
+Uses the recommended filter with two vectors and one landmark. The controller is in the middle of
+its boxes; all controllers take the same time. Times are of single calls in sequence, in a separate
+process for each precision.
 
     python benchmarks/streaming.py [--updates N] [--write]
 """
@@ -32,7 +32,7 @@ PAGE = "docs/streaming.md"
 
 
 def observer(dtype: str) -> posegsa.Observer:
-    """The filter."""
+    """The filter to time."""
     experiment = config.override(config.Experiment(), [f"run.dtype={dtype}"])
     with jax.enable_x64(dtype == "float64"):
         space = posegsa.parameter_space(experiment)
@@ -45,7 +45,7 @@ def observer(dtype: str) -> posegsa.Observer:
 
 
 def made(dtype: str) -> Callable[[], posegsa.PoseFilter]:
-    """What makes the filter for a stream."""
+    """A function that makes the filter for a stream."""
     scenario, filter = config.Experiment().scenario, observer(dtype)
     return lambda: posegsa.PoseFilter(
         filter,
@@ -57,7 +57,7 @@ def made(dtype: str) -> Callable[[], posegsa.PoseFilter]:
 
 
 def microseconds(call: Callable[[], object], count: int) -> np.ndarray:
-    """Time of each of so many calls [us]."""
+    """Time of each of `count` calls [us]."""
     times = np.empty(count)
     for i in range(count):
         begin = time.perf_counter()
@@ -67,7 +67,7 @@ def microseconds(call: Callable[[], object], count: int) -> np.ndarray:
 
 
 def measured(dtype: str, updates: int) -> dict[str, Any]:
-    """Seconds to make the filter, the first and the second time, and microseconds of its calls."""
+    """Seconds to make the filter the first and the second time, and microseconds per call."""
     make, seconds = made(dtype), []
     for _ in range(2):
         begin = time.perf_counter()
@@ -104,7 +104,7 @@ def measured(dtype: str, updates: int) -> dict[str, Any]:
 
 
 def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
-    """Medians of other calls for one sample, and of the compiled calls in them [us]."""
+    """Median times of other calls for one sample, and of the compiled calls in them [us]."""
     filter = observer(dtype)
     controller = cast(posegsa.FuzzyGain, filter.schedule).controller
     rng = np.random.default_rng(0)
@@ -140,18 +140,18 @@ def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
 
 
 def medians(pair: list[Callable[[], object]], calls: int) -> list[float]:
-    """Median time of each of two calls [us], made in turn: what else runs meets both of them."""
+    """Median time of each of two calls [us], by turns, so that disturbances affect both."""
     times = np.empty((calls + 1, len(pair)))
     for row in times:
         for i, call in enumerate(pair):
             begin = time.perf_counter()
             jax.block_until_ready(call())
             row[i] = 1e6 * (time.perf_counter() - begin)
-    return np.median(times[1:], axis=0).tolist()  # without the first, which compiles
+    return np.median(times[1:], axis=0).tolist()  # without the first call, which compiles
 
 
 def main() -> None:
-    """Measure each precision in a process of its own."""
+    """Measure each precision in a separate process."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--updates", type=int, default=20_000)
     parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE}")
@@ -178,7 +178,7 @@ def main() -> None:
             compiled = f"{inner:.0f} us" if name != "Measurements.at" else "nothing"
             others.append(f"| `{name}` | {dtype} | {whole:.0f} us | {compiled} |")
     load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:  # by `chrt -f 10`, where other work goes on
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:  # set by `chrt -f 10` on a busy machine
         load += ", at real-time priority"
     where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
     table = "\n".join(

@@ -1,9 +1,9 @@
 """How the recommended configuration was chosen: one change at a time, judged on validation.
 
-Each variant is tuned on its training scenarios and costed on validation scenarios, whose keys are
-neither the training nor the held-out ones; the held-out scenarios are not read here. Two variants
-keep the filter and change its schedule: the best time switch and the best constant gain, searched
-with the same optimiser, budget and further numbers.
+Each variant is tuned on its training scenarios and judged on validation scenarios, which have other
+keys than the training and held-out scenarios; the latter are not used here. Two variants keep the
+filter and change its schedule: the best time switch and the best constant gain, searched with the
+same optimiser, budget and other tuned numbers.
 
     python benchmarks/study.py [--seeds 3] [--write]
 """
@@ -35,12 +35,12 @@ _OF_VECTORS = (
 
 
 def without(*keys: str) -> str:
-    """A setting: what is tuned beside k1..k22, but for some keys."""
+    """A setting: the numbers tuned in addition to k1 to k22, without some keys."""
     return tuned_too(key for key in ALSO if key not in keys)
 
 
 def tuned_too(keys, *more: dict) -> str:
-    """A setting: what is tuned beside k1..k22."""
+    """A setting: the numbers tuned in addition to k1 to k22."""
     known = {one.key: one.model_dump() for one in config.Experiment().parameters.also}
     tables = [known[key] for key in keys] + list(more)
     rows = (

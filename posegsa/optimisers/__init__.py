@@ -1,8 +1,8 @@
 """Optimisers that minimise any batched function over a box.
 
 An optimiser is a set of checked settings with three pure methods, `init`, `ask` and `tell`, that
-work in the unit box. `minimise` runs one on an objective; `start` and `advance` are its two halves,
-for use inside a compiled function of one's own; `ask` and `tell` are one step taken apart.
+work in the unit box. `minimise` runs an optimiser on an objective. `start` and `advance` are its
+two halves, for use inside your own compiled function. `ask` and `tell` are the halves of one step.
 """
 
 from posegsa.optimisers.adam import Adam as Adam

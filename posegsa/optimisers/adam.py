@@ -1,9 +1,9 @@
-"""Adam: gradient descent with momentum and a step for each coordinate, from many starts at once.
+"""Adam: gradient descent with momentum and a step size per coordinate, from many starts at once.
 
 Source: D. P. Kingma, J. Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, Algorithm 1,
-as optax implements it. Steps are taken in the unit box and projected onto it; their length falls
+as optax implements it. Steps are taken in the unit box and projected onto it. Their length falls
 along a half cosine (I. Loshchilov, F. Hutter, "SGDR", ICLR 2017, Eq. 5, without restarts), because
-a constant step keeps circling a minimum with kinks.
+a constant step does not settle in a minimum with kinks.
 """
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import optax
 
 MAX_BETA = 0.999999
-"""At 1 the running mean's bias correction is 0 / 0; in float32, so it is just below."""
+"""Just below 1, in float32 too; at 1 the bias correction of the running mean is 0 / 0."""
 Beta = Annotated[float, Field(strict=True, ge=0, le=MAX_BETA)]
 
 
@@ -29,38 +29,38 @@ class AdamState(NamedTuple):
     """State of all descents between two iterations."""
 
     position: Array  # (agents, dimensions) in the unit box
-    moments: Any  # optax': m and v of the source, (agents, dimensions) each
+    moments: Any  # optax's m and v of the source, (agents, dimensions) each
     iteration: Array  # () int32, iterations done
-    key: Array  # random key of what is still to be drawn
+    key: Array  # random key for the next draws
 
 
 class DescentSettings(Section):
-    """Settings of gradient descent, by itself or after a search."""
+    """Settings of gradient descent, alone or after a search."""
 
     learning_rate: Positive = 0.03
-    """Length of the first step of each coordinate, in widths of the box; it falls to 0."""
+    """Length of the first step in each coordinate, in widths of the box; it decays to 0."""
     spread: Share = 0.05
-    """Where a descent after a search begins: one at the best position found, the others moved away
-    from it by up to this in each coordinate, in widths of the box."""
+    """Spread of the starts of a descent after a search, in widths of the box: one is at the best
+    position found, the others up to this far from it in each coordinate."""
     gradient_price: Count = 23
-    """How many evaluations a cost with its gradient counts as: 1 and 22 for the parameters."""
+    """Evaluations that a cost with its gradient counts as: 1, and 22 for the parameters."""
 
 
 class Adam(DescentSettings, Optimiser):
-    """Gradient descent (Kingma and Ba 2015) in the unit box, from many starts side by side."""
+    """Gradient descent (Kingma and Ba 2015) in the unit box, from many starts at once."""
 
     optimiser: Literal["adam"] = "adam"
     """Name of the optimiser."""
     agents: Count = 8
     """Number of starts, drawn uniformly over the box."""
     iterations: Count = 135
-    """Steps of each."""
+    """Number of steps of each start."""
     beta1: Beta = 0.9
     """Decay of the gradient's running mean, no unit."""
     beta2: Beta = 0.999
     """Decay of the squared gradient's running mean, no unit."""
     epsilon: Epsilon = 1e-8
-    """Added to the root of that mean, against division by zero."""
+    """Added to the root of that mean, to avoid division by zero."""
 
     title: ClassVar[str] = "Gradient descent (Adam)"
     agent_noun: ClassVar[str] = "start"
@@ -79,7 +79,7 @@ class Adam(DescentSettings, Optimiser):
         return self._at(uniform(key_position, (self.agents, dimensions), dtype), key)
 
     def begin_at(self, state: AdamState, position: Array) -> AdamState:
-        """Begin at a position (dimensions,) in the unit box, and around it."""
+        """Start at a position (dimensions,) in the unit box, and around it."""
         key, key_move = random.split(state.key)
         moves = 2 * uniform(key_move, state.position.shape, position.dtype) - 1
         moves = self.spread * moves.at[0].set(0)
@@ -89,12 +89,12 @@ class Adam(DescentSettings, Optimiser):
         return AdamState(position, self._adam().init(position), jnp.asarray(0, jnp.int32), key)
 
     def _adam(self) -> "optax.GradientTransformation":
-        import optax  # here, for it takes a quarter of the time in which posegsa is imported
+        import optax  # here, as it would take a quarter of the time to import posegsa
 
         return optax.scale_by_adam(self.beta1, self.beta2, self.epsilon)
 
     def tell(self, state: AdamState, costs: Array, gradients: Array) -> AdamState:
-        """Take one step down each gradient (agents, dimensions), and back onto the box."""
+        """Take one step down each gradient (agents, dimensions), and project it onto the box."""
         del costs
         with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
             direction, moments = self._adam().update(gradients, state.moments)

@@ -1,4 +1,4 @@
-"""What every optimiser is: settings with three pure methods."""
+"""The base class of all optimisers: settings with three pure methods."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -18,14 +18,15 @@ Objective = Callable[[Array], Array]
 """Maps positions (agents, dimensions), in the box's coordinates, to costs (agents,)."""
 
 FailureCost = Literal["largest", "worst so far", "worst now"]
-"""What an optimiser is told of a position whose cost is not finite, so that it never passes for a
-good one, now or later:
+"""The cost that an optimiser gets for a position whose cost is not finite, so that the position is
+never taken for a good one, now or later:
 
-    "largest": the largest finite number, for one that does nothing but compare costs.
-    "worst so far": a little more than the worst finite cost of the whole search, and before any
-        some 1e15 (in float64 1e123), for one that keeps costs and calculates with them.
-    "worst now": the worst finite cost of the iteration, for one that keeps none: an old, high cost
-        would make all of these look alike. Where they are equal it is a little more.
+    "largest": the largest finite number, for optimisers that only compare costs.
+    "worst so far": a little more than the worst finite cost of the whole search, or about 1e15 (in
+        float64 1e123) before the first, for optimisers that store costs and calculate with them.
+    "worst now": the worst finite cost of the iteration, or a little more if all finite costs are
+        equal, for optimisers that store no costs; an old, high cost would make the present ones
+        look alike.
 """
 
 
@@ -33,10 +34,10 @@ class Optimiser(Section):
     """Settings of an optimiser, and its three pure methods over an immutable state.
 
     A subclass adds its settings as fields, `init` and `tell`, and `ask` if its state has no
-    `position` to ask for. They see positions in the unit box, and finite costs: the loop
-    (`posegsa.optimisers.loop`) sees to both. Settings are checked, frozen and hashable, so that
-    they can be static in a compiled function. What is registered (`posegsa.optimisers.registry`)
-    can be named in a configuration, whose [search] it then is.
+    `position`. The methods get positions in the unit box and finite costs; the loop
+    (`posegsa.optimisers.loop`) ensures both. Settings are checked, frozen and hashable, so that
+    they can be static in a compiled function. Registered optimisers (`posegsa.optimisers.registry`)
+    can be named in the [search] section of a configuration, which then has their settings.
     """
 
     optimiser: str = "own"
@@ -47,61 +48,61 @@ class Optimiser(Section):
     """Number of iterations of a whole search."""
 
     title: ClassVar[str] = "An optimiser"
-    """What it is, as the beginning of a sentence."""
+    """Its title, to start a sentence with."""
     agent_noun: ClassVar[str] = "agent"
-    """What one of its agents is called."""
+    """Name of one of its agents."""
     iteration_noun: ClassVar[str] = "iteration"
-    """What one of its iterations is called."""
+    """Name of one of its iterations."""
     on_host: ClassVar[bool] = False
-    """Whether `ask` and `tell` are ordinary Python, which JAX can't compile."""
+    """Whether `ask` and `tell` are ordinary Python that JAX can't compile."""
     wants_gradients: ClassVar[bool] = False
-    """Whether `tell` is given the gradients of the costs as well."""
+    """Whether `tell` also gets the gradients of the costs."""
     failure_cost: ClassVar[FailureCost] = "worst so far"
-    """What it is told of a cost that is not finite."""
+    """The cost that it gets instead of a cost that is not finite."""
     fixed_length: ClassVar[str] = ""
-    """Why a search can't go on past its iterations; empty where it can."""
+    """Why a search can't be extended to more iterations; empty if it can."""
     compared_by_default: ClassVar[bool] = True
-    """Whether `compare` runs it unless other names are asked for."""
+    """Whether `compare` runs it by default."""
 
     @abstractmethod
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> Any:
-        """Return the state before the first `ask`; it carries the key."""
+        """Return the state before the first `ask`; the state holds the key."""
 
     def ask(self, state: Any) -> Array:
-        """Return the positions (agents, dimensions) in [0, 1] whose costs are wanted next."""
+        """Return the positions (agents, dimensions) in [0, 1] to evaluate next."""
         return state.position
 
     @abstractmethod
     def tell(self, state: Any, costs: Array, *gradients: Array) -> Any:
-        """Return the state after learning the costs (agents,) of the positions asked for.
+        """Return the state updated with the costs (agents,) of the positions of `ask`.
 
-        Gradients (agents, dimensions), where they are wanted, are with respect to the positions in
-        the unit box.
+        Gradients (agents, dimensions), if the optimiser wants them, are with respect to the
+        positions in the unit box.
         """
 
     def begin_at(self, state: Any, position: Array) -> Any:
-        """Return the state moved to a position (dimensions,) that an earlier phase has found."""
+        """Return the state moved to the best position (dimensions,) of the earlier phases."""
         raise NotImplementedError(f"{type(self).__name__} can't begin at a given position")
 
     def check_usable(self) -> None:
-        """See that it can run here.
+        """Check that the optimiser can run here.
 
         Raises:
-            ConfigError: It can't, because another library is not installed or does not know it.
+            ConfigError: A library that it needs is not installed, or lacks the strategy.
         """
 
     def price(self, dimensions: int) -> str:
-        """What its own steps cost, in words, where that is worth saying before; else nothing."""
+        """A warning about the time of the optimiser's own steps, or an empty string."""
         return ""
 
     @property
     def phases(self) -> tuple["Optimiser", ...]:
-        """The optimisers that run one after the other, each from the best that was found before."""
+        """The optimisers that run in sequence, each from the best position found before."""
         return (self,)
 
     @property
     def evaluations_per_agent(self) -> int:
-        """How many evaluations the cost of one agent, with its gradient if wanted, counts as."""
+        """Evaluations that the cost of one agent counts as, with its gradient if wanted."""
         return 1
 
     @property
@@ -120,14 +121,14 @@ class Optimiser(Section):
         return np.cumsum(np.repeat(prices, [phase.iterations for phase in self.phases]))
 
     def changed(self, **settings: Any) -> Self:
-        """A copy with other values for some settings, checked."""
+        """A checked copy with other values for some settings."""
         return type(self)(**dict(self) | settings)
 
     def within(self, evaluations: int) -> Self:
-        """A copy with as many iterations as so many evaluations pay for.
+        """A copy with as many iterations as a number of evaluations allows.
 
         Raises:
-            ConfigError: They don't pay for one.
+            ConfigError: The evaluations are not enough for one iteration.
         """
         each = self.agents * self.evaluations_per_agent
         if evaluations < each:
@@ -136,10 +137,10 @@ class Optimiser(Section):
         return self.changed(iterations=evaluations // each)
 
     def resumed(self, asked: "Optimiser") -> Self:
-        """The settings with which a search that was begun with these goes on.
+        """The settings with which a search that was started with these is resumed.
 
         Raises:
-            Refused: Those that are asked for now differ in more than a larger number of iterations.
+            Refused: The settings asked for differ in more than a larger number of iterations.
         """
         keys = dict(self) if type(asked) is type(self) else ("optimiser",)
         problems = [
@@ -157,7 +158,7 @@ class Optimiser(Section):
         return self.changed(iterations=asked.iterations)
 
     def size_in_words(self, between: str = " x ") -> str:
-        """Agents and iterations of all phases, such as "100 agents x 250 iterations"."""
+        """Agents and iterations of all phases, for example "100 agents x 250 iterations"."""
         return ", then ".join(
             f"{counted(phase.agents, phase.agent_noun)}{between}"
             f"{counted(phase.iterations, phase.iteration_noun)}"
@@ -166,5 +167,5 @@ class Optimiser(Section):
 
 
 def uniform(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
-    """Draw from [0, 1) in float32 and cast, so that a key means the same in every dtype."""
+    """Draw from [0, 1) in float32 and cast, so that a key gives the same in every dtype."""
     return random.uniform(key, shape, jnp.float32).astype(dtype)

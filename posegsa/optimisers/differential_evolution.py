@@ -1,10 +1,10 @@
-"""Differential evolution: agents move by differences of other agents, and keep what is better.
+"""Differential evolution: agents try steps by differences of other agents and keep better ones.
 
 Source: R. Storn, K. Price, "Differential Evolution - A Simple and Efficient Heuristic for Global
 Optimization over Continuous Spaces", J. Global Optimization 11 (1997) 341-359, schemes
 "rand/1/bin" and "best/1/bin". Equation numbers are the article's. Each generation is made as a
-whole from the one before it, as in the article. A coordinate of a trial that leaves the box, which
-the article does not speak of, is drawn anew.
+whole from the one before it, as in the article. A coordinate of a trial that leaves the box is
+redrawn; the article does not treat this case.
 """
 
 from typing import Annotated, ClassVar, Literal, NamedTuple
@@ -25,8 +25,8 @@ class DifferentialEvolutionState(NamedTuple):
 
     position: Array  # x (agents, dimensions)
     cost: Array  # (agents,) of x; inf before the first costs
-    trial: Array  # u (agents, dimensions), what is asked for
-    key: Array  # random key of what is still to be drawn
+    trial: Array  # u (agents, dimensions), the positions of `ask`
+    key: Array  # random key for the next draws
 
 
 class DifferentialEvolution(Optimiser):
@@ -37,7 +37,7 @@ class DifferentialEvolution(Optimiser):
     agents: Annotated[Count, Field(ge=4)] = 100
     """Number of agents, the article's NP."""
     strategy: Strategy = "rand/1/bin"
-    """Where a mutant starts from: "rand/1/bin" a random agent, "best/1/bin" the best one."""
+    """Base of a mutant: "rand/1/bin" a random agent, "best/1/bin" the best one."""
     factor: Annotated[float, Field(strict=True, ge=0, le=2)] = 0.5
     """Weight F of the difference of two agents, no unit."""
     crossover: Share = 0.9
@@ -58,7 +58,7 @@ class DifferentialEvolution(Optimiser):
         return state.trial
 
     def tell(self, state: DifferentialEvolutionState, costs: Array) -> DifferentialEvolutionState:
-        """Keep the trials that cost no more than their agents, and make the next ones."""
+        """Keep the trials that cost no more than their agents, and make the next trials."""
         kept = costs <= state.cost
         x = jnp.where(kept[:, None], state.trial, state.position)
         cost = jnp.where(kept, costs, state.cost)
@@ -69,7 +69,7 @@ class DifferentialEvolution(Optimiser):
         mutant = base + self.factor * (x[others[1]] - x[others[2]])  # Eq. 2
         mutant = jnp.where((mutant < 0) | (mutant > 1), uniform(keys[1], x.shape, x.dtype), mutant)
         drawn = uniform(keys[2], x.shape, jnp.float32) < self.crossover
-        sure = random.randint(keys[3], (self.agents, 1), 0, x.shape[1])  # at least one of each
+        sure = random.randint(keys[3], (self.agents, 1), 0, x.shape[1])  # at least one each
         crossed = drawn | (jnp.arange(x.shape[1])[None, :] == sure)
         trial = jnp.where(crossed, mutant, x)  # Eq. 4
         return DifferentialEvolutionState(position=x, cost=cost, trial=trial, key=key)
@@ -78,8 +78,8 @@ class DifferentialEvolution(Optimiser):
 def distinct_others(key: Array, agents: int) -> Array:
     """Return three other agents r1, r2, r3 (3, agents) for each agent i, distinct and uniform.
 
-    The k-th of them is drawn as a number below agents - k. This counts the agents that are still
-    free: going through those taken in ascending order, it moves up by one past each.
+    The k-th agent is drawn as a number below agents - k, an index among the agents that are not yet
+    taken. It is raised by one for each taken agent, in ascending order, that is not above it.
     """
     taken = jnp.arange(agents, dtype=jnp.int32)[None, :]
     for k, each in enumerate(random.split(key, 3), start=1):

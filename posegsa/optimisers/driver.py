@@ -1,4 +1,4 @@
-"""What takes searches on: one compiled program for each kind of search, run in chunks."""
+"""Run searches in chunks, with one compiled program for each kind of search."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -15,13 +15,13 @@ from posegsa.optimisers.loop import AnyObjective, Search, Until, advance
 from posegsa.optimisers.search_box import Box
 
 Runner = Callable[[Search, int], Search]
-"""Takes a search on to an iteration, counted from its start."""
+"""Runs a search to an iteration, counted from its start."""
 OnDevices = Callable[[Callable[..., Any]], Callable[..., Any]]
-"""Makes a function run on several devices, with the same arguments and the same result on each."""
+"""Makes a function run on several devices, with the same arguments and results on each."""
 
 
 CHUNKS = 50
-"""Parts in which a search is run where nothing else is asked for; no result depends on it."""
+"""Default number of parts in which a search is run; no result depends on it."""
 
 
 def runner(
@@ -33,16 +33,16 @@ def runner(
     python_objective: bool = False,
     on_devices: OnDevices | None = None,
 ) -> Runner:
-    """What takes one search on, or R of them: compiled, or on the host what can't be.
+    """A function that runs one search, or R of them: compiled, or on the host if that can't be.
 
-    It is compiled once for each optimiser, objective and `on_devices`, which are told apart by
-    equality, and each shape of the rest; what it is given later may differ in its numbers.
+    It is compiled once for each optimiser, objective and `on_devices`, which are compared by
+    equality, and for each shape of the other arguments.
 
     Args:
-        optimiser: What searches.
-        objective: As in `advance`; with data, a function that makes the objective of them.
-        box: Where to search. Of R searches it has leaves (R, ...), and so have the data.
-        data: Arrays that the objective depends on; only for what can be compiled.
+        optimiser: The optimiser.
+        objective: As in `advance`; with data, a function that makes the objective from the data.
+        box: The box to search. For R searches it has leaves (R, ...), and so have the data.
+        data: Arrays that the objective depends on; only if the search is compiled.
         until: As in `advance`.
         python_objective: As in `advance`.
         on_devices: The devices that run the search; by default one.
@@ -75,7 +75,7 @@ def _advance(
     stop: ArrayLike,
     until: Until | None,
 ) -> Search:
-    """Run one search on, or R of them, in one compiled loop over iterations and agents."""
+    """Run one search, or R of them, in one compiled loop over iterations and agents."""
 
     def one(problem: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:
         data, box, search = problem
@@ -84,8 +84,8 @@ def _advance(
         return advance(optimiser, made, box, search, stop, until)
 
     def several(problems: tuple[Any, Box, Search], stop: ArrayLike, until: Until | None) -> Search:
-        # A search fills a CPU's vector units by itself, and XLA's fast path there
-        # (`posegsa.enable_fast_path`) fails on some searches with one more batch axis.
+        # One search fills a CPU's vector units, and XLA's fast path (`posegsa.enable_fast_path`)
+        # fails on some searches with one more batch axis.
         if jax.default_backend() == "cpu":
             return lax.map(lambda problem: one(problem, stop, until), problems)
         return jax.vmap(one, in_axes=(0, None, None))(problems, stop, until)
@@ -97,9 +97,9 @@ def _advance(
 def in_chunks(
     run: Runner, search: Search, begin: int, end: int, size: Callable[[int], int]
 ) -> Iterator[tuple[int, Search]]:
-    """Run a search on in chunks of iterations; after each, where it should stand, and the search.
+    """Run a search in chunks of iterations; yields the iterations due and the search after each.
 
-    `size` maps the iterations done, at first `begin`, to those of the next chunk.
+    `size` maps the number of iterations done, at first `begin`, to the size of the next chunk.
     """
     done = begin
     while done < end:

@@ -1,10 +1,10 @@
-"""Strategies of the evosax library, CMA-ES among them, behind this package's protocol.
+"""Strategies of the evosax library, including CMA-ES, as optimisers of this package.
 
 Source: R. T. Lange, "evosax: JAX-based Evolution Strategies", 2022, version 0.3 of the library.
 It comes with the extra `posegsa[compare]`; nothing else of this package needs it.
 
-A strategy knows no box. Its positions are mirrored at the faces of the unit box, as often as it
-takes, to be evaluated, and it is told the costs as those of its own positions.
+The strategies have no box. Their positions are mirrored at the faces of the unit box, as often as
+needed, before they are evaluated. The strategy gets the costs as those of its own positions.
 """
 
 from collections.abc import Iterator
@@ -26,10 +26,10 @@ from posegsa.settings.fields import Count, Positive
 class EvosaxState(NamedTuple):
     """State of a strategy between two iterations."""
 
-    strategy: Any  # evosax's own
-    asked: Array  # (agents, dimensions) the strategy's positions, inside the box or not
-    begun: Array  # () bool, whether costs have been told
-    key: Array  # random key of what is still to be drawn
+    strategy: Any  # the state of evosax
+    asked: Array  # (agents, dimensions) the strategy's positions, before mirroring
+    begun: Array  # () bool, whether `tell` was called
+    key: Array  # random key for the next draws
 
 
 class Evosax(Optimiser):
@@ -40,15 +40,15 @@ class Evosax(Optimiser):
     agents: Annotated[Count, Field(ge=2)] = 100
     """Number of positions that are evaluated at once."""
     strategy: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_]+$")] = "CMA_ES"
-    """Its name in `evosax.algorithms`, such as "CMA_ES", "SNES" or "SimpleGA"."""
+    """Its name in `evosax.algorithms`, for example "CMA_ES", "SNES" or "SimpleGA"."""
     sigma: Positive = 0.3
-    """Standard deviation at the start, in widths of the box, of strategies that have one."""
+    """Initial standard deviation, in widths of the box, for strategies that have one."""
 
     title: ClassVar[str] = "A strategy of evosax"
     compared_by_default: ClassVar[bool] = False
 
     def check_usable(self) -> None:
-        """See that evosax is installed and has the strategy."""
+        """Check that evosax is installed and has the strategy."""
         try:
             from evosax.algorithms import algorithms
         except ImportError:
@@ -63,7 +63,7 @@ class Evosax(Optimiser):
         return _make(self.strategy, self.agents, dimensions, self.sigma)
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> EvosaxState:
-        """Begin in the middle of the box, or with a population drawn uniformly over it."""
+        """Start in the middle of the box, or with a population drawn uniformly over it."""
         key, key_first = random.split(key)
         strategy, params, from_costs = self._made(dimensions)
         asked = uniform(key_first, (self.agents, dimensions), dtype)
@@ -79,11 +79,11 @@ class Evosax(Optimiser):
 
     def ask(self, state: EvosaxState) -> Array:
         """Return the strategy's positions (agents, dimensions), mirrored into the unit box."""
-        path = jnp.mod(state.asked, 2)  # there and back again
+        path = jnp.mod(state.asked, 2)  # period 2: forth and back
         return jnp.where(jnp.isfinite(path), jnp.where(path > 1, 2 - path, path), 0.5)
 
     def tell(self, state: EvosaxState, costs: Array) -> EvosaxState:
-        """Tell the strategy what its positions cost, and let it choose the next."""
+        """Give the strategy the costs of its positions, and let it choose the next positions."""
         dimensions, dtype = state.asked.shape[1], state.asked.dtype
         strategy, params, from_costs = self._made(dimensions)
         key, key_tell, key_ask = random.split(state.key, 3)
@@ -96,14 +96,14 @@ class Evosax(Optimiser):
 
         with _loose():
             old = state.strategy
-            # The first costs of a population are those of the one that it was begun with.
+            # The first costs belong to the initial population.
             made = lax.cond(state.begun, told, begun, old) if from_costs else told(old)
             asked, made = strategy.ask(key_ask, made, params)
         return EvosaxState(_like(made, old), asked.astype(dtype), jnp.asarray(True), key)
 
 
 class CMAES(Evosax):
-    """CMA-ES, as evosax has it."""
+    """CMA-ES of the evosax library."""
 
     optimiser: Literal["cma_es"] = "cma_es"
     """Name of the optimiser."""
@@ -116,7 +116,7 @@ class CMAES(Evosax):
 
 @cache
 def _make(name: str, agents: int, dimensions: int, sigma: float) -> tuple[Any, Any, bool]:
-    """A strategy, its parameters, and whether it begins with the costs of a population."""
+    """A strategy, its parameters, and whether it starts from the costs of a population."""
     from evosax.algorithms import algorithms
     from evosax.algorithms.population_based.base import PopulationBasedAlgorithm
 
@@ -129,12 +129,12 @@ def _make(name: str, agents: int, dimensions: int, sigma: float) -> tuple[Any, A
 
 
 def _like(tree: Any, model: Any) -> Any:
-    """A tree in the types of another, as a compiled loop needs them."""
+    """A tree cast to the types of another, as a compiled loop requires."""
     return jax.tree.map(lambda a, m: jnp.asarray(a).astype(jnp.asarray(m).dtype), tree, model)
 
 
 @contextmanager
 def _loose() -> Iterator[None]:
-    """Let another library mix types and shapes as it is used to."""
+    """Allow JAX's standard promotion of types and shapes, which evosax needs."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield

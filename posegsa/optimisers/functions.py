@@ -1,12 +1,12 @@
-"""The classical test functions, as objectives with a box and a known minimum of 0.
+"""Classical test functions, as objectives with a box and a known minimum of 0.
 
 Sources: X. Yao, Y. Liu, G. Lin, "Evolutionary Programming Made Faster", IEEE Trans. Evolutionary
 Computation 3 (1999) 82-102 (sphere, Rosenbrock, Schwefel 2.26, Rastrigin, Ackley, Griewank and
 their boxes); N. Hansen et al., "Real-Parameter Black-Box Optimization Benchmarking", 2009 (the
 ellipsoid).
 
-Many optimisers find the middle of the box, or an axis, more easily than any other place. A shifted
-function has its minimum elsewhere, a rotated one has its axes elsewhere.
+Many optimisers find the middle of the box, or a point on an axis, more easily than other points. A
+shifted function has its minimum off the middle; a rotated function has other axes.
 """
 
 import math
@@ -44,13 +44,13 @@ def rosenbrock(z: Array) -> Array:
 
 
 def rastrigin(z: Array) -> Array:
-    """A bowl with a minimum near every point of integers."""
-    # 10 (1 - cos 2 pi z), written so that nothing cancels near 0; so in Ackley's.
+    """A bowl with a local minimum near every point with integer coordinates."""
+    # 10 (1 - cos 2 pi z), in a form without cancellation near 0; likewise in Ackley's function.
     return jnp.sum(z**2 + 20 * jnp.sin(math.pi * z) ** 2, axis=-1)
 
 
 def ackley(z: Array) -> Array:
-    """A plain of small bumps with a deep hole."""
+    """A plain with small bumps and one deep hole."""
     distance = jnp.sqrt(jnp.mean(z**2, axis=-1))
     bumps = -2 * jnp.mean(jnp.sin(math.pi * z) ** 2, axis=-1)
     return -20 * jnp.expm1(-0.2 * distance) - math.e * jnp.expm1(bumps)
@@ -64,9 +64,9 @@ def griewank(z: Array) -> Array:
 
 
 def schwefel(z: Array) -> Array:
-    """Deep holes far from each other, the best near a corner: Schwefel's 2.26.
+    """Schwefel's function 2.26: deep holes far from each other, the best near a corner.
 
-    Outside its box, where it would fall on, it rises by the square of the distance.
+    Outside the box, where the formula falls further, it rises with the square of the distance.
     """
     inside = jnp.clip(z, -500, 500)
     outside = jnp.sum((z - inside) ** 2, axis=-1)
@@ -76,7 +76,7 @@ def schwefel(z: Array) -> Array:
 class _Classical(NamedTuple):
     formula: Callable[[Array], Array]
     limit: float  # the box is [-limit, limit] in every dimension
-    minimum: float  # of every coordinate
+    minimum: float  # every coordinate of the minimum
 
 
 _CLASSICAL = {
@@ -91,7 +91,7 @@ _CLASSICAL = {
 FUNCTIONS = tuple(_CLASSICAL)
 """Names of the functions."""
 MAX_DIMENSIONS = 5000
-"""Dimensions of a test function at most: a rotation holds their square, 200 MB."""
+"""Maximum dimension of a test function: a rotation matrix then takes 200 MB."""
 
 
 @dataclass(frozen=True)
@@ -99,15 +99,15 @@ class ClassicalFunction:
     """A test function; call it with positions (agents, dimensions) for costs (agents,).
 
     Raises:
-        ArgumentError: If an attribute is out of its range, or the minimum would leave the box.
+        ArgumentError: An attribute is out of range, or the minimum would leave the box.
     """
 
     name: str
     dimensions: int
     shift: float = 0.0
-    """How far the minimum is moved in every coordinate, in half widths of the box."""
+    """Shift of the minimum in every coordinate, in half widths of the box."""
     rotation: int | None = None
-    """Seed of a random rotation about the minimum; None for none."""
+    """Seed of a random rotation about the minimum; None for no rotation."""
 
     def __post_init__(self) -> None:
         if self.name not in FUNCTIONS:
@@ -132,13 +132,13 @@ class ClassicalFunction:
 
     @property
     def minimum(self) -> np.ndarray:
-        """Where it is 0, (dimensions,)."""
+        """Position of the minimum (dimensions,)."""
         _, limit, minimum = _CLASSICAL[self.name]
         return np.full(self.dimensions, minimum + self.shift * limit)
 
     @property
     def title(self) -> str:
-        """Its name and what was done to it, for people."""
+        """Its name, dimension, shift and rotation as text."""
         words = [f"{self.name}, {self.dimensions} dimensions"]
         if self.shift:
             words.append(f"shifted by {self.shift:g} half widths")

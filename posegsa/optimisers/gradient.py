@@ -1,4 +1,4 @@
-"""Objectives with gradients: by forward or reverse mode, or by the caller's own function."""
+"""Objectives with gradients: by forward mode, reverse mode, or the caller's own function."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,16 +15,16 @@ ObjectiveWithGradient = Callable[[Array], tuple[Array, Array]]
 
 
 class Differentiable(NamedTuple):
-    """An objective, and the same with its gradients, both in the box's coordinates."""
+    """An objective without and with its gradients, both in the box's coordinates."""
 
     costs: Objective
     costs_and_gradients: ObjectiveWithGradient
 
 
 def reverse_mode(objective: Objective) -> Differentiable:
-    """Differentiate a batched objective by reverse mode: one pass, whatever the dimensions.
+    """Differentiate a batched objective by reverse mode: one pass for any number of dimensions.
 
-    It stores what every step of the objective computed, and can't pass a `while_loop`.
+    It stores the intermediate results of every step, and can't differentiate a `while_loop`.
     """
 
     def costs_and_gradients(positions: Array) -> tuple[Array, Array]:
@@ -37,15 +37,15 @@ def reverse_mode(objective: Objective) -> Differentiable:
 def forward_mode(objective: Objective) -> Differentiable:
     """Differentiate a batched objective by forward mode: one pass for each dimension, all at once.
 
-    It stores nothing, which suits few dimensions and long simulations: the cost of a filter over
-    1500 steps with 22 parameters is some 100 times faster this way than by reverse mode.
+    It stores no intermediate results, which suits few dimensions and long simulations: for the cost
+    of a filter over 1500 steps with 22 parameters it is about 100 times faster than reverse mode.
     """
 
     def cost(position: Array) -> Array:
         return objective(position[None])[0]
 
-    # One position after the other: its dimensions fill the vector units, and its numbers fit into
-    # the cache.
+    # One position after the other: the dimensions of one fill the vector units, and its numbers fit
+    # into the cache.
     gradients = partial(lax.map, partial(value_and_slopes, cost))
     return Differentiable(objective, gradients)
 

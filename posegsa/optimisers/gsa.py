@@ -1,14 +1,14 @@
-"""The gravitational search algorithm: agents attract each other, the better the stronger.
+"""The gravitational search algorithm: agents attract each other, better ones more strongly.
 
 Source: E. Rashedi, H. Nezamabadi-pour, S. Saryazdi, "GSA: A Gravitational Search Algorithm",
-Information Sciences 179 (2009) 2232-2248, and the authors' own code (version 1.1), which settles
-what the article leaves open. Equation numbers are that article's; the pose filter paper prints the
+Information Sciences 179 (2009) 2232-2248, and the authors' own code (version 1.1) for details that
+the article leaves open. Equation numbers are those of the article; the pose filter paper prints the
 algorithm, with changes, as its Eqs. 10 to 16.
 
-Positions live in the unit box, so the gravitational constant acts relative to the box: G0 = 100
-here pulls as hard as G0 = 100 (high - low) in a box from low to high. That is the setting to think
-about first: the article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which converges to much smaller
-costs where the optimum lies at the box's centre, and stalls where it does not.
+Positions are in the unit box, so the gravitational constant is relative to the box: G0 = 100 here
+is the same as G0 = 100 (high - low) in a box from low to high. Choose this setting first: the
+article's G0 = 100 in [-100, 100] is G0 = 0.5 here, which converges to much smaller costs if the
+optimum is at the centre of the box, and stalls if it is not.
 """
 
 from collections.abc import Callable
@@ -24,10 +24,10 @@ from posegsa.optimisers.base import FailureCost, Optimiser, uniform
 from posegsa.settings.fields import Count, Epsilon, NonNegative
 
 PULL_SECONDS = 1.4e-9
-"""Time that a pull takes in one dimension, on one core of 2.5 GHz [s]; measured with 1000 to 8000
+"""Time of one pull in one dimension, on one core of 2.5 GHz [s], measured with 1000 to 8000
 agents."""
 LONG_STEP = 1.0
-"""Time of a step from which on it is said beforehand [s]."""
+"""A longer step is announced by a warning [s]."""
 
 Random = Literal["dimension", "agent"]
 Bounds = Literal["redraw", "clip", "reflect"]
@@ -39,7 +39,7 @@ class GSAState(NamedTuple):
     position: Array  # x (agents, dimensions) in the unit box
     velocity: Array  # v (agents, dimensions) in widths of the box per iteration
     iteration: Array  # it () int32, iterations done
-    key: Array  # random key of what is still to be drawn
+    key: Array  # random key for the next draws
 
 
 class GSA(Optimiser):
@@ -57,28 +57,28 @@ class GSA(Optimiser):
     """Power p of the distance in the force, M / (R^p + epsilon): 1 is the authors' choice, 2 is
     Newton's law as the pose filter paper prints it."""
     random: Random = "dimension"
-    """Which random factors are fresh: "dimension" draws one for each pair and dimension in the
-    force and for each agent and dimension in the velocity, "agent" one for each agent in the force
-    and one in the velocity, as the pose filter paper prints it."""
+    """Random factors: "dimension" draws one for each pair and dimension in the force and one for
+    each agent and dimension in the velocity; "agent" draws one for each agent in the force and one
+    in the velocity, as the pose filter paper prints it."""
     bounds: Bounds = "redraw"
-    """What happens to a coordinate that leaves the box: "redraw" draws it anew, uniformly, "clip"
-    puts it on the bound, "reflect" mirrors it and turns its velocity round. The first two keep the
+    """What happens to a coordinate that leaves the box: "redraw" draws it again uniformly, "clip"
+    puts it on the bound, "reflect" mirrors it and reverses its velocity. The first two keep the
     velocity."""
     final_percent: Annotated[float, Field(strict=True, ge=0, le=100)] = 2.0
-    """Share of the agents that still attract others in the last iteration [%], at least one agent;
-    their number K_best falls to it linearly, from all agents."""
+    """Share of the agents that still attract others in the last iteration [%], at least one agent.
+    Their number K_best decreases to it linearly, from all agents."""
     epsilon: Epsilon | Literal["spacing"] = "spacing"
-    """Added to R^p, against division by zero; "spacing" is that of the floating numbers at 1, as in
-    the authors' code (whose numbers are float64)."""
+    """Added to R^p, to avoid division by zero; "spacing" is the spacing of floating-point numbers
+    at 1, as in the authors' code (which uses float64)."""
     decay_iterations: Count | Literal["all"] = "all"
-    """T, past which G and K_best hold their final values; "all" is `iterations`. A run that was
-    resumed for more iterations keeps its first T, so that it is not the longer run."""
+    """T, after which G and K_best keep their final values; "all" is `iterations`. A run resumed for
+    more iterations keeps its first T, so it differs from a run started with as many."""
 
     title: ClassVar[str] = "The gravitational search algorithm"
     failure_cost: ClassVar[FailureCost] = "worst now"
 
     def resumed(self, asked: Optimiser) -> Self:
-        """As of every optimiser; past the iterations it began with, G and K_best are held."""
+        """As in `Optimiser`; after the original iterations G and K_best stay constant."""
         if isinstance(asked, GSA) and asked.decay_iterations == "all":
             asked = asked.changed(decay_iterations=self.decay_iterations)
         longer = super().resumed(asked)
@@ -87,7 +87,7 @@ class GSA(Optimiser):
         return longer
 
     def price(self, dimensions: int) -> str:
-        """As of every optimiser: each of K_best agents pulls at all."""
+        """As in `Optimiser`: each of the K_best agents pulls all agents."""
         _, k_best = self.schedule()
         each = PULL_SECONDS * self.agents * dimensions
         first, whole = each * k_best[0], each * k_best.sum()
@@ -100,7 +100,7 @@ class GSA(Optimiser):
         )
 
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> GSAState:
-        """Spread the agents uniformly over the unit box, at rest."""
+        """Draw the agents uniformly over the unit box, with velocity 0."""
         key, key_position = random.split(key)
         position = uniform(key_position, (self.agents, dimensions), dtype)
         return GSAState(
@@ -134,8 +134,8 @@ class GSA(Optimiser):
     def schedule(self) -> tuple[np.ndarray, np.ndarray]:
         """Return G and K_best of each iteration, (iterations,) each.
 
-        Both are worked out in float64, in the order of the authors' code, so that no dtype or
-        device rounds K_best another way.
+        Both are computed in float64, in the order of the authors' code, so that K_best is rounded
+        the same way for every dtype and device.
         """
         T = self.iterations if self.decay_iterations == "all" else self.decay_iterations
         t = np.minimum(np.arange(1, self.iterations + 1), T) / T
@@ -145,7 +145,7 @@ class GSA(Optimiser):
         return gravity, np.maximum(1, k_best).astype(int)
 
     def _force_rand(self, key: Array, x: Array) -> Callable[[Array], Array]:
-        """Return rand_ij of `acceleration`, as a function of the attractor j."""
+        """Return rand_ij of `pulls`, as a function of the attractor j."""
         agents, dimensions = x.shape
         if self.random == "agent":
             rand = uniform(key, (1, agents), x.dtype)
@@ -154,9 +154,9 @@ class GSA(Optimiser):
 
 
 def masses(costs: Array) -> Array:
-    """Return masses M (agents,) that add up to 1, of finite costs (agents,) (Eqs. 15, 16).
+    """Return masses M (agents,) that add up to 1, from finite costs (agents,) (Eqs. 15, 16).
 
-    The better the heavier, and none for the worst; all equal where all costs are.
+    Better agents are heavier and the worst has mass 0. If all costs are equal, so are the masses.
     """
     costs = costs / 16  # so that no difference overflows and no reciprocal of one underflows
     worst = costs.max()
@@ -173,18 +173,18 @@ def pulls(
     force_power: float,
     epsilon: float,
 ) -> Array:
-    """Sum up the pull of the heaviest agents on every agent (Eqs. 7, 10 and 21, without G).
+    """Sum the pulls of the heaviest agents on every agent (Eqs. 7, 10 and 21, without G).
 
         a_i / G = sum_{j in K_best} rand_ij M_j (x_j - x_i) / (R_ij^p + epsilon)
 
-    An agent's own mass cancels between force and acceleration, so the worst agent, which has none,
-    moves too. The sum runs over the attractors one by one, in order of their mass: that stops at
-    K_best, and nothing of size agents x agents x dimensions is ever stored.
+    An agent's own mass cancels between force and acceleration, so the worst agent, with mass 0,
+    moves too. The sum runs over the attractors one by one, in order of their mass: it stops after
+    K_best, and no array of agents x agents x dimensions is stored.
 
     Args:
         x: Positions (agents, dimensions).
         mass: Masses (agents,).
-        k_best: Number of agents that pull, the heaviest.
+        k_best: Number of the heaviest agents, which pull.
         rand: Maps an attractor's index j to the random weights rand_ij of its pull on all agents,
             (dimensions, agents) or (1, agents).
         force_power: p.
@@ -207,25 +207,25 @@ def pulls(
 
 
 def confine(x: Array, v: Array, bounds: Bounds, key: Array) -> tuple[Array, Array]:
-    """Bring the coordinates of x (agents, dimensions) that have left the unit box back into it.
+    """Bring coordinates of x (agents, dimensions) that have left the unit box back into it.
 
-    `GSA.bounds` says how, and what becomes of their velocities v; the key is for "redraw".
+    `GSA.bounds` defines how, and what happens to their velocities v; the key is for "redraw".
     """
     if bounds == "redraw":
         outside = (x < 0) | (x > 1)
         return jnp.where(outside, uniform(key, x.shape, x.dtype), x), v
     if bounds == "clip":
         return jnp.clip(x, 0, 1), v
-    path = jnp.mod(x, 2)  # there and back again
+    path = jnp.mod(x, 2)  # period 2: forth and back
     back = path > 1
     return jnp.where(back, 2 - path, path), jnp.where(back, -v, v)
 
 
 def coarse_uniform(key: Array, shape: tuple[int, int], dtype: DTypeLike) -> Array:
-    """Draw from (0, 1) in steps of 2^-16: ample for a random weight, at a quarter of the work.
+    """Draw from (0, 1) in steps of 2^-16: enough for a random weight, with a quarter of the work.
 
-    Each hash of the generator gives four numbers. New keys are the one public way to all 64 bits
-    of a hash: `random.bits` keeps 32 of them, for numbers of 16 bits too.
+    Each hash of the generator gives four numbers. Splitting a key is the only public way to all 64
+    bits of a hash: `random.bits` keeps 32 of them, even for 16-bit numbers.
     """
     rows, columns = shape
     words = random.key_data(random.split(key, (-(-rows // 4), columns)))

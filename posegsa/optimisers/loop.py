@@ -1,7 +1,7 @@
-"""The loop that runs every optimiser, its record, and when it stops.
+"""The loop that runs every optimiser, its history, and its stopping conditions.
 
-An optimiser sees the unit box and finite numbers only. This module maps its positions into the
-user's box, replaces costs and gradients that are not finite, and keeps the record of the search.
+Optimisers only get the unit box and finite numbers. This module maps their positions into the
+user's box, replaces costs and gradients that are not finite, and keeps the history of the search.
 """
 
 from collections.abc import Callable
@@ -21,27 +21,27 @@ from posegsa.optimisers.search_box import Box, from_unit, to_unit
 from posegsa.settings.arrays import Columns
 
 AnyObjective = Objective | Differentiable | Callable[[np.ndarray], Any]
-"""What is minimised: a JAX function, differentiated by reverse mode where gradients are wanted; one
-with its own gradients; or an ordinary Python function, which runs on the host."""
+"""The function to minimise: a JAX function, differentiated by reverse mode if gradients are wanted;
+one with its own gradients; or an ordinary Python function, which runs on the host."""
 
 
 class History(NamedTuple):
-    """What each iteration saw; NaN (0 for the count) from `Search.iteration` on."""
+    """The costs of each iteration; NaN (0 for the count) from `Search.iteration` on."""
 
     best: Annotated[Array, Columns("best", allow="infinite")]
-    """(iterations,) best cost so far; inf before any finite one."""
+    """(iterations,) best cost so far; inf before the first finite cost."""
     mean: Annotated[Array, Columns("mean", allow="any")]
     """(iterations,) mean of the iteration's finite costs; NaN if there were none."""
     worst: Annotated[Array, Columns("worst", allow="any")]
     """(iterations,) largest of the iteration's finite costs; NaN if there were none."""
     non_finite: Annotated[Array, Columns("non_finite", dtype=int)]
-    """(iterations,) int32, number of its evaluations that were not finite."""
+    """(iterations,) int32, number of the iteration's evaluations that were not finite."""
 
 
 class Search(NamedTuple):
-    """The whole state of a search: all that `advance` needs to go on, and all it found."""
+    """The whole state of a search: everything that `advance` needs, and all results."""
 
-    state: Any  # the optimiser's own state; of several phases, the states of all
+    state: Any  # the optimiser's state, or a tuple of the states of its phases
     best_position: Array  # (dimensions,) in the box's coordinates; its centre until a finite cost
     best_cost: Array  # () inf until a finite cost
     iteration: Array  # () int32, iterations done
@@ -50,20 +50,20 @@ class Search(NamedTuple):
 
 
 class Until(NamedTuple):
-    """When a search has nothing more to do."""
+    """Conditions to stop a search early."""
 
     target: ArrayLike = -np.inf  # a best cost that is good enough
-    patience: ArrayLike = np.iinfo(np.int32).max  # iterations in which the best cost has to fall
-    tolerance: ArrayLike = 0.0  # by more than this share of itself
+    patience: ArrayLike = np.iinfo(np.int32).max  # iterations within which the best cost must fall
+    tolerance: ArrayLike = 0.0  # by more than this share of its value
 
 
 def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
-    """Return a search that has not evaluated anything yet.
+    """Return a search before its first evaluation.
 
-    Its best position is the box's centre, with cost inf: it is safe to use, but not evaluated.
+    Its best position is the box's centre, with cost inf: safe to use, but not evaluated.
 
     Raises:
-        ConfigError: The optimiser can't run here: another library that it needs is missing.
+        ConfigError: The optimiser can't run here, as a library that it needs is missing.
     """
     for phase in optimiser.phases:
         phase.check_usable()
@@ -94,7 +94,7 @@ def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
 
 
 def _joined(states: list[Any]) -> Any:
-    """The state of a search from those of its phases; of a single phase it is that phase's."""
+    """The state of a search from those of its phases; with one phase, the state of that."""
     return states[0] if len(states) == 1 else tuple(states)
 
 
@@ -108,35 +108,35 @@ def advance(
     *,
     python_objective: bool = False,
 ) -> Search:
-    """Run a search on, from the iteration it has reached to `stop`.
+    """Run a search from the iteration that it has reached to iteration `stop`.
 
-    It is pure, and made for the caller's own jit: `objective` may close over traced arrays. `stop`
-    may be traced too, so that one compilation serves chunks of every size, and a search gives the
-    same bits in whatever chunks it is run. On several devices, run it inside `jax.shard_map` and
-    let the objective split the agents and gather their costs: the search itself is then the same
-    on every device, to the last bit. An optimiser that JAX can't compile runs as a loop in Python.
+    The function is pure and made for the caller's own jit: `objective` may close over traced
+    arrays. `stop` may be traced too, so that one compilation serves chunks of every size. A search
+    gives the same bits for any chunks. On several devices, run it inside `jax.shard_map` and let
+    the objective split the agents and gather their costs: the search is then the same on every
+    device, to the last bit. An optimiser that JAX can't compile runs as a loop in Python.
 
     Args:
-        optimiser: What searches; the one that `search` was started with.
+        optimiser: The optimiser that `search` was started with.
         objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,);
-            where gradients are wanted a `Differentiable`, or a function that reverse mode can
-            differentiate. A cost that is not finite marks a position that could not be judged: it
-            is counted, never becomes the best, and is told to the optimiser as a finite one that
-            is no better than any real cost (`Optimiser.failure_cost`). A gradient that is not
-            finite is counted too, and told as 0.
-        box: Where to search.
+            if gradients are wanted, a `Differentiable` or a function that reverse mode can
+            differentiate. A position whose cost is not finite is counted and never becomes the
+            best; the optimiser gets a finite cost for it that is no better than any real cost
+            (`Optimiser.failure_cost`). A gradient that is not finite is counted too; the optimiser
+            gets 0.
+        box: The box to search.
         search: The search so far.
-        stop: Number of iterations, counted from the start of the search, after which to stop; the
-            search ends with those of the optimiser in any case.
-        until: When to stop before that; by default never.
+        stop: Number of iterations, counted from the start of the search, after which to stop; at
+            most those of the optimiser are run.
+        until: Conditions to stop earlier; by default none.
         python_objective: The objective is an ordinary Python function of a NumPy array, called once
-            for each iteration. Where gradients are wanted it returns costs and gradients.
+            for each iteration. If gradients are wanted, it returns costs and gradients.
 
     Returns:
-        The search with `stop` iterations done, or fewer if it had nothing more to do.
+        The search with `stop` iterations done, or fewer if it stopped early.
 
     Raises:
-        ArgumentError: If the objective does not return one cost per agent.
+        ArgumentError: The objective does not return one cost per agent.
     """
     in_python = python_objective or optimiser.on_host
     repeat = _while if in_python else lax.while_loop
@@ -159,7 +159,7 @@ def advance(
 
 
 def _begun(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
-    """The state of a phase, moved to a position in the box if it begins now."""
+    """The state of a phase, moved to a position in the box if the phase starts now."""
     return lax.cond(begins, phase.begin_at, lambda state, _: state, state, to_unit(box, position))
 
 
@@ -177,9 +177,9 @@ def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], s
     return search
 
 
-@partial(jax.jit, static_argnums=0, inline=True)  # one program where the loop is Python's
+@partial(jax.jit, static_argnums=0, inline=True)  # one program if the loop runs in Python
 def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Array:
-    """Whether a phase that lasts from one iteration to another has more to do."""
+    """Whether a phase from iteration `begin` to `end` has more iterations to run."""
     best, done = search.best_cost, search.iteration
     more = (done >= begin) & (done < end)
     if until is None:
@@ -200,7 +200,7 @@ def _step(
     in_python: bool,
     search: Search,
 ) -> Search:
-    """One iteration; where the loop is Python's, ask and tell are compiled if they can be."""
+    """One iteration; if the loop runs in Python, ask and tell are compiled where possible."""
     compiled = in_python and not phase.on_host
     positions = (_compiled_ask if compiled else ask)(phase, box, search)
     if python_objective:
@@ -214,7 +214,7 @@ def _step(
 
 
 def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:
-    """Costs (agents,), and gradients (agents, dimensions) where wanted, in the box's dtype."""
+    """Costs (agents,), and gradients (agents, dimensions) if wanted, in the box's dtype."""
 
     def checked(name: str, values: Any, *shape: int) -> Array:
         try:
@@ -233,9 +233,9 @@ def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) 
 
 
 def lengthened(search: Search, iterations: int) -> Search:
-    """A search with room in its history for so many iterations in all, more than it was begun for.
+    """A search with a history that has room for more iterations, `iterations` in all.
 
-    An optimiser of as many iterations can go on with it.
+    An optimiser with that many iterations can continue it.
     """
     more = iterations - search.history.best.shape[0]
     check_whole("lengthened: further iterations", more, 0)
@@ -248,10 +248,10 @@ def lengthened(search: Search, iterations: int) -> Search:
 
 
 def ask(optimiser: Optimiser, box: Box, search: Search) -> Array:
-    """Return the positions (agents, dimensions), in the box, that are to be evaluated next.
+    """Return the positions (agents, dimensions), in the box, to evaluate next.
 
-    With `tell` this is the loop taken apart, for objectives that are no JAX functions. An optimiser
-    of several phases can't be taken apart as a whole, but each of its phases can.
+    With `tell` you can write the loop yourself, for objectives that are not JAX functions. With an
+    optimiser of several phases, do this for each of its `phases`.
     """
     if len(optimiser.phases) > 1:
         refuse(f"optimiser: {optimiser.optimiser}, of several phases", "one of its `phases`")
@@ -265,18 +265,18 @@ def tell(
     costs: ArrayLike,
     gradients: ArrayLike | None = None,
 ) -> Search:
-    """Return the search after learning the costs (agents,) of the positions asked for.
+    """Return the search updated with the costs (agents,) of the positions of `ask`.
 
     Args:
-        optimiser: What searches.
-        box: Where to search.
+        optimiser: The optimiser.
+        box: The box to search.
         search: The search whose positions were evaluated.
-        costs: What they cost; see `advance` for costs that are not finite.
-        gradients: Their gradients (agents, dimensions) in the box's coordinates, where the
-            optimiser wants them.
+        costs: The costs of the positions; see `advance` for costs that are not finite.
+        gradients: Their gradients (agents, dimensions) in the box's coordinates, if the optimiser
+            wants them.
 
     Raises:
-        ArgumentError: If there is not one cost, and where needed one gradient, per agent.
+        ArgumentError: There is not one cost, and one gradient if wanted, per agent.
     """
     costs, *slopes = _numbers(optimiser, box, costs, gradients)
     finite = jnp.isfinite(costs)
@@ -317,7 +317,7 @@ _compiled_begun = jax.jit(_begun, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:
-    """The finite cost () told of positions whose cost is not, among these costs (agents,)."""
+    """The finite cost () that replaces those of costs (agents,) that are not finite."""
     limits = jnp.finfo(costs.dtype)
     largest, tiny = float(limits.max), float(limits.tiny)
     if kind == "largest":
@@ -331,12 +331,13 @@ def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:
         worst = jnp.maximum(worst, before)
     some = jnp.isfinite(worst)
     worst = jnp.where(some, worst, 0)
-    # Above it by what rounding can't take away, nor a division by 16 (`gsa.masses`).
+    # A step large enough to survive rounding and the division by 16 in `gsa.masses`.
     step = jnp.maximum(2 * float(limits.eps) * jnp.abs(worst), 64 * tiny)
     above = jnp.minimum(worst + step, largest)
     if kind == "worst now":
-        # Where real costs differ, the worst of them weighs nothing already.
+        # If the real costs differ, the worst of them has mass 0 already.
         best = jnp.min(costs, where=finite, initial=jnp.inf)
         above = jnp.where(best < worst, worst, above)
-    # Before any finite cost: one that real costs stay below, and whose square can be added up.
+    # Before any finite cost: above all real costs, but small enough that sums of its square are
+    # finite.
     return jnp.where(some, above, largest**0.4)

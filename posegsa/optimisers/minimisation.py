@@ -45,40 +45,39 @@ def minimise(
 ) -> Search:
     """Minimise a batched function over a box.
 
-    The loop is compiled once for each objective (told apart by identity), optimiser and shape of
-    the box. An objective that closes over large arrays, or that is built anew for each call, is
-    better served by `start` and `advance` inside a compiled function that takes them as arguments.
+    The loop is compiled once for each objective (compared by identity), optimiser and shape of the
+    box. If the objective closes over large arrays, or is built again for each call, better use
+    `start` and `advance` inside your own compiled function, with the arrays as its arguments.
 
     Args:
         objective: Maps positions (agents, dimensions) in the box's coordinates to costs (agents,);
             see `advance` for costs that are not finite, and for gradients.
-        box: Where to search; `box` makes one.
-        optimiser: What searches, for how long and with how many agents.
-        key: Random key (`jax.random.key`); the same key gives the same search, in whatever chunks.
-            Keys (R,) give R searches in one call, every array with a leading axis of R.
+        box: The box to search, made by `box`.
+        optimiser: The optimiser, with its number of iterations and agents.
+        key: Random key (`jax.random.key`); the same key gives the same search, for any chunks.
+            Keys (R,) give R searches in one call, with a leading axis R on every array.
         chunk: Iterations between two calls of `callback`; by default all of them.
         callback: Called with the search after each chunk, for progress or to save it
             (`posegsa.save_search`).
         target: Stop once the best cost is at most this.
         patience: Stop once the best cost has not fallen for this many iterations by more than
             `tolerance`.
-        tolerance: Share of itself by which the best cost has to fall; only with `patience`.
-        evaluations: Stop before the iteration that would go past this many evaluations; a cost
-            with its gradient counts as several (`Optimiser.evaluations_per_agent`).
-        seconds: Stop after the chunk in which this much time has passed, compiling included; where
-            `chunk` is not given, a fiftieth of the iterations.
-        python_objective: The objective is an ordinary Python function: it is given a NumPy array,
-            and called once for each iteration between compiled steps. Where gradients are wanted
-            it returns costs and gradients.
-        search: A search to go on with, such as `posegsa.load_search` or a callback gives; by
-            default a new one. It goes on as if it had never stopped, to the last bit, and `key` is
-            not used.
+        tolerance: Share of its value by which the best cost has to fall; only with `patience`.
+        evaluations: Stop before the iteration that would exceed this many evaluations; a cost with
+            its gradient counts as several (`Optimiser.evaluations_per_agent`).
+        seconds: Stop after the chunk in which this time has passed, including compilation. The
+            chunk is then a fiftieth of the iterations by default.
+        python_objective: The objective is an ordinary Python function. It gets a NumPy array, and
+            is called once for each iteration between compiled steps. If gradients are wanted, it
+            returns costs and gradients.
+        search: A search to continue, from `posegsa.load_search` or a callback; by default a new
+            one. It gives the same bits as if it had never stopped, and `key` is not used.
 
     Returns:
         The search, finished or stopped.
 
     Raises:
-        ArgumentError: If an argument is not what is said here, or the objective does not return one
+        ArgumentError: An argument has a wrong type or value, or the objective does not return one
             cost per agent.
     """
     if not isinstance(objective, Differentiable) and not callable(objective):
@@ -123,7 +122,7 @@ def minimise(
         if callback is not None:
             callback(now)
         if isinstance(now.iteration, Tracer):
-            continue  # under a transformation it is not known yet whether there is more to do
+            continue  # under a transformation it is not yet known whether to stop
         if jnp.all(now.iteration < stop):
             break
         if seconds is not None and time.monotonic() - begun >= seconds:
@@ -132,7 +131,7 @@ def minimise(
 
 
 def _until(target: float | None, patience: int | None, tolerance: float) -> Until | None:
-    """What stops a search inside the compiled loop, if anything does."""
+    """The stopping conditions inside the compiled loop, or None."""
     check_number("minimise: tolerance", tolerance, 0)
     if target is not None and not isinstance(target, Tracer):
         check_number("minimise: target", target)
@@ -146,7 +145,7 @@ def _until(target: float | None, patience: int | None, tolerance: float) -> Unti
 
 
 def _check_structure(search: Search, like: Search) -> None:
-    """Raise unless a search is one of the optimiser and box that `like` was started with."""
+    """Raise unless a search has the same optimiser and box as `like`."""
     if jax.tree.structure(search) != jax.tree.structure(like):
         refuse(f"search: a {type(search).__name__}", "a Search of this optimiser")
     leaves, wanted = (jax.tree_util.tree_leaves_with_path(s) for s in (search, like))
@@ -159,6 +158,6 @@ def _check_structure(search: Search, like: Search) -> None:
 
 
 def _kind(leaf: Any) -> str:
-    """An array's dtype and shape; the type of anything else, such as the strategy of pycma."""
+    """Dtype and shape of an array, or the type of any other leaf."""
     dtype = getattr(leaf, "dtype", None)
     return type(leaf).__name__ if dtype is None else f"{dtype} {leaf.shape}"

@@ -1,4 +1,4 @@
-"""A search, and then a descent from the best position that it found."""
+"""A search, followed by a gradient descent from the best position found."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
@@ -13,10 +13,10 @@ from posegsa.settings.violations import Violation
 
 
 class Polish(DescentSettings, Optimiser):
-    """A descent by Adam after a search; a class of both is made like `PolishedGSA`."""
+    """A descent by Adam after a search; subclass it with the search, as `PolishedGSA` does."""
 
     iterations: Count = 250
-    """Iterations of the search if it were alone: both together make at most agents x iterations
+    """Iterations of the search without a descent: together they make at most agents x iterations
     evaluations."""
     starts: Count = 8
     """Number of starts of the descent, at and around the best position found."""
@@ -24,7 +24,7 @@ class Polish(DescentSettings, Optimiser):
     """Share of the evaluations that the descent gets."""
 
     searching: ClassVar[type[Optimiser]]
-    """The kind of the search, whose settings the class has as well."""
+    """The class of the search, whose settings this class has too."""
     fixed_length: ClassVar[str] = Adam.fixed_length
 
     @property
@@ -38,7 +38,7 @@ class Polish(DescentSettings, Optimiser):
         return self.searching(**search), Adam(agents=self.starts, iterations=steps, **descent)
 
     def _divided(self) -> tuple[int, int, int]:
-        """Iterations of the search, evaluations left for the descent, and those of one step."""
+        """Iterations of the search, evaluations left for the descent, evaluations of one step."""
         searched = max(1, round(self.iterations * (1 - self.share)))
         left = self.agents * (self.iterations - searched)
         return searched, left, self.starts * self.gradient_price
@@ -54,7 +54,7 @@ class Polish(DescentSettings, Optimiser):
 
 
 class PolishedGSA(Polish, GSA):
-    """The gravitational search algorithm, and then gradient descent from what it found."""
+    """The gravitational search algorithm, then gradient descent from its best position."""
 
     optimiser: Literal["gsa+adam"] = "gsa+adam"
     """Name of the optimiser."""

@@ -1,4 +1,4 @@
-"""Random search: the baseline that any optimiser has to beat."""
+"""Random search: the baseline that every optimiser should beat."""
 
 from typing import ClassVar, Literal, NamedTuple
 
@@ -12,11 +12,11 @@ class RandomSearchState(NamedTuple):
     """State of a random search."""
 
     position: Array  # (agents, dimensions) in the unit box
-    key: Array  # random key of what is still to be drawn
+    key: Array  # random key for the next draws
 
 
 class RandomSearch(Optimiser):
-    """Positions drawn anew in each iteration, uniformly and independently."""
+    """Positions drawn in each iteration, uniformly and independently."""
 
     optimiser: Literal["random_search"] = "random_search"
     """Name of the optimiser."""
@@ -30,6 +30,6 @@ class RandomSearch(Optimiser):
         return RandomSearchState(position, key)
 
     def tell(self, state: RandomSearchState, costs: Array) -> RandomSearchState:
-        """Draw the next positions, whatever the costs (agents,) were."""
+        """Draw the next positions; the costs (agents,) are ignored."""
         del costs
         return self.init(state.key, state.position.shape[1], state.position.dtype)

@@ -1,4 +1,4 @@
-"""The optimisers that a configuration can name; a new one is a class, and a line here."""
+"""The optimisers that a configuration can name; to add one, add its class to the list."""
 
 from posegsa.optimisers.adam import Adam
 from posegsa.optimisers.base import Optimiser
@@ -24,6 +24,6 @@ _KINDS = (
 OPTIMISERS: dict[str, type[Optimiser]] = {
     kind.model_fields["optimiser"].default: kind for kind in _KINDS
 }
-"""By name, the default first."""
+"""Optimisers by name, the default first."""
 USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
-"""Those that `posegsa.compare` compares unless others are asked for."""
+"""Names of the optimisers that `posegsa.compare` runs by default."""

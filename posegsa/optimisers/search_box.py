@@ -1,4 +1,4 @@
-"""The box that is searched; optimisers see it as the unit box."""
+"""The box to search; optimisers get it scaled to the unit box."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from posegsa.arguments import real_array, refuse
 
 
 class Box(NamedTuple):
-    """A box to search in; `box` builds a checked one."""
+    """A box to search; `box` builds a checked one."""
 
     lower: Array  # (dimensions,)
-    upper: Array  # (dimensions,); equal to lower where a coordinate is fixed
+    upper: Array  # (dimensions,); equal to lower if a coordinate is fixed
 
 
 def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) -> Box:
-    """Build a box and check it; outside jit only.
+    """Build a box and check it; only outside jit.
 
     Args:
         lower: Smallest value of each coordinate, (dimensions,).
@@ -28,11 +28,11 @@ def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) 
             equal is fixed at that value.
 
     Returns:
-        The box, in the bounds' own floating type as far as JAX has it; the search runs in that.
+        The box, in the floating type of the bounds if JAX has it; the search runs in this type.
 
     Raises:
-        ArgumentError: If the bounds are not numbers of one equal length of at least 1, if one is
-            not finite in their type, or if a lower bound lies above its upper one.
+        ArgumentError: The bounds are not numbers of equal length, at least 1; one is not finite in
+            their type; or a lower bound is above its upper bound.
     """
     low, high = (real_array(f"box: {n}", a) for n, a in (("lower", lower), ("upper", upper)))
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(low, high, np.float32))
@@ -51,9 +51,9 @@ def box(lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike) 
 
 
 def from_unit(box: Box, unit: Array) -> Array:
-    """Map positions (..., d) in the unit box into `box`, never past its bounds.
+    """Map positions (..., d) in the unit box into `box`, never outside its bounds.
 
-    0 and 1 give the bounds exactly, and a box of zero width its value.
+    0 and 1 give the bounds exactly; a coordinate of zero width gives its value.
     """
     lower = jnp.broadcast_to(box.lower, unit.shape)
     upper = jnp.broadcast_to(box.upper, unit.shape)
@@ -61,6 +61,6 @@ def from_unit(box: Box, unit: Array) -> Array:
 
 
 def to_unit(box: Box, position: Array) -> Array:
-    """Map a position (d,) in the box into the unit box; 0 where the box has no width."""
+    """Map a position (d,) in the box into the unit box; 0 where the width is 0."""
     width = box.upper - box.lower
     return jnp.clip((position - box.lower) / jnp.where(width > 0, width, 1), 0, 1)

@@ -1,4 +1,4 @@
-"""Where a configuration becomes arrays: each section as what the model and the search run on."""
+"""Convert the sections of a configuration to the arrays that the model and the search use."""
 
 import math
 import warnings
@@ -34,7 +34,7 @@ from posegsa.search.population import ScenarioBatch, TrackCost
 
 
 class TuningProblem(NamedTuple):
-    """One experiment made ready."""
+    """An experiment with its scenarios and its search space, ready to search."""
 
     experiment: config.Experiment
     scenario: Scenario
@@ -45,20 +45,20 @@ class TuningProblem(NamedTuple):
     cost: TrackCost | None = None
     """A user's own cost of a simulation; None for the configured one."""
     beside: ScenarioBatch | None = None
-    """Simulated scenarios that a search on recordings sees beside them; None if it sees none."""
+    """Simulated scenarios that a search on recordings also uses, or None."""
 
     @property
     def held_out(self) -> ScenarioBatch:
-        """The scenarios that only judge."""
+        """The scenarios that only evaluate the result."""
         return self.scenarios.select(slice(self.experiment.run.training_scenarios, None))
 
 
 def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None) -> TuningProblem:
-    """An experiment's scenarios and parameter space.
+    """Build an experiment's scenarios and parameter space.
 
     Raises:
-        MemoryLimitError: It would need more memory than there is.
-        ConfigError: It has a share for simulated scenarios, which only a search on recordings has.
+        MemoryLimitError: The experiment would need more memory than is free.
+        ConfigError: `objective.simulated_share` is not 0; only a search on recordings can use it.
     """
     check_type("experiment", experiment, config.Experiment)
     if experiment.objective.simulated_share:
@@ -80,7 +80,7 @@ def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None)
 
 
 def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch:
-    """The training scenarios of an experiment, then those held out."""
+    """The training scenarios of an experiment, then the held-out ones."""
     run = experiment.run
     return scenario_batch(
         experiment,
@@ -99,11 +99,11 @@ def scenario_batch(
 ) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
-    On the host, where taking some of the scenarios compiles nothing. They are made ready for a
-    filter, by default the experiment's own.
+    The arrays are on the host, where selecting scenarios compiles nothing. They are prepared for
+    `filter`, by default the experiment's own.
 
     Raises:
-        ArgumentError: There are no keys, or they are another generator's.
+        ArgumentError: There are no keys, or they belong to another generator.
     """
     dtype = jnp.dtype(experiment.run.dtype)
     filter, drawn_from = filter or observer(experiment), family(experiment, dtype)
@@ -129,7 +129,7 @@ def scenario_batch(
 def _drawn(
     scenario: Scenario, family: Family, filter: Filter, keys: Array, last: Array
 ) -> dict[str, Any]:
-    """What a batch has of the scenarios of keys' data (S, 2), each with b at its `last` sample."""
+    """Fields of a `ScenarioBatch` for key data (S, 2); the bias is that of sample `last`."""
 
     def draw(key: Array) -> dict[str, Any]:
         drawn, truth, sensed = realise(scenario, family, wrap_key_data(key, impl=GENERATOR))
@@ -158,7 +158,7 @@ def _array(values: Any, dtype: DTypeLike) -> Array:
 def scenario(experiment: config.Experiment) -> Scenario:
     """The scenario that an experiment configures, at its dtype.
 
-    The initial attitude estimate is projected onto SO(3), with a warning where that moves it: the
+    The initial attitude estimate is projected onto SO(3), with a warning if that changes it: the
     matrix that the paper prints has determinant 0.943.
     """
     c = experiment.scenario
@@ -213,7 +213,7 @@ def _projected_estimate(c: config.ScenarioConfig) -> np.ndarray:
     printed = np.array(c.initial_rotation_estimate)
     projected = project_rotation(printed)
     moved = np.abs(projected - printed).max()
-    # Of the default, which is the paper's, the configuration and the README say so.
+    # No warning for the default, the paper's matrix: the configuration and the README mention it.
     if moved > 1e-6 and c.initial_rotation_estimate != DEFAULT_ESTIMATE:
         warnings.warn(
             "scenario.initial_rotation_estimate is not a rotation (determinant "
@@ -266,7 +266,7 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
 
 
 def _most_windows(expected: float) -> int:
-    """Room for as many occasions as will hardly ever come, a power of two so that it is few."""
+    """A number of windows that is almost never exceeded; powers of two limit recompilation."""
     return 2 ** math.ceil(math.log2(expected + 6 * math.sqrt(expected) + 4))
 
 
@@ -274,7 +274,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
     """The filter that an experiment configures, at its dtype.
 
     Raises:
-        ArgumentError: not an experiment.
+        ArgumentError: The argument is not an experiment.
     """
     check_type("experiment", experiment, config.Experiment)
     section, scenario = experiment.filter, experiment.scenario
@@ -302,7 +302,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             cross_weight=number(section.cross_vector_weight),
             normalise=section.normalise_vectors,
             cross=section.cross_vector,
-            # With their own weights, too, candidates make different things of the vectors.
+            # Candidates with their own weights also combine the vectors differently.
             each_agent=learnt or any("vector" in one.key for one in experiment.also),
         ),
         landmark_weights=tuple(number(p.weight) for p in scenario.landmarks),
@@ -318,7 +318,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         else None,
         per_angular_bias_bound=None if bounds is None else per_square(bounds[0]),
         per_linear_bias_bound=None if bounds is None else per_square(bounds[1]),
-        # A length of 1 m is none, whose program multiplies less.
+        # A length of 1 m has no effect; without it the program multiplies less.
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
         else None,
@@ -326,7 +326,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
 
 
 def observer(experiment: config.Experiment) -> Observer:
-    """The observer that an experiment configures, without the schedule that is searched."""
+    """The observer that an experiment configures, without its gain schedule."""
     return Observer(
         schedule=None,
         settings=filter_settings(experiment),
@@ -338,7 +338,7 @@ def signal_settings(section: config.GainConfig, dtype: DTypeLike) -> SignalSetti
     """The error signal of a configuration's [gain] section, at a dtype.
 
     Raises:
-        ArgumentError: not such a section, or not a floating dtype.
+        ArgumentError: Not a [gain] section, or not a floating dtype.
     """
     check_type("section", section, config.GainConfig)
     check_dtype("dtype", dtype)
@@ -369,14 +369,14 @@ def cost_weights(cost: config.CostConfig, samples: int, dtype: jnp.dtype) -> Cos
 
 
 def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
-    """Rules by term index, from small to large, of a table printed from VL to VS both ways."""
+    """Convert a table of term names, rows and columns from VL to VS, to indices from VS to VL."""
     return tuple(
         tuple(config.TERMS.index(name) for name in reversed(row)) for row in reversed(table)
     )
 
 
 def rule_table(rules: Rules) -> list[list[str]]:
-    """The table of rules by term index, printed from VL to VS both ways as in a configuration."""
+    """The inverse of `rule_indices`: the table as a configuration states it."""
     return [[config.TERMS[index] for index in reversed(row)] for row in reversed(rules)]
 
 
@@ -384,7 +384,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     """The space that an experiment configures, at its dtype.
 
     Raises:
-        ArgumentError: not an experiment.
+        ArgumentError: The argument is not an experiment.
     """
     check_type("experiment", experiment, config.Experiment)
     fuzzy, parameters = experiment.fuzzy, experiment.parameters
@@ -412,7 +412,7 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
 
 
 def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchSpace[Schedules]:
-    """Where an experiment searches: the numbers of a schedule, and those that are tuned too."""
+    """The search space of an experiment: the numbers of a schedule, then those in `also`."""
     also, dtype = experiment.also, jnp.dtype(experiment.run.dtype)
     logarithmic = tuple(one.scale == "logarithmic" for one in also)
 
@@ -433,9 +433,9 @@ def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchS
 
 
 def _reach(parameters: config.ParametersConfig) -> int:
-    """How far apart output terms in order may overlap: 2 in the paper's boxes.
+    """Largest distance in order of two output terms that can overlap: 2 in the paper's boxes.
 
-    Sorted, numbers stay between their sorted lower and their sorted upper bounds.
+    Sorted numbers stay between their sorted lower and sorted upper bounds.
     """
     half = len(config.PARAMETERS) // 2
     lower, upper = (

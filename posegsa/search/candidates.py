@@ -1,4 +1,4 @@
-"""What a search chooses between: filters that differ in their gain schedule and in some numbers."""
+"""Candidates of a search: filters that differ in their gain schedule and in some numbers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -21,20 +21,20 @@ FilterT = TypeVar("FilterT", bound=Filter)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidate:
-    """What one filter of a search has of its own; all else it shares with the others.
+    """The schedule and numbers of one filter in a search; all filters share the rest.
 
-    Its leaves have no leading axis, or one of A candidates.
+    The leaves have no leading axis, or a leading axis of A candidates.
     """
 
     schedule: GainSchedule | None = None
-    """Of the gain; None where the filter has none."""
+    """The gain schedule; None if the filter has none."""
     values: tuple[Array, ...] = ()
-    """Further numbers that were tuned, each in the unit of its key."""
+    """Other tuned numbers, each in the unit of its key."""
     keys: tuple[str, ...] = field(default=(), metadata={"static": True})
     """Their keys (`Filter.with_values`)."""
 
     def values_by_key(self) -> dict[str, float]:
-        """The further numbers by key, of one candidate."""
+        """The other tuned numbers by key; only for one candidate."""
         return {key: float(value) for key, value in zip(self.keys, self.values, strict=True)}
 
     def applied(self, shared: FilterT) -> FilterT:
@@ -46,7 +46,7 @@ class Candidate:
 
 
 class ScheduleSpace(Protocol):
-    """The vectors (d,) of one kind of schedule, and where they are searched."""
+    """The search space of one kind of schedule: vectors (d,) and their bounds."""
 
     @property
     def lower(self) -> Array:
@@ -59,7 +59,7 @@ class ScheduleSpace(Protocol):
         ...
 
     def schedule(self, vector: Array) -> GainSchedule | None:
-        """The schedule of a vector (d,) (pure, jittable); None of a filter without one."""
+        """The schedule of a vector (d,) (pure, jittable); None if the filter has none."""
         ...
 
     def valid(self, vector: Array) -> Array:
@@ -73,21 +73,21 @@ Schedules = TypeVar("Schedules", bound=ScheduleSpace)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SearchSpace(Generic[Schedules]):
-    """Where a search looks for candidates: a schedule's own numbers, then n further ones."""
+    """The space of candidates: the d numbers of a schedule, then n other numbers."""
 
     schedules: Schedules
     also_lower: Array
-    """(n,) bounds of the further numbers, of their logarithms where these are searched."""
+    """(n,) bounds of the other numbers, or of their logarithms where these are searched."""
     also_upper: Array
     """(n,)"""
     keys: tuple[str, ...] = field(metadata={"static": True})
-    """Of the further numbers."""
+    """Keys of the other numbers."""
     logarithmic: tuple[bool, ...] = field(metadata={"static": True})
     """Whether the logarithm of each is searched."""
 
     @property
     def box(self) -> Box:
-        """Of search vectors (d + n,)."""
+        """The box of the search vectors (d + n,)."""
         return Box(
             jnp.concatenate([self.schedules.lower, self.also_lower], axis=-1),
             jnp.concatenate([self.schedules.upper, self.also_upper], axis=-1),
@@ -95,7 +95,7 @@ class SearchSpace(Generic[Schedules]):
 
     def candidate(self, vector: Array) -> Candidate:
         """The candidate of a search vector (d + n,) (pure, jittable)."""
-        # Of NumPy's, parts are taken without a program for each.
+        # Slicing a NumPy array compiles no program.
         numbers: Any = vector if isinstance(vector, Tracer) else np.asarray(vector)
         own = self.schedules.lower.shape[0]
         found = [numbers[own + i] for i in range(len(self.keys))]
@@ -113,7 +113,7 @@ class SearchSpace(Generic[Schedules]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SimpleSpace:
-    """A kind of schedule with a few numbers, none of which needs a repair."""
+    """A space of schedules with a few numbers that need no repair."""
 
     lower: Array
     """(d,)"""
@@ -127,7 +127,7 @@ class SimpleSpace:
         return self.make(vector)
 
     def valid(self, vector: Array) -> Array:
-        """All are."""
+        """True: every vector has a cost."""
         del vector
         return jnp.asarray(True)
 

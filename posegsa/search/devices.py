@@ -1,8 +1,8 @@
-"""Where a search runs: the devices of one process, or of several that have joined.
+"""The devices that a search runs on: those of one process, or of several that have joined.
 
-Every device runs the same search, all of it; only the simulations are divided (`agent_costs`), and
-only their costs travel. So a seed gives the same bits on any number of devices and processes,
-unless these are so many that the agents on a scenario must be divided (`population.partition`).
+Every device runs the whole search; only the simulations are divided (`agent_costs`), and only their
+costs are exchanged. So a seed gives the same bits on any number of devices and processes, unless
+there are so many that the agents of one scenario must be divided (`population.partition`).
 """
 
 from collections.abc import Callable
@@ -20,27 +20,28 @@ from posegsa.errors import PosegsaError
 AXIS = "devices"
 """Name of the mesh's only axis."""
 SIMULATIONS_PER_DEVICE = 32
-"""Simulations that are worth a CPU device of their own: two full vectors."""
+"""Simulations that justify one more CPU device: two full vector registers."""
 MAX_PROCESSES = 10**6
 
 
 def join_processes(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> None:
-    """Join several processes, on one machine or many, for searches together.
+    """Join several processes, on one machine or many, to run searches together.
 
-    To be called in each before anything else uses JAX (but after `enable_fast_path`). Each then
-    calls `tune` with the same arguments and gets the same result; the first alone writes files.
+    Call this in each process before anything else uses JAX (but after `enable_fast_path`). Each
+    process then calls `tune` with the same arguments and gets the same result; only the first
+    process writes files.
 
     Args:
         coordinator: Address, HOST:PORT, at which the first process waits for the others.
-        processes: How many they are.
-        process: Which one this is, from 0. On a cluster that JAX knows (Slurm, Open MPI, Kubernetes
-            and others: `jax.distributed.initialize`), all three are found if none is given.
+        processes: Number of processes.
+        process: Index of this process, from 0. On a cluster that JAX knows (Slurm, Open MPI,
+            Kubernetes and others: `jax.distributed.initialize`), all three may be left out.
 
     Raises:
-        ArgumentError: Some are given and others not, or one is not what is said here.
-        PosegsaError: The processes did not find each other, or JAX was in use already.
+        ArgumentError: Only some of them are given, or one has a wrong type or value.
+        PosegsaError: The processes did not find each other, or JAX was already in use.
     """
     if coordinator is not None and processes is not None and process is not None:
         check_type("coordinator", coordinator, str, allowed="text, HOST:PORT")
@@ -60,9 +61,9 @@ def join_processes(
 
 
 def mesh_for(simulations: int) -> Mesh | None:
-    """The devices for so many simulations at once; None where one is enough.
+    """A mesh of devices for a number of simulations; None if one device is enough.
 
-    Processes that have joined use all of theirs, so that each takes part.
+    Joined processes use all their devices, so that each process takes part.
     """
     devices = jax.devices()
     if jax.process_count() == 1 and devices[0].platform == "cpu":
@@ -71,27 +72,27 @@ def mesh_for(simulations: int) -> Mesh | None:
 
 
 def mesh_of(devices: list[Any]) -> Mesh | None:
-    """A mesh of these devices; None for one, which needs none."""
+    """A mesh of the given devices; None for a single device."""
     return Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
 
 
 def _alone(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function on one device."""
+    """Return the function unchanged, for one device."""
     return function
 
 
 @cache
 def on_each(mesh: Mesh | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """What makes a function run on every device of a mesh, with equal arguments and results."""
+    """A decorator that runs a function on every device, with equal arguments and results."""
     if mesh is None:
         return _alone
     same = PartitionSpec()
-    # The check for equal results would not see that what is gathered is equal.
+    # JAX's check for equal results does not recognise that gathered values are equal.
     return partial(jax.shard_map, mesh=mesh, in_specs=same, out_specs=same, check_vma=False)
 
 
 def spread(tree: Any, mesh: Mesh | None) -> Any:
-    """Arrays of this process, the same in all of them, as arrays on every device of the mesh."""
+    """Copy arrays to every device of a mesh; all processes must pass the same arrays."""
     if mesh is None:
         return tree
     replicated = NamedSharding(mesh, PartitionSpec())
@@ -110,7 +111,7 @@ def spread(tree: Any, mesh: Mesh | None) -> Any:
 
 
 def collect(tree: Any) -> Any:
-    """The same arrays on this process' first device; what is no array stays as it is."""
+    """Copies of arrays on the first device of this process; other leaves stay unchanged."""
     return jax.tree.map(
         lambda a: a.addressable_shards[0].data if isinstance(a, jax.Array) else a, tree
     )

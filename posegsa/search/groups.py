@@ -1,4 +1,4 @@
-"""Many scenarios in groups of one shape: memory stays bounded, and few programs are compiled."""
+"""Run many scenarios in groups of one shape, to limit memory and the number of programs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,15 +7,15 @@ import jax
 import numpy as np
 
 SCENARIOS = 16
-"""Scenarios in a group, at most: as many numbers as a CPU's widest vector holds."""
+"""Maximum number of scenarios in a group: the floats in the widest CPU vector register."""
 SAMPLES = 2**18
-"""Samples in a group, over its scenarios, where that leaves at least one scenario."""
+"""Maximum number of samples in a group, summed over its scenarios, if more than one."""
 LENGTH = 2**10
-"""Scenarios are made and judged at a multiple of this length."""
+"""Scenarios are padded to a multiple of this number of samples."""
 
 
 def padded(samples: int) -> int:
-    """The least multiple of LENGTH that holds so many samples: similar runs share programs."""
+    """`samples` rounded up to a multiple of LENGTH, so that similar runs share programs."""
     return LENGTH * -(-samples // LENGTH)
 
 
@@ -24,9 +24,9 @@ def in_groups(run: Callable[[np.ndarray], Any], count: int, length: int) -> Any:
 
     Args:
         run: Maps the numbers (S,) of some scenarios to leaves (S, ...). All groups are of one size,
-            so that it is compiled once; the last one is filled up with the first scenarios.
+            so that it is compiled once; the last group is padded with the first scenarios.
         count: Number of scenarios, at least 1.
-        length: Samples that are simulated of each.
+        length: Number of samples of each scenario.
 
     Returns:
         The leaves (count, ...) of all scenarios, as NumPy arrays.
@@ -35,7 +35,7 @@ def in_groups(run: Callable[[np.ndarray], Any], count: int, length: int) -> Any:
     whole: Any = None
     for first in range(0, count, size):
         part = jax.device_get(run(np.arange(first, first + size) % count))
-        if whole is None:  # allocated once: it may take most of the memory
+        if whole is None:  # allocated only once, as it may take most of the memory
             whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), part)
         for to, of in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
             to[first : first + size] = of[: count - first]

@@ -1,8 +1,8 @@
 """A search over the numbers of the attitude filter for inertial sensors.
 
-The filter's vectors are made in NumPy before it runs (`recordings.imu`), and with other numbers of
-[vectors] they are other vectors. So each candidate makes its recordings anew, and the objective is
-an ordinary function, not a compiled one: a second for a candidate on a few minutes of motion.
+The filter's vectors are computed in NumPy before it runs (`recordings.imu`) and depend on the
+numbers of [vectors]. So each candidate prepares its recordings again, and the objective is an
+ordinary function, not a compiled one: it takes a second per candidate on a few minutes of motion.
 """
 
 import time
@@ -23,14 +23,14 @@ from posegsa.recordings.imu_filter import run_imu
 
 
 class FoundImu(NamedTuple):
-    """What a search found."""
+    """The result of a search."""
 
     config: ImuConfig
-    """The filter with the best numbers; those that it was given, if none was better."""
+    """The filter with the best numbers; the given ones if the search found none better."""
     cost: float
-    """What it costs: the mean over recordings of the total RMSE [deg]."""
+    """Cost of `config`: the mean over recordings of the total RMSE [deg]."""
     cost_before: float
-    """The cost of the numbers that it was given."""
+    """Cost of the given numbers [deg]."""
     evaluations: int
     seconds: float
 
@@ -39,14 +39,14 @@ def search_imu(config: ImuConfig, recordings: Sequence[ImuRecording], seed: int)
     """Search the numbers that a filter's `parameters.also` names.
 
     Args:
-        config: The filter, what is searched and how.
+        config: The filter, the numbers to search and the optimiser.
         recordings: At least one, each with a truth.
-        seed: Of the search.
+        seed: Seed of the search.
     """
     lower, upper = (np.array([getattr(one, end) for one in config.also]) for end in _ENDS)
     by_logarithm = np.array([one.scale == "logarithmic" for one in config.also])
 
-    @lru_cache(maxsize=1)  # those of a search that leaves [vectors] alone are made once
+    @lru_cache(maxsize=1)  # computed once if the search does not change [vectors]
     def made(vectors: ImuVectorsConfig) -> list[ImuRecording]:
         return [with_vectors(one, vectors) for one in recordings]
 

@@ -10,28 +10,28 @@ from jax import Array, random
 from posegsa.arguments import check_whole
 
 GENERATOR = "threefry2x32"
-"""Of random numbers, whatever JAX's default one is."""
+"""The random number generator, whatever JAX's default is."""
 
 
 class Keys(NamedTuple):
-    """The random keys of an experiment; all come from its seed, each by its own number."""
+    """The random keys of an experiment, derived from its seed, one for each use."""
 
     search: Array
-    """The optimiser's."""
+    """For the optimiser."""
     training: Array
-    """Of the scenarios that the search sees."""
+    """For the training scenarios."""
     held_out: Array
-    """Of the scenarios that only judge."""
+    """For the held-out scenarios, which only evaluate."""
     validation: Array
-    """Of the scenarios that choices between configurations are made on."""
+    """For the scenarios that serve to choose between configurations."""
     baselines: Array
-    """Of the searches for the baselines."""
+    """For the searches for the baselines."""
     endurance: Array
-    """Of the long scenarios that only judge."""
+    """For the long scenarios, which only evaluate."""
 
 
 def keys(seed: int) -> Keys:
-    """The keys of a seed, each by the number of its use."""
+    """The keys of a seed."""
     return _for_uses(random.key(seed, impl=GENERATOR))
 
 
@@ -48,12 +48,12 @@ _USES = {
     "baselines": 5,
     "endurance": 6,
 }
-"""The number of each use, which never changes; 4 was another's."""
+"""The number of each use. These never change; an earlier use had 4."""
 
 
 @partial(jax.jit, static_argnums=(1,))
 def scenario_keys(key: Array, count: int) -> Array:
-    """Keys (count,) of scenarios; the first ones do not depend on how many there are."""
+    """Keys (count,) of scenarios; each depends on its index only, not on `count`."""
     return jax.vmap(lambda i: random.fold_in(key, i))(jnp.arange(count))
 
 
@@ -63,7 +63,7 @@ def training_keys(seed: int, count: int) -> Array:
 
 
 def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
-    """Keys (count,) of the held-out scenarios of a seed: its own, or another set by number.
+    """Keys (count,) of the held-out scenarios of a seed, or of another set of them by number.
 
     Raises:
         ArgumentError: The number is not one from 0 to 2^31 - 1.
@@ -71,15 +71,15 @@ def held_out_keys(seed: int, count: int, another: int | None = None) -> Array:
     key = keys(seed).held_out
     if another is not None:
         check_whole("seed", another, 0)
-        key = random.fold_in(key, 2**31 + another)  # no scenario has so large a number
+        key = random.fold_in(key, 2**31 + another)  # larger than any scenario index
     return scenario_keys(key, count)
 
 
 def endurance_keys(seed: int, count: int) -> Array:
-    """Keys (count,) of the long scenarios that show what holds past the tuned window."""
+    """Keys (count,) of the scenarios that run for longer than the tuned duration."""
     return scenario_keys(keys(seed).endurance, count)
 
 
 def repeat_key(seed: int, repeat: int) -> Array:
-    """The key of a search that is repeated under one seed."""
+    """The key of one of several searches with the same seed."""
     return random.fold_in(keys(seed).search, repeat)

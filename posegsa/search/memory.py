@@ -1,4 +1,4 @@
-"""What an experiment needs of memory, estimated before anything is allocated."""
+"""Estimate the memory that an experiment needs, before anything is allocated."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -15,9 +15,9 @@ from posegsa.settings.fields import MAX_SAMPLES
 from posegsa.settings.violations import Violation, violations_error
 
 COMPILER = 2**29
-"""What JAX and its compiler take, whatever the experiment [bytes]."""
+"""Memory of JAX and its compiler, for any experiment [bytes]."""
 RECORDINGS = "recordings"
-"""What the share of recordings is called."""
+"""Key of the share of recordings."""
 PER_AGENT = 100
 """Numbers that one agent's simulation keeps on one scenario; measured: 92."""
 
@@ -26,15 +26,15 @@ CGROUP = Path("/sys/fs/cgroup")
 
 
 class RecordedSize(NamedTuple):
-    """How much of recordings is simulated at once: all are as long as the longest."""
+    """The size of a batch of recordings, which are padded to the length of the longest."""
 
     count: int
     samples: int
-    """Of the longest."""
+    """Length of the longest."""
     vectors: int
-    """The most that one of them has."""
+    """Largest number of vectors in a recording."""
     landmarks: int
-    """Likewise."""
+    """Largest number of landmarks in a recording."""
 
 
 def needs(
@@ -44,8 +44,11 @@ def needs(
 ) -> dict[str, int]:
     """Estimated bytes, by the values that cause them.
 
-    `held_out` replaces its own scenarios. With recordings these are simulated, and its scenarios
-    only beside them.
+    Args:
+        experiment: The experiment.
+        held_out: Number of held-out scenarios, instead of the experiment's.
+        recorded: The recordings of a search on recordings. The experiment's scenarios then count
+            only if the search also uses them.
     """
     if recorded is not None:
         return _needs_recorded(experiment, recorded)
@@ -55,8 +58,8 @@ def needs(
     training, samples = run.training_scenarios, scenario.samples
     vectors = len(scenario.vectors) + experiment.filter.cross_vector
     landmarks = len(scenario.landmarks)
-    # Truth, measurements and what the loop reads of them; once more, at both precisions, of the
-    # training scenarios, on which the result's sensitivity is checked.
+    # Truth, measurements and the loop's inputs; for the training scenarios once more at both
+    # precisions, as the sensitivity of the result is checked on them.
     prepared = 27 + 8 * landmarks
     per_scenario = samples * (prepared + 25 + 7 * (vectors + landmarks))
     points = experiment.fuzzy.sampled_points if experiment.fuzzy.centroid == "sampled" else 0
@@ -81,8 +84,8 @@ def _needs_recorded(experiment: config.Experiment, recorded: RecordedSize) -> di
             del shares[name]
     size = np.dtype(experiment.run.dtype).itemsize
     vectors = recorded.vectors + experiment.filter.cross_vector
-    # What is measured, the truth and what counts, filled up and joined in NumPy's float64; the same
-    # at the run's precision, and what the loop reads of it.
+    # Measurements, truth and masks, padded and stacked in NumPy's float64; the same at the run's
+    # precision, and the loop's inputs.
     given = 20 + 7 * recorded.vectors + 7 * recorded.landmarks
     read = 25 + 7 * (vectors + recorded.landmarks) + 8 * recorded.landmarks
     per_sample = 2 * 8 * given + size * (given + 2 * read)
@@ -94,10 +97,10 @@ def check(
     held_out: int | None = None,
     recorded: RecordedSize | None = None,
 ) -> None:
-    """Refuse experiments, all held at once, that would need more memory than there is.
+    """Refuse experiments that together would need more memory than is free.
 
     Raises:
-        MemoryLimitError: They would; it names the values and their share.
+        MemoryLimitError: They need more. The message names the values and their shares.
     """
     many = list(experiments)
     shares = Counter[str]()
@@ -110,7 +113,7 @@ def check(
     for key, share in shares.most_common():
         if share > total / 20 and recorded is not None and key == RECORDINGS:
             reason = (
-                f"takes {_gib(share)}, as each is filled up to the {recorded.samples} samples of "
+                f"takes {_gib(share)}, as each is padded to the {recorded.samples} samples of "
                 "the longest; allowed: fewer, or windows of them"
             )
             violations.append(Violation(key, reason, recorded.count))
@@ -133,7 +136,7 @@ def check(
 
 
 def available() -> int | None:
-    """Bytes that are free where simulations run; None where the system doesn't say."""
+    """Free bytes on the device that runs the simulations; None if the system doesn't say."""
     device = jax.local_devices()[0]
     if device.platform != "cpu":
         stats = device.memory_stats() or {}
@@ -146,14 +149,14 @@ def available() -> int | None:
         limit = int((CGROUP / "memory.max").read_text("ascii"))
         used = int((CGROUP / "memory.current").read_text("ascii"))
         with suppress(OSError, ValueError):
-            # Files that nobody has read for a while: the system drops them where memory is short.
+            # Cached files that were not read for a while: the system drops them if memory is short.
             used -= _entry(CGROUP / "memory.stat", "inactive_file")
         found.append(limit - used)
     return min(found, default=None)
 
 
 def _entry(path: Path, name: str) -> int:
-    """A number from a file of the system's with a name and a number in each line."""
+    """A number from a system file that has a name and a number in each line."""
     for line in path.read_text("ascii").splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:

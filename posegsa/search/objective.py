@@ -1,4 +1,4 @@
-"""What a search minimises, for programs that are compiled for it."""
+"""The objective of a search, in the form that compiled programs use."""
 
 from typing import NamedTuple
 
@@ -10,18 +10,18 @@ from posegsa.search.population import ScenarioBatch, TrackCost, population_costs
 
 
 class SearchObjective(NamedTuple):
-    """What is minimised, but for its scenarios and its parameter space."""
+    """The objective without its scenarios and its parameter space."""
 
     objective: config.ObjectiveConfig
     axis: str | None
-    """Axis of the mesh over which the simulations are divided, if they are."""
+    """Mesh axis over which the simulations are divided, or None."""
     cost: TrackCost | None
     """A user's own cost of a simulation, instead of the configured one."""
 
     def __call__(
         self, training: Packed, space: SearchSpace, beside: Packed | None
     ) -> Differentiable:
-        """As a function of vectors (A, d), on training scenarios, which are `ScenarioBatch`es."""
+        """The cost function of vectors (A, d) on training scenarios (packed `ScenarioBatch`es)."""
         simulated = None if beside is None else beside.unpacked()
         return forward_mode(
             lambda vectors: population_costs(
@@ -37,5 +37,5 @@ class SearchObjective(NamedTuple):
 
 
 def packed_batch(batch: ScenarioBatch | None) -> Packed | None:
-    """Scenarios as the compiled search takes them."""
+    """Scenarios in the form that the compiled search takes."""
     return None if batch is None else packed(batch, batch.samples.time)

@@ -1,8 +1,8 @@
-"""Arrays of one shape in one array, as the loop over samples reads them.
+"""Stack arrays of one shape into one array, as the loop over samples reads them.
 
-A scenario is some forty arrays over its samples. The loop takes a sample's numbers from one array
-(`model.loops.scan_rows`); kept in that form, it need not be made anew for every population, and a
-compiled program has half as many arguments.
+A scenario has about forty arrays over its samples. The loop reads the numbers of a sample from one
+array (`model.loops.scan_rows`). Scenarios are kept in this form, so that it is not rebuilt for
+every population and a compiled program has half as many arguments.
 """
 
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from jax import Array
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Packed:
-    """A tree of arrays, those of one shape and dtype side by side in one."""
+    """A tree of arrays in which those of one shape and dtype are stacked."""
 
     together: Array
-    """(..., n)."""
+    """(..., n) the stacked arrays."""
     others: tuple[Array, ...]
-    """Those of other shapes."""
+    """The arrays of other shapes."""
     places: tuple[int, ...] = field(metadata={"static": True})
-    """Which leaves of the tree stand together."""
+    """Indices of the stacked leaves in the tree."""
     structure: Any = field(metadata={"static": True})
     """The tree without its arrays."""
 
@@ -39,12 +39,12 @@ class Packed:
 
 
 def packed(tree: Any, like: Array) -> Packed:
-    """A tree with its arrays of the shape and dtype of `like`, one of them, put together.
+    """Stack those arrays of a tree that have the shape and dtype of `like`, one of them.
 
-    Not inside a compiled program.
+    It can't be called in a compiled program.
     """
     leaves, structure = jax.tree.flatten(tree)
-    arrays = list(map(np.asarray, leaves))  # put together without a program
+    arrays = list(map(np.asarray, leaves))  # NumPy stacks without compiling a program
     alike = [(a.shape, a.dtype) == (like.shape, like.dtype) for a in arrays]
     return Packed(
         together=jax.device_put(

@@ -1,16 +1,15 @@
-"""The searched parameters k1..k22: their boxes, their repair, and the controller they make.
+"""The searched parameters k1 to k22: their boxes, their repair, and the controller of a vector.
 
 The vector k fills the feet and peaks of the paper's terms (Eqs. 18 and 19):
     input terms   [0, 0, k1]  [k2, k3, k4]     [k5, k6, k7]     [k8, k9, k10]    [k11, 1, 1]
     output terms  [0, 0, k12] [k13, k14, k15]  [k16, k17, k18]  [k19, k20, k21]  [k22, 100, 100]
-Inside their boxes the k's need not be in order: 93 % of random draws have a triangle out of order,
-and 73 % leave gaps in which no rule fires. Two repairs, each of which can be switched off, mend
-that; both keep every value inside its own box and leave a vector that is in order, and covers, as
-it is.
+The boxes don't keep the k's in order: 93 % of random draws have a triangle out of order, and 73 %
+leave gaps in which no rule fires. Two repairs fix that; each can be switched off. Both keep every
+value inside its own box, and don't change a vector that is already in order and without gaps.
 
-Where the rule table is searched too, 25 further numbers in [0, 5] follow the k's, rate by rate,
-from small to large. The whole part of each is the output term of its rule (of 5 the last), so that
-all terms have the same share of the box.
+If the rule table is searched too, 25 further numbers in [0, 5] follow the k's, row by row: a row
+for each term of the rate, from small to large. The integer part of each number is the output term
+of its rule (5 counts as 4), so all terms have the same share of the box.
 """
 
 from dataclasses import dataclass, field
@@ -28,26 +27,25 @@ from posegsa.model.elementwise import choose
 from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule, Rules, SampledRule
 from posegsa.model.schedules import FuzzyGain, SearchedRulesGain
 
-HALF, WHOLE = len(PARAMETERS) // 2, len(PARAMETERS)
-"""How many of the k's shape the input terms, and how many there are."""
+INPUT_COUNT, K_COUNT = len(PARAMETERS) // 2, len(PARAMETERS)
+"""Number of k's that shape the input terms, and number of all k's."""
 TERM_COUNT = len(TERMS)
 RULES = TERM_COUNT**2
-"""Numbers of a rule table that is searched."""
+"""Number of rules in the table."""
 
 _SEARCHED = slice(2, 13)
-"""Where the searched values stand among the 15 entries of five triangles; the other four are
-fixed."""
+"""The searched values among the 15 entries of five triangles; the other four are fixed."""
 
 _STATIC = {"static": True}
-"""Marks a field for whose value programs are compiled."""
+"""Marks a static field: programs are compiled for its value."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ParameterSpace:
-    """Boxes and repairs of a search vector, and the controller's choices that are not searched.
+    """Boxes and repairs of a search vector, and the controller's settings that are not searched.
 
-    A vector has d numbers: k1 to k22, and those of the rules if they are searched.
+    A vector has d numbers: k1 to k22, then those of the rules if they are searched.
     """
 
     lower: Array
@@ -55,11 +53,11 @@ class ParameterSpace:
     upper: Array
     """(d,)"""
     overlap: Array
-    """Minimum overlap of neighbouring input terms that coverage repair leaves, on [0, 1]."""
+    """Minimum overlap of neighbouring input terms after the coverage repair, on [0, 1]."""
     ordering: bool = field(metadata=_STATIC)
     coverage: bool = field(metadata=_STATIC)
     rules: Rules | None = field(metadata=_STATIC)
-    """The rule table; None where it is searched."""
+    """The rule table; None if it is searched."""
     gain_range: tuple[float, float] = field(metadata=_STATIC)
     """Ends of the output universe [1/s]."""
     centroid: Centroid = field(metadata=_STATIC)
@@ -67,13 +65,13 @@ class ParameterSpace:
     sampled_rule: SampledRule = field(metadata=_STATIC)
     no_rule: NoRule = field(metadata=_STATIC)
     reach: int = field(metadata=_STATIC)
-    """How far apart in their order output terms may overlap anywhere in the boxes."""
+    """Largest distance in order of two output terms that can overlap within the boxes."""
     offset: float = field(default=1.0, metadata=_STATIC)
-    """What is added to the controller's output [1/s]."""
+    """Added to the controller's output [1/s]."""
 
     def terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,), repaired as configured."""
-        return _terms(self, k)  # one program, not one for each step, where it is called eagerly
+        return _terms(self, k)  # compiled as one program when called outside jit
 
     def raw_terms(self, k: Array) -> tuple[Array, Array]:
         """Input and output terms (5, 3) of a vector (d,) as it stands, without any repair."""
@@ -81,16 +79,16 @@ class ParameterSpace:
         return _stacked(inputs), _stacked(outputs)
 
     def _triangles(self, k: Array) -> tuple[list[list[Array]], list[list[Array]]]:
-        """The same, number by number."""
+        """`raw_terms`, as lists of scalars."""
 
         def terms(searched: Array, ends: tuple[float, float]) -> list[list[Array]]:
             low, high = (jnp.asarray(end, k.dtype) for end in ends)
             return [list(triangle) for triangle in triangles(tuple(searched), low, high)]
 
-        return terms(k[:HALF], INPUT_RANGE), terms(k[HALF:WHOLE], self.gain_range)
+        return terms(k[:INPUT_COUNT], INPUT_RANGE), terms(k[INPUT_COUNT:K_COUNT], self.gain_range)
 
     def controller(self, k: Array) -> FuzzyController:
-        """The controller of a vector (d,); outside jit where the rules are searched."""
+        """The controller of a vector (d,); only outside jit if the rules are searched."""
         return self._controller(k, self.rules or _table(rule_targets(k)))
 
     def _controller(self, k: Array, rules: Rules) -> FuzzyController:
@@ -111,8 +109,7 @@ class ParameterSpace:
     def schedule(self, vector: Array) -> FuzzyGain | SearchedRulesGain:
         """The gain schedule of a vector (d,).
 
-        Inside jit, rules that are searched are numbers of the schedule; outside, they are the table
-        that these mean.
+        Inside jit, searched rules are arrays of the schedule; outside, they are a rule table.
         """
         if self.rules is None and isinstance(vector, Tracer):
             return SearchedRulesGain(self._controller(vector, NO_RULES), rule_targets(vector))
@@ -121,7 +118,7 @@ class ParameterSpace:
     def vector(self, controller: FuzzyController) -> Array:
         """The vector (d,) of a controller, the inverse of `controller` on repaired vectors.
 
-        Of rules that are searched, each is in the middle of its term's share.
+        Searched rules get the middle of their term's share of the box.
         """
         terms = controller.input_terms, controller.output_terms
         parts = [jnp.reshape(t, 15)[_SEARCHED] for t in terms]
@@ -139,7 +136,7 @@ class ParameterSpace:
         """A vector from a user, as an array (d,) of the space's dtype.
 
         Raises:
-            FuzzyError: wrong length, not finite, or outside the boxes.
+            FuzzyError: The vector has a wrong length, is not finite, or is outside the boxes.
         """
         count, what = self.lower.shape[0], "k1 to k22"
         if self.rules is None:
@@ -155,20 +152,20 @@ class ParameterSpace:
         inside = (lower - slack <= values) & (values <= upper + slack)
         for i in np.flatnonzero(~inside):
             allowed = f"[{lower[i]:g}, {upper[i]:g}]"
-            name = PARAMETERS[i] if i < WHOLE else f"rule {i - WHOLE + 1}"
+            name = PARAMETERS[i] if i < K_COUNT else f"rule {i - K_COUNT + 1}"
             raise FuzzyError(f"{name}: must lie in {allowed}, got {values[i]:g}")
         return jnp.asarray(np.clip(values, lower, upper), self.lower.dtype)
 
 
 NO_RULES: Rules = ((0,) * TERM_COUNT,) * TERM_COUNT
-"""Stands where a controller needs a table that nobody looks at."""
+"""Placeholder table of a controller whose rules are given separately."""
 
 
 @jax.jit
 def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
-    # Number by number: where XLA:CPU makes one function of a whole search, a small one, it computes
-    # what stands before the elements of an array are joined anew for each use. That is three to the
-    # power of the exchanges in a row, and took minutes to compile.
+    # Scalars, not arrays: XLA:CPU may fuse a small search into one function, and then computes the
+    # inputs of a concatenation again for each use. The code grows by three for each exchange in a
+    # row; it took minutes to compile.
     both = space._triangles(k)
     if space.ordering:
         both = [_in_order(terms) for terms in both]
@@ -180,8 +177,8 @@ def _terms(space: ParameterSpace, k: Array) -> tuple[Array, Array]:
 
 
 def rule_targets(vector: Array) -> Array:
-    """The output term (5, 5) of each rule, [rate, error], of a vector that ends with the rules."""
-    terms = jnp.clip(jnp.floor(vector[WHOLE:]), 0.0, TERM_COUNT - 1.0)
+    """The output terms (5, 5) of the rules, [rate, error], of a vector with searched rules."""
+    terms = jnp.clip(jnp.floor(vector[K_COUNT:]), 0.0, TERM_COUNT - 1.0)
     return terms.reshape(TERM_COUNT, TERM_COUNT)
 
 
@@ -199,13 +196,13 @@ def ordered(terms: Array) -> Array:
 
 
 def _in_order(terms: list[list[Array]]) -> list[list[Array]]:
-    """`ordered`, of the 5 triangles' numbers."""
+    """`ordered`, on lists of scalars."""
     columns = zip(*map(_sorted, terms), strict=True)
     return [list(row) for row in zip(*(_sorted(list(column)) for column in columns), strict=True)]
 
 
 def _stacked(terms: list[list[Array]]) -> Array:
-    """Terms (..., 5, 3) of their numbers (...)."""
+    """Terms (..., 5, 3) from lists of arrays (...)."""
     return jnp.stack([jnp.stack(triangle, axis=-1) for triangle in terms], axis=-2)
 
 
@@ -213,13 +210,13 @@ _EXCHANGES = {
     3: ((0, 2), (0, 1), (1, 2)),
     5: ((0, 3), (1, 4), (0, 2), (1, 3), (0, 1), (2, 4), (1, 2), (3, 4), (2, 3)),
 }
-"""Sorting networks: places whose values change places if the first is larger, one after the other
-(D. E. Knuth, "The Art of Computer Programming", volume 3, section 5.3.4). XLA:CPU's own sort of so
-few numbers costs fifty times as much, 0.2 ms for the terms of 100 agents."""
+"""Sorting networks: pairs of indices, in order, whose values are exchanged if the first is larger
+(D. E. Knuth, "The Art of Computer Programming", volume 3, section 5.3.4). XLA:CPU's sort of so few
+numbers takes fifty times as long, 0.2 ms for the terms of 100 agents."""
 
 
 def _sorted(values: list[Array]) -> list[Array]:
-    """Arrays of one shape, put in ascending order element by element."""
+    """Arrays of one shape, sorted in ascending order element by element."""
     for i, j in _EXCHANGES[len(values)]:
         a, b = values[i], values[j]
         exchange = a > b
@@ -230,8 +227,8 @@ def _sorted(values: list[Array]) -> list[Array]:
 def covering(terms: Array, lower_feet: Array, overlap: Array) -> Array:
     """Input terms (5, 3) without gaps: a_{i+1} <- max(low, a_i, min(a_{i+1}, c_i - overlap)).
 
-    The terms are ordered, lower_feet (5,) are the lower bounds of the a's. A bound above
-    c_i - overlap wins: the result stays in its box.
+    The terms must be ordered; lower_feet (5,) are the lower bounds of the a's. A lower bound above
+    c_i - overlap has priority, so the result stays in its box.
     """
     feet = [terms[0, 0]]
     for i in range(terms.shape[0] - 1):

@@ -1,4 +1,4 @@
-"""Agents x scenarios -> costs, in one compiled call."""
+"""Costs of all agents on all scenarios, in one compiled call."""
 
 import math
 from collections.abc import Callable
@@ -24,21 +24,21 @@ from posegsa.search.candidates import Candidate, SearchSpace
 
 MEAN = ObjectiveConfig(name="mean")
 
-PIECE = 128
-"""Agents simulated at once on a CPU: some 60 numbers each, they fit a core's first-level cache."""
-SMALL = 64
-"""So few agents share a piece with other scenarios'."""
-SHARED = 4
-"""Pieces of different scenarios that there are then at least, to be divided among devices."""
-FILLED = 4 / 3
-"""How many more groups of scenarios there may be, so that all devices have as many pieces."""
+AGENTS_PER_PIECE = 128
+"""Agents simulated at once on a CPU: about 60 numbers each, so that they fit a core's L1 cache."""
+FEW_AGENTS = 64
+"""Below this number of agents, a piece holds several scenarios."""
+MIN_GROUPS = 4
+"""Minimum number of pieces along the scenarios in that case, to be divided among devices."""
+MAX_PADDING = 4 / 3
+"""Largest factor by which padding may increase the groups, to give every device as many."""
 LANES = 16
-"""Numbers of 32 bits in the widest vectors of a CPU."""
+"""Numbers of 32 bits in the widest vector registers of a CPU."""
 
 
 TrackCost = Callable[[ErrorTrack, Array], Array]
-"""A cost of a user's own: maps the errors of a simulation and the times (N,) [s] to one number, to
-be minimised (pure, jittable)."""
+"""A user's own cost: maps the errors of a simulation and the times (N,) [s] to the number to be
+minimised (pure, jittable)."""
 
 
 CONFIGURED = "configured"
@@ -46,36 +46,36 @@ CONFIGURED = "configured"
 
 
 def cost_name(cost: TrackCost | None) -> str:
-    """What a cost is called where it is stored."""
+    """The name of a cost, as it is stored."""
     if cost is None:
         return CONFIGURED
     return f"{getattr(cost, '__module__', '')}.{getattr(cost, '__qualname__', type(cost).__name__)}"
 
 
 def check_same_cost(cost: TrackCost | None, stored: str) -> None:
-    """Raise an ArgumentError unless a cost is that by which a run was tuned, by its name."""
+    """Raise an ArgumentError unless a cost has the name of the cost that a run was tuned with."""
     if cost_name(cost) != stored:
-        refuse(f"cost = {cost_name(cost)}", f"{stored}, by which the run was tuned")
+        refuse(f"cost = {cost_name(cost)}", f"{stored}, with which the run was tuned")
 
 
 class ScenarioBatch(NamedTuple):
-    """All that the cost of a filter depends on, for S scenarios."""
+    """Everything that the cost of a filter depends on, for S scenarios."""
 
     samples: Samples
     """Leaves (S, N)."""
     initial: FilterState
     """Leaves (S,)."""
     bias: Array
-    """(S, 6) true velocity bias at the end [rad/s, m/s]; only for judging its estimate."""
+    """(S, 6) true velocity bias at the end [rad/s, m/s]; only to judge its estimate."""
     vector_bias: Array
-    """(S, n, 3) true biases of the vectors, likewise."""
+    """(S, n, 3) true biases of the vectors; only to judge their estimates."""
     end: Array | None
-    """(S,) time from which on nothing counts [s]; None where all of every scenario does."""
+    """(S,) time at which the cost ends [s]; None if whole scenarios count."""
     weights: CostWeights
     filter: Filter
-    """What all candidates share of the filter."""
+    """The part of the filter that all candidates share."""
     recorded: RecordedCost | None = None
-    """Leaves (S, ...): the cost where the scenarios are recordings; None where they are not."""
+    """Leaves (S, ...): the cost on recordings; None for simulated scenarios."""
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -90,7 +90,7 @@ class ScenarioBatch(NamedTuple):
 
 
 class Partition(NamedTuple):
-    """How S scenarios x A agents are cut into pieces that are simulated one after the other."""
+    """The division of S scenarios x A agents into pieces that are simulated one by one."""
 
     groups: int
     """Pieces along the scenarios."""
@@ -103,42 +103,45 @@ class Partition(NamedTuple):
 
 
 def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool = True) -> Partition:
-    """Cut S scenarios x A agents into pieces, as many for each shard.
+    """Divide S scenarios x A agents into pieces, the same number for each shard.
 
-    On a CPU (`piecewise`) a piece's state stays in the core's own cache, so that an agent's price
-    does not depend on how many there are: with 10 000 agents at once it doubles. An accelerator
-    wants all it can get at once. A simulation may be rounded otherwise in a piece of another shape,
-    so that the shape depends on the shards only where there would be too few pieces for them.
+    On a CPU (`piecewise`) the state of a piece stays in the core's cache, so the time per agent
+    does not depend on the number of agents; with 10 000 agents at once it doubles. An accelerator
+    simulates everything at once. The rounding of a simulation may depend on the shape of its piece,
+    so the shape depends on the shards only if there would be too few pieces for them.
     """
     together = 1
     if not piecewise:
-        together = _divided(scenarios, shards)
-    elif agents < SMALL:
-        together = max(1, min(PIECE // agents, scenarios // SHARED))
-    groups = _divided(scenarios, together)
-    if piecewise and _divided(scenarios, groups) == 2:
-        # XLA's loops over two scenarios are not vectorised: three times as slow as one by one.
+        together = _ceil_div(scenarios, shards)
+    elif agents < FEW_AGENTS:
+        together = max(1, min(AGENTS_PER_PIECE // agents, scenarios // MIN_GROUPS))
+    groups = _ceil_div(scenarios, together)
+    if piecewise and _ceil_div(scenarios, groups) == 2:
+        # XLA doesn't vectorise loops over two scenarios: three times as slow as one by one.
         groups = scenarios
-    each, chunks = _divided(scenarios, groups), _divided(agents, PIECE) if piecewise else 1
-    filled = _filled(groups, shards // math.gcd(chunks, shards))
-    if filled <= FILLED * groups:
-        groups = filled  # the last ones repeat a scenario
+    each, chunks = (
+        _ceil_div(scenarios, groups),
+        _ceil_div(agents, AGENTS_PER_PIECE) if piecewise else 1,
+    )
+    padded = _round_up(groups, shards // math.gcd(chunks, shards))
+    if padded <= MAX_PADDING * groups:
+        groups = padded  # the last groups repeat a scenario
     else:
-        chunks = _filled(chunks, shards // math.gcd(groups, shards))
-    chunk = _divided(agents, chunks)
-    # What does not fill a vector runs number by number, which costs more than one more vector.
+        chunks = _round_up(chunks, shards // math.gcd(groups, shards))
+    chunk = _ceil_div(agents, chunks)
+    # The remainder of a vector register runs one by one, slower than another full register.
     if piecewise and chunk > LANES:
-        chunk = LANES * _divided(chunk, LANES)
+        chunk = LANES * _ceil_div(chunk, LANES)
     return Partition(groups=groups, scenarios=each, chunks=chunks, agents=chunk)
 
 
-def _filled(count: int, step: int) -> int:
-    """The least multiple of a step that is not less."""
-    return step * _divided(count, step)
+def _round_up(count: int, step: int) -> int:
+    """`count`, rounded up to a multiple of `step`."""
+    return step * _ceil_div(count, step)
 
 
-def _divided(count: int, size: int) -> int:
-    """How many parts of a size hold so many, the last one filled up."""
+def _ceil_div(count: int, size: int) -> int:
+    """`count / size`, rounded up."""
     return math.ceil(count / size)
 
 
@@ -150,16 +153,16 @@ def agent_costs(
 ) -> Array:
     """Cost (S, A) of A agents on S scenarios (pure, jittable).
 
-    All agents meet the same noise (common random numbers), so that their differences are their
-    own. The agents are the innermost batch axis: one time step of all agents of a piece is a few
-    fused kernels.
+    All agents get the same noise (common random numbers), so the noise does not blur differences
+    between them. The agents are the innermost batch axis: one time step of all agents of a piece is
+    a few fused kernels.
 
     Args:
         agents: Candidates of one kind, leaves (A, ...).
         batch: Scenarios and settings.
-        axis: Inside `jax.shard_map`, the mesh axis over which the work is divided. Agents and
-            scenarios are the same on all its devices, and so are the costs: only they travel.
-        cost: A cost of the user's own instead of the configured one.
+        axis: Inside `jax.shard_map`, the mesh axis over which the simulations are divided. Agents,
+            scenarios and returned costs are the same on all devices; only costs are exchanged.
+        cost: A user's own cost instead of the configured cost.
     """
     count = batch.samples.time.shape[0], jax.tree.leaves(agents)[0].shape[0]
     shards = 1 if axis is None else lax.axis_size(axis)
@@ -181,7 +184,7 @@ def agent_costs(
             weights = batch.weights.until(samples.time, end)
 
             def agent(one: Candidate) -> Array:
-                # Made here, so that only what a candidate has of its own is batched over agents.
+                # Applied here, so that only the candidate's numbers are batched over agents.
                 filter = one.applied(batch.filter)
                 if cost is not None:
                     return cost(simulate_errors(filter, samples, initial), samples.time)
@@ -205,7 +208,7 @@ def agent_costs(
 
 
 def _part(tree: Any, index: Array, size: int, count: int) -> Any:
-    """Piece `index` of `size` along the first axis of `count`; the last piece repeats the last."""
+    """Piece `index` of `size` along the first axis of `count`, padded with its last element."""
     if size == count:
         return tree
     chosen = jnp.minimum(index * size + jnp.arange(size), count - 1)
@@ -219,7 +222,7 @@ def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:
         costs: (S, ...) costs; a NaN or infinity on any scenario makes the result not finite.
         objective: "mean", "median", "worst"; "cvar": the mean of the ceil((1 - level) S) worst
             (Rockafellar and Uryasev 2000, on equally likely scenarios); "mean_std": the mean plus
-            factor times the standard deviation.
+            `factor` times the standard deviation.
 
     Returns:
         Costs (...).
@@ -229,7 +232,7 @@ def over_scenarios(costs: Array, objective: ObjectiveConfig) -> Array:
         case "mean":
             return mean
         case "median":
-            # A median would forgive scenarios that diverge: the objective may not.
+            # The median alone would ignore scenarios that diverge.
             return jnp.where(jnp.isfinite(mean), jnp.median(costs, axis=0), mean)
         case "worst":
             return jnp.max(costs, axis=0)
@@ -251,10 +254,9 @@ def population_costs(
 ) -> Array:
     """Cost (A,) of A search vectors (A, d), by default the mean over scenarios (jittable).
 
-    With further scenarios `beside` these, they have the share of the objective, and these the rest.
-    An agent that diverges costs infinity or NaN, one that is out of order where that is not
-    repaired infinity; the search sees to it that neither is ever best. `axis` and `cost` are
-    `agent_costs`'.
+    `beside` are further scenarios, weighted with the objective's `simulated_share`. An agent that
+    diverges costs infinity or NaN. An agent that is out of order costs infinity if the order is not
+    repaired. Neither can become the best agent. `axis` and `cost` are as in `agent_costs`.
     """
     agents = jax.vmap(space.candidate)(vectors)
     costs = agent_costs(agents, batch, axis, cost)
@@ -271,7 +273,7 @@ def costs_of_agents(
 ) -> Array:
     """Cost (A,) of A search vectors (A, d) from their costs (S, A) on S scenarios (jittable).
 
-    `further` are their costs on scenarios beside these, if there are any.
+    `further` are their costs on further scenarios, if there are any.
     """
     together = over_scenarios(costs, objective)
     if further is not None:

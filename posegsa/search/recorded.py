@@ -1,10 +1,10 @@
-"""Recordings as what a search simulates on: one batch, whatever their lengths and rates.
+"""Recordings as a batch for a search, of any lengths and rates.
 
-Shorter recordings are filled up with samples in which nothing is measured and nothing counts;
-sensors that one lacks have the weight 0 there. What counts is each recording's own mask.
+Shorter recordings are padded with samples that measure nothing and don't count in the cost. Sensors
+that a recording lacks have the weight 0. Each recording's own mask says which samples count.
 
-Simulated scenarios can be tuned on beside them: each then counts like a recording, by the root mean
-squares of its errors.
+A search can use simulated scenarios too. Each then counts like a recording, with the root mean
+square of its errors.
 """
 
 from collections.abc import Sequence
@@ -46,11 +46,11 @@ from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
-"""Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
+"""Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
 GAINS = (1e-3, 200.0)
-"""Gains of the simple schedules [1/s], searched by their logarithm."""
-HALF = (0.003, 1.0)
-"""Scaled error half-way between the two gains of a smooth schedule, likewise."""
+"""Range of the simple schedules' gains [1/s], searched on a logarithmic scale."""
+HALF_GAIN_ERRORS = (0.003, 1.0)
+"""Range of a smooth schedule's scaled error at half gain, searched on a logarithmic scale."""
 _EYE = np.eye(3)
 
 
@@ -65,18 +65,18 @@ def recorded_problem(
     """A search of an experiment's filter on recordings.
 
     Args:
-        experiment: Its filter, signal, fuzzy inference, boxes, objective and optimiser are used;
-            its scenario says the weights of vectors and landmarks, in order. With a
-            `objective.simulated_share` above 0 its scenarios are tuned on too.
+        experiment: Gives the filter, signal, fuzzy inference, boxes, objective and optimiser. Its
+            scenario gives the weights of vectors and landmarks, in order. If its
+            `objective.simulated_share` is above 0, its scenarios are used too.
         recordings: At least one, each with a truth.
-        schedule: What is searched, beside `experiment.also`.
-        position_weight: Of the position's RMSE [deg/m].
-        strict: Refuse a number to be tuned that has no effect; else it is left out.
+        schedule: The schedule to search, beside the numbers in `experiment.also`.
+        position_weight: Weight of the position RMSE [deg/m].
+        strict: If true, refuse to tune a number that has no effect; otherwise leave it out.
 
     Raises:
-        ConfigError: The experiment's signal is "pose", or it wants a number tuned that has no
-            effect here, or its scenarios are to be tuned on too and have other sensors.
-        MemoryLimitError: It would need more memory than there is.
+        ConfigError: The experiment's signal is "pose", or it tunes a number that has no effect
+            here, or its scenarios are used too and have other sensors.
+        MemoryLimitError: It would need more memory than is free.
         RecordingError: A recording has no judged sample.
     """
     if experiment.gain.signal == "pose":
@@ -88,7 +88,7 @@ def recorded_problem(
     problem = TuningProblem(
         experiment=experiment,
         scenario=None,  # type: ignore[arg-type]  # nothing is simulated
-        scenarios=None,  # type: ignore[arg-type]  # likewise
+        scenarios=None,  # type: ignore[arg-type]  # nothing is simulated
         training=recorded_batch(experiment, recordings, position_weight),
         space=search_space(experiment, _space(schedule, experiment)),
     )
@@ -108,12 +108,12 @@ def tuned_on_recordings(
     *,
     strict: bool = True,
 ) -> config.Experiment:
-    """`with_effect_on` these recordings."""
+    """`with_effect_on`, with the sensors of the recordings."""
     return with_effect_on(experiment, *_most_sensors(recordings), schedule, strict=strict)
 
 
 def _size(recordings: Sequence[Recording]) -> memory.RecordedSize:
-    """How much of recordings is simulated at once."""
+    """The size of a batch of recordings."""
     vectors, landmarks = _most_sensors(recordings)
     return memory.RecordedSize(
         count=len(recordings),
@@ -124,7 +124,7 @@ def _size(recordings: Sequence[Recording]) -> memory.RecordedSize:
 
 
 def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Recording]) -> None:
-    """Raise a ConfigError unless recordings have what the simulated scenarios have."""
+    """Raise a ConfigError unless recordings have the same sensors as the scenarios."""
     share = experiment.objective.simulated_share
     needed = len(experiment.scenario.vectors), len(experiment.scenario.landmarks)
     for one in recordings:
@@ -141,10 +141,9 @@ def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Reco
 
 
 def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch:
-    """Simulated scenarios with the cost of recordings, root mean squares.
+    """Simulated scenarios with the cost of recordings, root mean square errors.
 
-    A sample counts as much as the windows of [cost] give it: the weight of the transient's, that of
-    the steady state's, their sum, or nothing.
+    The weight of a sample is the sum of the weights of the [cost] windows that contain it.
     """
     time, truth = batch.samples.time, batch.samples.truth
     assert truth is not None
@@ -164,10 +163,10 @@ def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch
 
 
 def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> FilterSettings:
-    """The filter that an experiment configures, for so many sensors of one's own.
+    """The filter that an experiment configures, for another number of vectors and landmarks.
 
-    Weights go in order: the first vector has that of the experiment's first, and so on; further
-    ones have 1, and so have landmarks. So a sensor more or less changes no other's weight.
+    They take the weights of the experiment's sensors in order; further ones have the weight 1. So
+    adding or removing a sensor doesn't change the weights of the others.
     """
     settings = filter_settings(experiment)
 
@@ -194,7 +193,7 @@ def with_effect_on(
     """An experiment that tunes only what has an effect on recordings.
 
     Raises:
-        ConfigError: A number that a user has stated has none, and `strict`.
+        ConfigError: A number that the user chose has no effect, and `strict` is true.
     """
     kept = []
     for one in experiment.also:
@@ -214,12 +213,12 @@ def with_effect_on(
 
 @cache
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
-    """The numbers that are tuned where a user states none: by default, and by "landmarks"."""
+    """The numbers that are tuned by default, and by the configuration "landmarks"."""
     return (*config.DEFAULT_ALSO, *config.load("landmarks").parameters.also)
 
 
 def _a_schedule_that_uses(key: str, vectors: int, landmarks: int) -> str:
-    """What else is allowed for a number that has an effect with another schedule."""
+    """The other schedules with which a number has an effect, for an error message."""
     used = [s for s in get_args(RecordedSchedule) if _has_effect(key, vectors, landmarks, s)]
     return f", or a {' or '.join(used)} gain (schedule)" if used else ""
 
@@ -249,14 +248,14 @@ def recorded_batch(
     position_weight: float,
     filter: Filter | None = None,
 ) -> ScenarioBatch:
-    """Recordings as S scenarios, at an experiment's dtype, for a filter, by default its own."""
+    """Recordings as S scenarios at the experiment's dtype; `filter` is its observer by default."""
     dtype = jnp.dtype(experiment.run.dtype)
     most = _most_sensors(recordings)
     filter = filter or replace(observer(experiment), settings=settings_on(experiment, *most))
     length = max(one.samples for one in recordings)
-    filled = [_filled(one, length, *most, position_weight) for one in recordings]
+    padded = [_padded(one, length, *most, position_weight) for one in recordings]
     together: dict[str, Any] = jax.tree.map(
-        lambda *leaves: jnp.asarray(np.stack(leaves), dtype), *filled
+        lambda *leaves: jnp.asarray(np.stack(leaves), dtype), *padded
     )
     samples = _prepared(
         together["measurements"], together["rotation"], together["position"], filter
@@ -287,15 +286,15 @@ def _prepared(
 
 
 def _most_sensors(recordings: Sequence[Recording]) -> tuple[int, int]:
-    """The largest numbers of vectors and of landmarks that a recording has."""
+    """The largest number of vectors, and of landmarks, in a recording."""
     vectors = max(np.shape(one.measurements.vectors)[1] for one in recordings)
     return vectors, max(np.shape(one.measurements.landmarks)[1] for one in recordings)
 
 
-def _filled(
+def _padded(
     recording: Recording, length: int, vectors: int, landmarks: int, position_weight: float
 ) -> dict[str, Any]:
-    """A recording's arrays at `length` samples with so many sensors, and what of it counts."""
+    """A recording's arrays, padded to `length` samples and the given sensors, and its cost."""
     judged, truth = recording.masks()["judged"], recording.truth
     assert truth is not None
     if not judged.any():
@@ -303,7 +302,7 @@ def _filled(
     more = length - recording.samples
 
     def longer(a: Any, sensors: int | None = None) -> np.ndarray:
-        """Filled up with the last sample, and with sensors of the weight 0."""
+        """An array padded with its last sample, and with sensors of weight 0."""
         array = np.asarray(a)
         if sensors is not None:
             lacking = sensors - array.shape[1]
@@ -342,7 +341,7 @@ def _filled(
 def _space(schedule: RecordedSchedule, experiment: config.Experiment) -> Any:
     if schedule == "fuzzy":
         return parameter_space(experiment)
-    gain, half = np.log(GAINS), np.log(HALF)
+    gain, half = np.log(GAINS), np.log(HALF_GAIN_ERRORS)
     bounds = {"constant": [gain], "smooth": [gain, gain, half]}[schedule]
     make = {"constant": _constant, "smooth": _smooth}[schedule]
     lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))

@@ -3,4 +3,4 @@
 from typing import Literal
 
 RecordedSchedule = Literal["fuzzy", "constant", "smooth"]
-"""What a search on recordings may look for: k1 to k22, one gain, or K(e) of three numbers."""
+"""Schedules for a search on recordings: k1 to k22, one gain, or K(e) with three numbers."""

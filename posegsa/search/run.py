@@ -1,4 +1,4 @@
-"""The search: an experiment made ready, and its parameter space searched in one compiled loop."""
+"""Run a search: search a problem's parameter space in one compiled loop."""
 
 import contextlib
 import time
@@ -33,36 +33,36 @@ from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
 
 LONGEST_CHUNK = 2.0
-"""Time after which a search reports all the same, if an iteration does not take longer [s]."""
+"""Maximum time between two reports of a search, unless one iteration takes longer [s]."""
 
 
 class Progress(NamedTuple):
-    """Where a search stands."""
+    """The progress of a search."""
 
     iteration: int
     """Iterations done."""
     iterations: int
     """Iterations in all."""
     best_cost: float
-    """Best cost so far, of a batch the lowest; infinite before any finite one."""
+    """Best cost so far, over the whole batch; infinite before the first finite cost."""
     seconds: float
-    """Time since the search began or went on, compiling not counted."""
+    """Time since the search started or resumed, without compilation."""
 
 
 def tell_search(progress: Progress) -> None:
-    """Tell how far a search is that is a step of its own (`posegsa.steps`)."""
+    """Report the progress of a search that is a step of its own (`posegsa.steps`)."""
     done, parts = progress.iteration, progress.iterations
     steps.tell(steps.Step("searching", done, parts, best_cost=progress.best_cost))
 
 
 def tell_share(progress: Progress) -> None:
-    """Tell how far a search is that is a part of something longer (`posegsa.steps`)."""
+    """Report the progress of a search that is part of a longer step (`posegsa.steps`)."""
     steps.share(progress.iteration / progress.iterations)
 
 
 AfterChunk = Callable[[Search, float, float], object]
-"""Called with the search before it begins and after each chunk, with the time that this process has
-searched and compiled [s]; what it raises stops the search."""
+"""Called before the search starts and after each chunk, with the search and the time that this
+process has searched and compiled [s]. An exception stops the search."""
 
 
 class Found(NamedTuple):
@@ -80,26 +80,26 @@ def run_timed(
     progress: Callable[[Progress], object] | None,
     after_chunk: AfterChunk | None = None,
 ) -> Found:
-    """Compile a search, run it in chunks from where it stands, and time both.
+    """Compile a search, run it in chunks to its end, and time both.
 
     Args:
-        run: Takes the search on; where it is there already, it only compiles.
-        search: Where to begin; or R searches, leaves (R, ...).
-        iterations: Where to end.
-        progress: Called when it is compiled, and after each chunk of iterations.
-        after_chunk: Sees the search on its way, to save it.
+        run: Runs a search to an iteration; if the search is already there, it only compiles.
+        search: The initial search; or R searches, leaves (R, ...).
+        iterations: Iteration at which to stop.
+        progress: Called after compilation, and after each chunk of iterations.
+        after_chunk: Called with the search after each chunk, to save it.
     """
     tell, seen = progress or (lambda _: None), after_chunk or (lambda *_: None)
     seen(collect(search), 0.0, 0.0)
     begun = time.monotonic()
-    # No iterations yet: this compiles, unless a search of this structure has run in this process.
+    # No iterations yet: this compiles, unless this process has run a search of this structure.
     search = jax.block_until_ready(run(search, 0))
     compiled = before = time.monotonic()
     here = collect(search)
     done = int(np.max(here.iteration))
     tell(Progress(done, iterations, best_cost=float(np.min(here.best_cost)), seconds=0.0))
     even = -(-iterations // CHUNKS)
-    alone = jax.process_count() == 1  # else all must stop at the same iterations
+    alone = jax.process_count() == 1  # joined processes must stop at the same iterations
     fits = 1 if alone else even  # one iteration first, to learn the pace
 
     def size(done: int) -> int:
@@ -112,8 +112,8 @@ def run_timed(
         reached = Progress(stop, iterations, best_cost=best, seconds=now - compiled)
         try:
             seen(here, now - compiled, compiled - begun)
-        except SearchInterrupted:  # these iterations are done all the same
-            with contextlib.suppress(Exception):  # how to go on matters more
+        except SearchInterrupted:  # these iterations are done
+            with contextlib.suppress(Exception):  # the interrupt matters more than its report
                 tell(reached)
             raise
         tell(reached)
@@ -137,13 +137,13 @@ def run_search(
     search: Search | None = None,
     after_chunk: AfterChunk | None = None,
 ) -> Found:
-    """Search a problem's parameter space; nothing held out is looked at.
+    """Search a problem's parameter space, on training data only.
 
     Args:
         problem: What to search.
-        progress: As `run_timed`'s.
-        search: A search of this problem to go on with; by default a new one.
-        after_chunk: As `run_timed`'s.
+        progress: As in `run_timed`.
+        search: A search of this problem to resume; by default a new one.
+        after_chunk: As in `run_timed`.
     """
     optimiser, search = problem.experiment.search, search or first_search(problem)
     for phase in optimiser.phases:
@@ -161,7 +161,7 @@ def run_search(
 SAMPLES_PER_SECOND = 4e7
 """Samples of the recommended filter that two busy cores of 2.5 GHz simulate in a second."""
 LONG_ITERATION = 5.0
-"""Time of an iteration from which on it is said beforehand [s]: a signal is answered after it."""
+"""A longer iteration is announced by a warning [s]: signals are answered after it."""
 
 
 def samples_per_iteration(problem: TuningProblem) -> int:
@@ -232,7 +232,7 @@ def search_batch(
 
 
 def structure(problem: TuningProblem) -> Hashable:
-    """What the searches of a batch must have in common: their program, all but their numbers."""
+    """The structure that all searches of a batch must share, as they share a program."""
     searched = problem.training, _with_reach(problem.space, 0)
     leaves, tree = jax.tree.flatten(searched)
     shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
@@ -244,9 +244,9 @@ def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[P
 
 
 def _on_devices(problem: TuningProblem, search: Search) -> tuple[Search, Runner]:
-    """A search where it runs, and what takes it on in one compiled call.
+    """A search on its devices, and the compiled function that runs it.
 
-    Of R searches the problem's arrays have leaves (R, ...).
+    For R searches the problem's arrays have leaves (R, ...).
     """
     optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
     given = search, problem.space.box, packed_batch(problem.training), problem.space
@@ -263,7 +263,7 @@ def _objective(problem: TuningProblem) -> tuple[SearchObjective, Mesh | None]:
 
 
 def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
-    """The objective of a problem by itself: parameter vectors (A, 22) to costs (A,)."""
+    """The objective of a problem: a function from search vectors (A, d) to costs (A,)."""
     objective, mesh = _objective(problem)
     data = spread(
         (packed_batch(problem.training), problem.space, packed_batch(problem.beside)), mesh
@@ -271,7 +271,7 @@ def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
     costs = _costs(objective, mesh)
 
     def call(vectors: ArrayLike) -> Array:
-        # From the host to several devices in half the time that one of them needs to the others.
+        # Copying from the host to all devices takes half as long as from one device to the others.
         given = vectors if mesh is None else np.asarray(vectors)
         return collect(costs(spread(given, mesh), *data))
 

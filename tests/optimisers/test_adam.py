@@ -1,4 +1,4 @@
-"""Gradient descent: Adam against the article's algorithm, gradients of the filter, and polish."""
+"""Gradient descent: Adam compared with the article, gradients of the filter, and polish."""
 
 import re
 
@@ -199,7 +199,7 @@ SMALL = [
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_gradients_of_the_filter_against_central_differences() -> None:
-    # One step of Adam on an experiment: its first moment is (1 - beta1) times the gradient.
+    # After one step of Adam the first moment is (1 - beta1) times the gradient.
     with jax.enable_x64(True):
         task = tuning_problem(tiny(*SMALL))
         search = run_search(task).search
@@ -216,7 +216,7 @@ def test_gradients_of_the_filter_against_central_differences() -> None:
             differences = (costs[:22] - costs[22:]) / (2 * h)
             np.testing.assert_allclose(gradient[i], differences, rtol=1e-4, atol=1e-6)
         assert np.abs(gradient).max() > 0.01
-        # The optimiser's first costs were those of the same positions.
+        # The first costs of the optimiser belong to the same positions.
         costs = evaluate_population(
             jnp.asarray(np.tile(lower + width * np.asarray(first), (22, 1))),
             task.training,

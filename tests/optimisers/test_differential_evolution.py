@@ -1,4 +1,4 @@
-"""Differential evolution: against a plain loop of the article's equations, and against scipy's."""
+"""Differential evolution, compared with a loop of the article's equations and with scipy."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ def test_others_are_distinct_and_uniform() -> None:
         for i in range(agents):
             counts = np.bincount(others[:, r, i], minlength=agents)
             assert counts[i] == 0
-            # 1000 expected of each other agent, standard deviation 27.
+            # Expected: 1000 of each other agent, with a standard deviation of 27.
             assert abs(np.delete(counts, i) - draws / 4).max() < 5 * 27.4
 
 
@@ -65,8 +65,8 @@ def test_generations_against_a_plain_loop(strategy: Strategy) -> None:
 
 
 def test_it_ends_where_scipys_does() -> None:
-    # Same scheme, F, CR, agents, generations and treatment of the bounds (redrawn): the medians
-    # over seeds lie within each other's range.
+    # Same scheme, F, CR, agents, generations and bounds (redrawn): the median over seeds of each
+    # is within the range of the other.
     function = ClassicalFunction("rastrigin", 4, shift=0.3)
     ours = minimise(
         function,

@@ -1,4 +1,4 @@
-"""What optimisers are told of positions whose cost is not finite, and what they make of it."""
+"""The costs that optimisers get for positions without a finite cost, and their effect."""
 
 from typing import ClassVar
 
@@ -39,7 +39,7 @@ KEEPING = [
     DifferentialEvolution(**SIZE),
     DifferentialEvolution(strategy="best/1/bin", **SIZE),
 ]
-"""They keep costs."""
+"""Optimisers that store costs."""
 
 
 def kept(optimiser: Optimiser, search: Search) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +76,7 @@ def test_a_first_iteration_without_a_finite_cost_is_overcome(
 
 @pytest.mark.parametrize("optimiser", KEEPING)
 def test_a_failure_never_takes_the_place_of_a_real_cost(optimiser: Optimiser) -> None:
-    """The costs fall from one iteration to the next, so that its worst is below what was kept."""
+    """Costs fall with each iteration, so the worst cost is below the stored costs."""
     target, rng = box([0, 0, 0], [1, 1, 0]), np.random.default_rng(0)
     search = start(optimiser, target, jax.random.key(12))
     judged = np.zeros(6, bool)
@@ -97,7 +97,7 @@ def test_a_failure_never_takes_the_place_of_a_real_cost(optimiser: Optimiser) ->
 
 
 class Gravity(Fixed):
-    """Is told of failures what GSA is told."""
+    """Gets the same costs for failures as GSA."""
 
     failure_cost: ClassVar[FailureCost] = GSA.failure_cost
 

@@ -44,7 +44,7 @@ def test_a_shift_moves_the_minimum_and_a_rotation_keeps_it() -> None:
     shifted = ClassicalFunction("rosenbrock", D, shift=0.5)
     np.testing.assert_allclose(shifted(jnp.asarray(z + 15)), plain(jnp.asarray(z)), rtol=1e-9)
     assert moved(jnp.asarray(moved.minimum)[None])[0] < 1e-20
-    # A rotation changes neither the distance from the minimum, so no sphere, nor nothing at all.
+    # A rotation keeps the distance from the minimum: the sphere stays the same, others change.
     for name, same in (("sphere", True), ("ellipsoid", False)):
         a, b = (ClassicalFunction(name, D, rotation=r)(jnp.asarray(z)) for r in (None, 3))
         assert np.allclose(a, b, rtol=1e-9) == same

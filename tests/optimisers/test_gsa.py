@@ -1,4 +1,4 @@
-"""The gravitational search algorithm, against a literal loop and against published behaviour."""
+"""The gravitational search algorithm, compared with a plain loop and published results."""
 
 import math
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def pull(
 
 
 def some_population(agents: int = 7, dimensions: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and costs with nothing special about them."""
+    """Random positions and costs."""
     rng = np.random.default_rng(0)
     return rng.uniform(size=(agents, dimensions)), rng.normal(size=agents)
 
@@ -59,7 +59,7 @@ def test_masses_against_the_reference() -> None:
     "costs", [[3.0] * 4, [0.0] * 4, [1.2e-38, 1.5e-38, 1.2e-38, 1.2e-38], [-3e38] * 4]
 )
 def test_masses_are_equal_where_costs_are(costs: list[float]) -> None:
-    # The third: costs that differ, but by less than the smallest normal number, which XLA flushes.
+    # In the third case costs differ by less than the smallest normal number, which XLA flushes.
     assert masses(jnp.asarray(costs)).tolist() == [0.25] * 4
 
 
@@ -94,7 +94,7 @@ def test_agents_in_one_place_do_not_pull_each_other() -> None:
 
 
 def test_coarse_uniform_is_uniform() -> None:
-    # A fixed key. The three tests have a probability of failing by chance of about 1e-3 each.
+    # The key is fixed. With random keys each of the three tests would fail at a rate of 1e-3.
     draw = np.asarray(coarse_uniform(jax.random.key(0), (22, 1000), jnp.float32))
     assert draw.shape == (22, 1000)
     assert draw.min() > 0
@@ -175,12 +175,12 @@ def test_tell_against_a_literal_iteration(iteration: int) -> None:
     gsa = LITERAL
     x, costs = some_population()
     v = np.random.default_rng(2).normal(scale=0.1, size=x.shape)
-    v[2, 1], v[5, 0] = -1000, 1000  # of which at least a thousandth stays, and throws them out
+    v[2, 1], v[5, 0] = -1000, 1000  # large enough to leave the box for almost any random factor
     state = GSAState(jnp.asarray(x), jnp.asarray(v), jnp.int32(iteration), jax.random.key(3))
     new = tell(gsa, state, jnp.asarray(costs))
 
     key, key_force, key_velocity, key_bounds = jax.random.split(state.key, 4)
-    it = min(iteration + 1, 10)  # past the last iteration its G and K_best go on
+    it = min(iteration + 1, 10)  # after the last iteration G and K_best stay constant
     gravity = 0.3 * math.exp(-2 * it / 10)
     k_best = max(1, round(7 * (2 + (1 - it / 10) * 98) / 100))
     rand = np.array(
@@ -282,11 +282,11 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 # The search as a whole: 30 dimensions, 50 agents, 1000 iterations, float64, mean of the best costs.
 #
-# The expected means were found with 20 seeds of a prototype. Over 20 seeds of this one the standard
+# The expected means come from 20 seeds of a prototype. Over 20 seeds of this code the standard
 # deviation of a run, relative to the mean, is 0.4 (sphere), 0.3 (spheres in the unit box), 0.7
 # (shifted sphere), 0.02 (Rosenbrock), 0.25 (Rastrigin) and 0.15 (Ackley). The seeds are fixed, but
-# the search is chaotic: another order of summation is another draw. The factors below are three or
-# more standard deviations of the mean of four.
+# the search is chaotic: another order of summation acts like another seed. The factors below are at
+# least three standard deviations of the mean of four.
 
 SEEDS = 4
 
@@ -297,30 +297,30 @@ def sphere(x: Array) -> Array:
 
 
 def shifted_sphere(x: Array) -> Array:
-    """The sphere, its minimum moved to 50 in every coordinate."""
+    """The sphere with its minimum at 50 in every coordinate."""
     return sphere(x - 50)
 
 
 def rosenbrock(x: Array) -> Array:
-    """Rosenbrock's valley."""
+    """Rosenbrock's function."""
     ahead, here = x[:, 1:], x[:, :-1]
     return jnp.sum(100 * (ahead - here**2) ** 2 + (here - 1) ** 2, axis=1)
 
 
 def rastrigin(x: Array) -> Array:
-    """Rastrigin's egg box."""
+    """Rastrigin's function."""
     return jnp.sum(x**2 - 10 * jnp.cos(2 * jnp.pi * x) + 10, axis=1)
 
 
 def ackley(x: Array) -> Array:
-    """Ackley's funnel."""
+    """Ackley's function."""
     distance = jnp.sqrt(jnp.mean(x**2, axis=1))
     ripple = jnp.mean(jnp.cos(2 * jnp.pi * x), axis=1)
     return -20 * jnp.exp(-0.2 * distance) - jnp.exp(ripple) + 20 + jnp.e
 
 
 def ackley_in_100(x: Array) -> Array:
-    """Ackley's funnel, its box [-32, 32] stretched to [-100, 100]."""
+    """Ackley's function with its box [-32, 32] stretched to [-100, 100]."""
     return ackley(0.32 * x)
 
 
@@ -332,12 +332,12 @@ MeanBestCost = Callable[[Callable[[Array], Array], float, float], float]
 def mean_best_cost() -> MeanBestCost:
     """Mean best cost of a function over the seeds, in [-half_width, half_width], for a G0.
 
-    One program for all of them, which is optimised, as it runs for longer than it compiles.
+    All use one program, compiled with optimisation, as it runs for longer than it compiles.
     """
 
     def run(key: Array, which: Array, half_width: Array, g0: Array) -> Array:
         class Pulling(GSA):
-            """With a G0 that is not known before it runs."""
+            """GSA with a traced G0."""
 
             def schedule(self) -> tuple[Any, np.ndarray]:
                 gravity, k_best = super().schedule()
@@ -395,7 +395,7 @@ def test_benchmarks_with_g0_relative_to_the_function(
 
 @pytest.mark.usefixtures("x64")
 def test_a_weak_gravity_seeks_the_centre(mean_best_cost: MeanBestCost) -> None:
-    # The article's G0 = 100 in [-100, 100]: superb at the centre, stuck on the way elsewhere.
+    # The article's G0 = 100 in [-100, 100] finds a minimum at the centre, but stalls elsewhere.
     plain, shifted = (mean_best_cost(f, 100, 100 / 200) for f in (sphere, shifted_sphere))
     assert math.log(plain) == within(2, 1.9e-17)
     assert math.log(shifted) == within(3, 600)

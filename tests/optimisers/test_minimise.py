@@ -1,4 +1,4 @@
-"""`minimise`: when it stops, many keys, objectives on the host, and what it refuses."""
+"""`minimise`: stopping conditions, many keys, objectives on the host, refused arguments."""
 
 import sys
 from types import SimpleNamespace
@@ -86,16 +86,16 @@ def test_evaluations_stop_the_search(whole: Search) -> None:
 
 def test_time_stops_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(100))
-    ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))  # for this module alone
+    ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))  # only for this module
     monkeypatch.setattr(sys.modules["posegsa.optimisers.minimisation"], "time", ticking)
     search = minimise(steered, TARGET, SWARM, KEY, seconds=3.0, chunk=7)
-    assert search.iteration == 21, "one second a chunk"
+    assert search.iteration == 21, "one second per chunk"
 
 
 def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
     keys = jnp.stack([KEY, jax.random.key(2)])
     seen: list[Any] = []
-    many = minimise(  # with a target that is never reached: the program of the one below
+    many = minimise(  # with a target that is never reached, to use the program of the search below
         steered,
         TARGET,
         SWARM,

@@ -1,4 +1,4 @@
-"""The box, the loop and its record: what holds for every optimiser."""
+"""The box, the loop, its history, and properties that every optimiser must have."""
 
 from functools import cache
 from typing import Any
@@ -42,7 +42,7 @@ TARGET, KEY = box([-1, -2, 0], [1, 2, 0]), jax.random.key(1)
 
 @cache
 def searched(optimiser: Optimiser) -> list[Search]:
-    """A search of `TARGET` before its first iteration and after each."""
+    """A search of `TARGET` before its first iteration and after each iteration."""
     seen = [start(optimiser, TARGET, KEY)]
     minimise(steered, TARGET, optimiser, KEY, chunk=1, callback=seen.append)
     return seen
@@ -152,7 +152,7 @@ def test_same_key_same_search() -> None:
     assert not jnp.array_equal(one.best_position, other.best_position)
 
 
-# The loop and its record
+# The loop and its history
 
 
 def test_a_search_that_has_not_begun() -> None:

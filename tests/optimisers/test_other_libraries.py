@@ -1,4 +1,4 @@
-"""Strategies of evosax and pycma behind the protocol, and each other's reference."""
+"""Strategies of evosax and pycma as optimisers, compared with each other."""
 
 import sys
 from pathlib import Path
@@ -22,8 +22,8 @@ KEY = jax.random.key(0)
 
 
 def test_cma_es_of_both_libraries_agree() -> None:
-    # The same algorithm, population, sigma and budget: the cost after 40 iterations, over 4 seeds,
-    # is within the spread. Both have to learn a rotated scale of 10^6 : 1, away from the middle.
+    # With the same algorithm, population, sigma and budget, the costs of 4 keys after 40 steps
+    # agree within their spread. The function has rotated axes scaled 10^6 : 1, off the middle.
     keys = jax.random.split(KEY, 4)
     one = np.log10(
         np.asarray(
@@ -61,7 +61,7 @@ def test_positions_beyond_the_box_are_mirrored_into_it() -> None:
 def test_pycma_keeps_its_state_and_numpys_generator() -> None:
     optimiser = PyCMA(agents=6, iterations=5)
     state = optimiser.init(KEY, 3, jnp.float32)
-    before = np.random.get_state()[1].tolist()  # noqa: NPY002 - pycma's own would be this one
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002 - the global generator
     told = [optimiser.tell(state, jnp.arange(6.0)) for _ in range(2)]
     assert np.random.get_state()[1].tolist() == before  # noqa: NPY002 - the same
     assert (optimiser.ask(told[0]) == optimiser.ask(told[1])).all()

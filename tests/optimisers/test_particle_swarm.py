@@ -1,4 +1,4 @@
-"""Particle swarm: against a plain loop of the source's equations, and against evosax's."""
+"""Particle swarm, compared with a loop of the source's equations and with evosax."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_constriction_is_the_published_number() -> None:
     # Clerc and Kennedy (2002), Eberhart and Shi (2000): 0.729 for phi = 4.1, pulls 0.729 x 2.05.
     assert constriction(4.1) == pytest.approx(INERTIA, abs=5e-5)
     assert 4.1 * constriction(4.1) / 2 == pytest.approx(PULL, abs=1e-4)
-    # The swarm's matrix has spectral radius sqrt(chi) < 1: it neither explodes nor freezes.
+    # The matrix of the swarm has spectral radius sqrt(chi) < 1, so the swarm converges.
     chi = constriction(4.1)
     roots = np.linalg.eigvals([[chi, chi * 4.1], [-chi, 1 - chi * 4.1]])
     assert max(abs(roots)) == pytest.approx(math.sqrt(chi))
@@ -71,11 +71,11 @@ SEARCHES = 200
 
 @pytest.mark.usefixtures("x64")
 def test_it_ends_where_evosaxs_does() -> None:
-    """The same inertia and pulls, agents and iterations, over many keys.
+    """The same inertia, pulls, agents and iterations, over many keys.
 
-    evosax draws r1 and r2 once for an agent, not for each of its coordinates, and has no bounds.
-    In one dimension that is the same swarm: the mean depth agrees to its standard error, which
-    tells an inertia 10 % off.
+    evosax draws r1 and r2 once per agent, not per coordinate, and has no bounds. In one dimension
+    the swarms are the same: the mean depths agree within their standard error, which is small
+    enough to detect an inertia that is 10 % off.
     """
     swarm = ParticleSwarm(agents=15, iterations=60)
     ours, theirs = _depths(swarm)
@@ -84,7 +84,7 @@ def test_it_ends_where_evosaxs_does() -> None:
 
 
 def _depths(swarm: ParticleSwarm) -> tuple[np.ndarray, np.ndarray]:
-    """Decimal logarithms of what both end with on a parabola off the middle, (SEARCHES,) each."""
+    """Decimal logarithms of both final costs on a parabola off the middle, (SEARCHES,) each."""
     space = box([-1.0], [1.0])
     keys, others = random.split(random.key(2), (2, SEARCHES))
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):

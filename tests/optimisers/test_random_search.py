@@ -1,4 +1,4 @@
-"""Random search: uniform, independent, deaf to costs."""
+"""Random search: uniform, independent, and independent of the costs."""
 
 from typing import Any
 
@@ -24,8 +24,8 @@ def draws(optimiser: RandomSearch, dimensions: int, iterations: int) -> np.ndarr
 
 
 def test_positions_are_uniform_and_independent() -> None:
-    # A fixed key: nothing here fails by chance, and a p-value of 1e-3 is far from what a wrong
-    # distribution gives with 4000 draws.
+    # The key is fixed, so nothing fails by chance. With 4000 draws a wrong distribution gives a
+    # p-value far below 1e-3.
     x = draws(RandomSearch(agents=1000, iterations=4), 3, 4)
     for d in range(3):
         assert stats.kstest(x[..., d].ravel(), "uniform").pvalue > 1e-3
@@ -49,7 +49,7 @@ def test_costs_do_not_matter() -> None:
 
 
 def test_it_finds_a_minimum_slowly() -> None:
-    # 25 000 points in a square: the nearest to the middle is some 1 / sqrt(25 000 pi) = 4e-3 away.
+    # Of 25 000 points in a square the nearest is about 1 / sqrt(25 000 pi) = 4e-3 from the middle.
     search = minimise(
         lambda x: jnp.sqrt(jnp.sum(x**2, axis=1)),
         box([-0.5, -0.5], [0.5, 0.5]),

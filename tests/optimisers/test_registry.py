@@ -1,4 +1,4 @@
-"""The registered optimisers: every one of them, their budgets, and how they are named."""
+"""The registered optimisers: their searches, budgets and names."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ EACH = pytest.mark.parametrize("name", OPTIMISERS)
 
 
 def switched(name: str, *settings: str) -> Optimiser:
-    """The default search after its optimiser was changed."""
+    """The default search with another optimiser."""
     return config.override(config.Experiment(), [f"search.optimiser={name}", *settings]).search
 
 
@@ -71,7 +71,7 @@ def test_it_keeps_a_budget(name: str) -> None:
 
 
 ELSEWHERE = ("cma_es", "evosax", "pycma", "adam", "gsa+adam")
-"""They search in `test_other_libraries` and in `test_adam`."""
+"""Optimisers tested in `test_other_libraries` and `test_adam`."""
 
 
 @pytest.mark.parametrize("name", [name for name in OPTIMISERS if name not in ELSEWHERE])
@@ -139,7 +139,7 @@ def test_a_search_that_is_no_table_is_refused(search: Any) -> None:
         config.from_dict({"search": search})
 
 
-# In words, and in the texts of a comparison -------------------------------------------------------
+# Descriptions, and the texts of a comparison ------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_a_text_that_means_nothing_is_refused(text: str, evaluations: int, messa
         specify(tiny(), text, evaluations)
 
 
-# Going on -----------------------------------------------------------------------------------------
+# Resuming -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [n for n in OPTIMISERS if "adam" not in n])

@@ -1,4 +1,4 @@
-"""Numbers that are tuned beside k1..k22: the same filter as with them in the configuration."""
+"""Numbers tuned in addition to k1 to k22 give the same filter as in the configuration."""
 
 import math
 from dataclasses import replace
@@ -93,7 +93,7 @@ def test_they_are_searched_between_their_bounds_by_number_or_logarithm() -> None
 
 @pytest.mark.usefixtures("x64")
 def test_what_a_search_finds_costs_as_much_in_the_configuration() -> None:
-    """All numbers at once; every third is held, as its two ends are one."""
+    """All numbers at once; every third is fixed, as its two bounds are equal."""
     keys = tuple(tunable(PAIR))
     lower = [0.3 + 0.05 * i for i in range(len(keys))]
     upper = [low if i % 3 == 0 else low + 0.3 for i, low in enumerate(lower)]
@@ -112,7 +112,7 @@ def test_what_a_search_finds_costs_as_much_in_the_configuration() -> None:
         assert low == high or low < value < high
 
     def cost(experiment: config.Experiment) -> float:
-        """Of what was found, as often as a neighbour's population has agents: its program."""
+        """Cost of the result, repeated 100 times to use the same program as other tests."""
         made = tuning_problem(config.override(experiment, ["parameters.also=[]"]))
         vectors = jnp.asarray(np.tile(np.asarray(found.best_position)[:22], (100, 1)))
         return float(evaluate_population(vectors, made.training, made.space)[0])

@@ -1,6 +1,6 @@
-"""A population divided among devices: in pieces of one shape, so that a search finds the same bits.
+"""A population divided among devices, in pieces of one shape: a search gives the same bits.
 
-In processes of their own: `test_joined_processes`.
+For several processes see `test_joined_processes`.
 """
 
 import jax
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from posegsa.search import devices
 from posegsa.search import run as searching
 from posegsa.search.build import TuningProblem, tuning_problem
-from posegsa.search.population import LANES, PIECE, partition, population_costs
+from posegsa.search.population import AGENTS_PER_PIECE, LANES, partition, population_costs
 from posegsa.search.run import run_search, search_batch
 
 pytestmark = [
@@ -25,7 +25,7 @@ pytestmark = [
 ]
 
 SCENARIOS, AGENTS = 9, 100
-"""So many that two and four devices are given the same work only if some of it is done twice."""
+"""Chosen so that two and four devices get the same number of pieces only with padding."""
 
 
 def test_small_searches_stay_on_one_device_and_large_ones_use_all():
@@ -38,7 +38,7 @@ def test_small_searches_stay_on_one_device_and_large_ones_use_all():
     ("scenarios", "agents"), [(25, 96), (4, 32), (3, 6), (24, 10), (8, 10), (8, 100)]
 )
 def test_pieces_have_one_shape_on_one_device_and_on_two(scenarios, agents):
-    """In a piece of another shape a simulation may be rounded otherwise."""
+    """The rounding of a simulation may depend on the shape of its piece."""
     one, two = (partition(scenarios, agents, shards=shards) for shards in (1, 2))
     assert (one.scenarios, one.agents) == (two.scenarios, two.agents)
 
@@ -57,9 +57,9 @@ def test_tasks_cover_everything_in_as_many_pieces_for_each_shard(
     assert cut.chunks * cut.agents >= agents
     assert cut.groups * cut.chunks % shards == 0
     if piecewise:
-        assert cut.agents <= PIECE + LANES
-        assert cut.scenarios == 1 or cut.scenarios * agents <= 2 * PIECE
-        assert cut.scenarios != 2  # which is slow
+        assert cut.agents <= AGENTS_PER_PIECE + LANES
+        assert cut.scenarios == 1 or cut.scenarios * agents <= 2 * AGENTS_PER_PIECE
+        assert cut.scenarios != 2  # two are slow
 
 
 @pytest.mark.usefixtures("x64")
@@ -76,7 +76,7 @@ def test_costs_on_several_devices_are_of_the_runs_own_precision():
 
 @pytest.fixture(scope="module")
 def task() -> TuningProblem:
-    """Of a filter there is no more than these tests need."""
+    """A search with a filter that is as small as these tests allow."""
     return tuning_problem(
         tiny(
             f"search.agents={AGENTS}",
@@ -84,13 +84,13 @@ def task() -> TuningProblem:
             f"run.training_scenarios={SCENARIOS}",
             "filter.substeps=1",
             "filter.cross_vector=false",
-            "gain.error_scale=8.0",  # else the gain limit makes all agents equal
+            "gain.error_scale=8.0",  # otherwise the gain limit makes all agents equal
         )
     )
 
 
 def found_on(count: int, task: TuningProblem):
-    """What a search finds on so many devices."""
+    """The result of a search on `count` devices."""
     with pytest.MonkeyPatch.context() as patch:
         mesh = devices.mesh_of(jax.devices()[:count])
         patch.setattr(searching, "mesh_for", lambda simulations: mesh)

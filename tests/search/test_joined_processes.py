@@ -21,7 +21,7 @@ pytestmark = pytest.mark.optimised
 
 
 def found() -> str:
-    """What a search finds, to the last bit: of one gain and attitude, which compiles soonest."""
+    """The result of a search, to the last bit; one gain and attitude only, to compile quickly."""
     experiment = config.from_dict(
         {
             "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
@@ -47,7 +47,7 @@ index, address, tests = sys.argv[1:]
 devices.join_processes(address, 2, int(index))
 assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
 mesh = devices.mesh_for(1)
-assert mesh.devices.size == 2, "processes that have joined use all devices"
+assert mesh.devices.size == 2, "joined processes use all devices"
 sys.path[:0] = [tests, tests + "/search"]
 from test_joined_processes import found
 print("found", found())

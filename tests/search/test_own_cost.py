@@ -1,4 +1,4 @@
-"""A user's own cost of a simulation, in the place of the configured one."""
+"""A user's own cost of a simulation, instead of the configured one."""
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,14 @@ from posegsa.search.run import first_search, run_search
 
 
 def configured(track: ErrorTrack, time) -> jnp.ndarray:
-    """The paper's cost by hand: Eq. 17."""
+    """The paper's cost, Eq. 17, written by hand."""
     error = track.attitude + 0.2 * track.position
     begin, steady = time < 1.005, (time > 3.995) & (time < 14.005)
     return 0.3 * jnp.sum(jnp.where(begin, error, 0)) + jnp.sum(jnp.where(steady, error, 0))
 
 
 def often(track: ErrorTrack, time) -> jnp.ndarray:
-    """The same, but NaN where four divides the whole part of the last gain."""
+    """`configured`, but NaN if the integer part of the last gain is a multiple of 4."""
     return jnp.where(jnp.floor(track.gain[-1]) % 4 > 0, configured(track, time), jnp.nan)
 
 
@@ -33,8 +33,8 @@ def test_the_configured_cost_by_hand_gives_the_same_costs_and_nan_loses() -> Non
     ]
     for one in found:
         assert 0 < int(one.non_finite) < problem.experiment.search.evaluations
-    # What won has the configured cost: no NaN was passed off as a number. Each stands as often as
-    # gives a population of 100, whose program other files use too.
+    # The winners have the configured cost, so no NaN was taken for a number. Each is repeated to a
+    # population of 100, to use the same program as other tests.
     vectors = np.repeat([one.best_position for one in found], 20, axis=0)
     costs = evaluate_population(jnp.asarray(vectors), problem.training, problem.space)
     np.testing.assert_allclose(costs[::20], [one.best_cost for one in found], rtol=1e-5)

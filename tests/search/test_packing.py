@@ -1,4 +1,4 @@
-"""Arrays of one shape in one array: the tree comes back as it was, inside jit too."""
+"""Arrays of one shape in one array: unpacking returns the same tree, inside jit too."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ def test_a_tree_comes_back_to_the_last_bit() -> None:
     assert len(found.others) == 2
     assert_same(found.unpacked(), tree)
     assert_same(jax.jit(lambda one: one.unpacked())(found), tree)
-    # Several at once, as a batch of searches has them.
+    # Several trees at once, as in a batch of searches.
     twice = jax.tree.map(lambda a: jnp.stack([a, 2 * a]), found)
     second = jax.tree.map(lambda a: a[1], jax.vmap(lambda one: one.unpacked())(twice))
     assert_same(second, jax.tree.map(lambda a: 2 * a, tree))

@@ -1,4 +1,4 @@
-"""From a vector k1..k22 to terms: repairs against the reference, and what they promise."""
+"""From a vector k1 to k22 to terms: repairs against the reference, and their properties."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.optimised
 
 KINDS = [search_vectors, corner_vectors]
 COUNT = 500
-"""Vectors that are repaired at once; of one number, and so by one program."""
+"""Number of vectors repaired at once; always the same, so that one program is compiled."""
 REPAIRS = {
     "both": ((), (True, True)),
     "order": (("fuzzy.coverage=false",), (True, False)),
@@ -57,12 +57,12 @@ def read_back(made: ParameterSpace, vectors: jax.Array) -> jax.Array:
 
 
 def as_vectors(made: ParameterSpace, vectors: np.ndarray) -> np.ndarray:
-    """Vectors (count, 22) as they read back from their controllers."""
+    """Vectors (count, 22) that are read back from their controllers."""
     return np.asarray(read_back(made, jnp.asarray(vectors, made.lower.dtype)))
 
 
 def in_order(terms: np.ndarray) -> np.ndarray:
-    """Whether each of terms (count, 5, 3) has triangles that ascend, in ascending order."""
+    """Whether the triangles of each of terms (count, 5, 3) are sorted, within and across terms."""
     return (np.diff(terms, axis=2) >= 0).all((1, 2)) & (np.diff(terms, axis=1) >= 0).all((1, 2))
 
 
@@ -72,7 +72,7 @@ def validity_of(made: ParameterSpace, vectors: jax.Array) -> jax.Array:
 
 
 def valid(made: ParameterSpace, vectors: np.ndarray) -> np.ndarray:
-    """Whether each of vectors (count, 22) has a cost."""
+    """Whether each vector of (count, 22) has a cost."""
     return np.asarray(validity_of(made, jnp.asarray(vectors, made.lower.dtype)))
 
 
@@ -121,7 +121,7 @@ def test_repaired_values_stay_in_their_own_boxes(
 ) -> None:
     with jax.enable_x64(dtype == "float64"):
         made = space(dtype=dtype)
-        # Rounded to the dtype before, as the search's own vectors are.
+        # Rounded to the dtype first, like the vectors of a search.
         lower, upper = np.asarray(made.lower), np.asarray(made.upper)
         drawn = np.clip(vectors(COUNT).astype(dtype), lower, upper)
         repaired = as_vectors(made, drawn)
@@ -166,9 +166,9 @@ def gaps_of(terms: jax.Array) -> jax.Array:
 def test_coverage_leaves_no_gap(vectors: Callable[[int], np.ndarray]) -> None:
     inputs, _ = all_terms(space(), vectors(COUNT))
     assert not gaps(inputs).any()
-    # The overlap is 0.01 wherever the box allows it. In the paper's boxes it does not where the
-    # right foot of VS is under 0.01 (S may start at 0, not below), nor where M's is under 0.11
-    # (L starts at 0.1 at least); the terms then meet at less, still without a gap.
+    # The overlap is 0.01 where the boxes allow it. The paper's boxes don't allow it if the right
+    # foot of VS is below 0.01 (S can't start below 0) or that of M below 0.11 (L can't start below
+    # 0.1). The terms then overlap less, still without a gap.
     overlap = inputs[:, :4, 2] - inputs[:, 1:, 0]
     low = np.array([reference.PAPER_LOWER[i] for i in (1, 4, 7, 10)])
     wanted = np.minimum(0.01, inputs[:, :4, 2] - low)
@@ -183,7 +183,7 @@ def test_without_coverage_most_vectors_leave_gaps() -> None:
 
 
 def primitives(jaxpr: Any) -> Iterator[str]:
-    """What a program does, in order, those that it calls included."""
+    """Names of a program's primitives in order, including those of the programs that it calls."""
     for equation in jaxpr.eqns:
         yield equation.primitive.name
         called = equation.params.get("jaxpr")
@@ -192,7 +192,7 @@ def primitives(jaxpr: Any) -> Iterator[str]:
 
 
 def test_numbers_are_joined_only_once_they_are_in_order() -> None:
-    """Else XLA:CPU took minutes, and gigabytes, to compile a random search of six agents."""
+    """Otherwise XLA:CPU takes minutes and gigabytes to compile a random search of six agents."""
     k = jnp.zeros(22, jnp.float32)
     made = space(*REPAIRS["order"][0], dtype="float32")
     done = list(primitives(jax.make_jaxpr(made.terms)(k).jaxpr))
@@ -216,7 +216,7 @@ def test_validity_with_ordering_off_is_order_and_with_it_on_everything() -> None
     low, high = reference.PAPER_LOWER, reference.PAPER_UPPER
     in_its_order = as_vectors(space(), search_vectors(COUNT))[0]
     swapped = in_its_order.copy()
-    swapped[[12, 13]] = [9.0, 3.0]  # k13 > k14: a term's foot beyond its peak
+    swapped[[12, 13]] = [9.0, 3.0]  # k13 > k14: the foot of a term beyond its peak
     assert (swapped >= low).all()
     assert (swapped <= high).all()
     both = np.resize([in_its_order, swapped], (COUNT, 22))
@@ -224,7 +224,7 @@ def test_validity_with_ordering_off_is_order_and_with_it_on_everything() -> None
     assert bool(space().valid(jnp.asarray(swapped)))
 
 
-# How far output terms reach -----------------------------------------------------------------------
+# Overlap of output terms --------------------------------------------------------------------------
 
 
 def boxes(lower: np.ndarray, upper: np.ndarray) -> ParameterSpace:
@@ -252,7 +252,7 @@ def test_no_vector_in_its_boxes_reaches_further(seed: int) -> None:
     rng = np.random.default_rng(seed)
     width = rng.uniform(0, 30)
     ends = np.stack([lower := rng.uniform(0, 100 - width, 11), lower + width * rng.random(11)])
-    # In order, as a configuration's bounds must be: terms like the space's own do that.
+    # Sorted like the terms, as the bounds of a configuration must be in order.
     ordered = [
         np.ravel(np.sort(np.sort(triangles(tuple(end), 0.0, 100.0), axis=1), axis=0))[2:13]
         for end in ends
@@ -316,7 +316,7 @@ def test_checked_takes_what_a_result_file_holds() -> None:
     checked = made.checked(k.tolist())
     assert checked.dtype == jnp.float32
     np.testing.assert_allclose(checked, k, rtol=1e-7)
-    # Bounds written out in float32 are a rounding off, not outside.
+    # Bounds printed with 7 digits differ by a rounding error and are accepted.
     for bound in (made.lower, made.upper):
         made.checked([float(f"{x:.7g}") for x in np.asarray(bound)])
 
@@ -346,7 +346,7 @@ def test_checked_refuses(k: object, message: str) -> None:
         space(dtype="float32").checked(k)
 
 
-# Rules that are searched --------------------------------------------------------------------------
+# Searched rules -----------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("x64")
@@ -374,7 +374,7 @@ def test_the_whole_part_of_each_further_number_is_the_term_of_a_rule() -> None:
 def test_heights_are_those_of_the_table_bit_for_bit() -> None:
     made = space("fuzzy.rules=searched", dtype="float32")
     rng = np.random.default_rng(1)
-    cells = rng.uniform(0, 5, (3, 25))  # each table has a program of its own
+    cells = rng.uniform(0, 5, (3, 25))  # each table compiles its own program
     cells[0] = 5 * rng.integers(0, 2, 25)  # the ends of the box
     vectors = jnp.asarray(np.concatenate([search_vectors(3), cells], axis=1), jnp.float32)
     error, rate = (jnp.asarray(rng.uniform(0, 1, 50), jnp.float32) for _ in range(2))
@@ -391,7 +391,7 @@ def test_heights_are_those_of_the_table_bit_for_bit() -> None:
     by_targets = jax.jit(lambda given, targets: searched_heights(*given, targets))
     for i, vector in enumerate(vectors):
         schedule = made.schedule(vector)
-        assert isinstance(schedule, FuzzyGain), "outside jit it is the table"
+        assert isinstance(schedule, FuzzyGain), "outside jit the rules are a table"
         rules = schedule.controller.rules
         targets = tuple(tuple(map(np.float32, row)) for row in rules)
         found = by_targets(memberships, targets)

@@ -1,6 +1,6 @@
-"""Many agents on many scenarios in one call: the same as one by one; compiled once.
+"""Many agents on many scenarios in one call: the same costs as one by one, compiled once.
 
-However they are cut, they have the same bits: `test_devices`.
+`test_devices` checks that every division into pieces gives the same bits.
 """
 
 import logging
@@ -22,7 +22,7 @@ from posegsa.search.population import (
 )
 
 AGENTS, SCENARIOS = 100, 2
-"""As in `test_population_precision`, so that both are served by the same programs."""
+"""The same as in `test_population_precision`, so that both files use the same programs."""
 
 
 def problem_of(*settings: str, dtype: str = "float32") -> ScenarioBatch:
@@ -40,7 +40,7 @@ def costs_of(vectors: np.ndarray, problem: ScenarioBatch, *settings: str) -> np.
 
 @pytest.mark.usefixtures("x64")
 def test_a_population_equals_its_agents_and_scenarios_one_by_one() -> None:
-    """In float32 it has the same costs: `test_population_precision`."""
+    """`test_population_precision` checks that float32 gives the same costs."""
     vectors = search_vectors(AGENTS, seed=1)
     problem, made = problem_of(dtype="float64"), searched()
     one = jax.jit(
@@ -86,7 +86,7 @@ def test_a_disordered_agent_costs_infinity_where_order_is_not_repaired() -> None
     in_order = np.concatenate([inputs.ravel()[2:13], outputs.ravel()[2:13]])
     by_triangle, by_term = in_order.copy(), in_order.copy()
     by_triangle[[12, 13]] = [9.0, 3.0]  # k13 > k14, foot and peak of one term
-    by_term[[13, 16]] = [19.0, 12.0]  # k14 > k17, peaks of two
+    by_term[[13, 16]] = [19.0, 12.0]  # k14 > k17, peaks of two terms
     by_term[14] = 25.0
     problem = problem_of(*off, *lasting(0.3))
     vectors = np.stack([in_order, by_triangle, by_term])
@@ -133,6 +133,6 @@ def test_other_numbers_are_not_compiled_anew(caplog: pytest.LogCaptureFixture) -
     with jax.log_compiles(), caplog.at_level(logging.WARNING):
         other = costs(*OTHER_NUMBERS)
         assert compiled() == []
-        jax.jit(lambda x: x + 1)(other)  # new, so that this test can fail
+        jax.jit(lambda x: x + 1)(other)  # a new program, to show that the test can fail
         assert len(compiled()) == 1
     assert (np.abs(other - first) > 1e-3).all()

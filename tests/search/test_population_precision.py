@@ -39,27 +39,27 @@ def in_both_precisions(*settings: str, limit: bool) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("settings", [(), LEARNT], ids=["paper", "biases learnt"])
 def test_with_the_gain_limit_every_agent_costs_the_same_in_both_precisions(settings) -> None:
     single, double = in_both_precisions(*settings, limit=True)
-    # Of 300 agents most differ by under 2e-5, the worst by 1e-4: with biases learnt it depends on
-    # the last bit of the noise.
+    # Of 300 agents most differ by less than 2e-5 and the worst by 1e-4. With learnt biases the
+    # difference depends on the last bit of the noise.
     np.testing.assert_allclose(single, double, rtol=2e-4)
 
 
 def test_without_the_gain_limit_costs_are_chaos() -> None:
-    """The same check without the limit fails, and has to.
+    """Without the limit the two precisions must disagree.
 
-    Gains over about 23 make the innovation's step overshoot (K dt L > 2 at the paper's start). The
-    motion is then chaotic: a difference of one rounding grows until it is as large as the motion,
-    so that float32 and float64, two batch sizes or a fused multiply-add give unrelated costs. That
-    is no error of float32: float64 is as far from the truth, a few steps later. A search among such
-    costs picks the luckiest rounding. With gamma = 5 most agents diverge outright, with gamma = 1
-    nearly all live, and none has a cost that both precisions agree on.
+    Gains above about 23 make the innovation step overshoot (K dt L > 2 at the paper's start). The
+    motion is then chaotic: one rounding error grows until it is as large as the motion, so float32
+    and float64, two batch sizes or a fused multiply-add give unrelated costs. This is not a fault
+    of float32: float64 is as far from the truth a few steps later. A search on these costs picks
+    the luckiest rounding. With gamma = 5 most agents diverge; with gamma = 1 nearly all stay
+    finite, but almost no cost agrees in both precisions.
     """
     for settings, living in (((), 0.0), (("filter.gamma=1.0",), 0.6)):
         single, double = in_both_precisions(*settings, limit=False)
         finite = np.isfinite(single) & np.isfinite(double)
         off = np.abs(single - double)[finite] / double[finite]
         assert finite.mean() >= living
-        # Diverging in one precision or in both is no agreement either.
+        # Agents that diverge in one precision or in both don't count as agreement.
         assert (off <= 1e-4).sum() < 10
         assert (off > 1e-3).mean() > 0.6
 
@@ -68,10 +68,10 @@ def test_without_the_gain_limit_costs_are_chaos() -> None:
 
 
 def test_an_agent_that_diverges_costs_too_much_to_win() -> None:
-    """In a search, costs that are not finite lose: `test_own_cost`, `test_failure_cost`."""
-    # As many agents and scenarios as above, so that nothing is compiled for them.
+    """`test_own_cost` and `test_failure_cost` check that costs that are not finite lose."""
+    # The same number of agents and scenarios as above, so that nothing is compiled.
     problem = without_limit(posed(paper(dtype="float32"), scenarios=2))
-    # The largest output terms, asked for at the smallest errors, and the other way round.
+    # The largest output terms at the smallest errors, and vice versa.
     inputs = np.arange(22) < 11
     fast = np.where(inputs, reference.PAPER_LOWER, reference.PAPER_UPPER)
     slow = np.where(inputs, reference.PAPER_UPPER, reference.PAPER_LOWER)

@@ -1,4 +1,4 @@
-"""Recordings as a search's scenarios: costs by hand, fillings that count for nothing, keys."""
+"""Recordings as scenarios of a search: costs by hand, padding without effect, tuned keys."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ GAINS = Candidate(ConstantGain(jnp.array([4.0, 9.0], jnp.float32)))
 
 @pytest.fixture(scope="module")
 def recordings() -> list[Recording]:
-    """A pose with landmarks at a tenth of the rate, and attitude only, shorter and slower."""
+    """One with a pose, landmarks at a tenth of the rate; one shorter, slower, attitude only."""
     pose, attitude = motion(), motion(200, velocity=None, landmarks=None, landmark_references=None)
     pose["landmarks"][np.arange(400) % 10 != 0] = np.nan
     pose["truth_rotation"][7] = np.nan
@@ -44,7 +44,7 @@ def recordings() -> list[Recording]:
 
 
 def cost_by_hand(recording: Recording, gain: float, position_weight: float) -> float:
-    """By the filter's estimates and NumPy."""
+    """The cost, computed with NumPy from the filter's estimates."""
     experiment = config.from_dict(BASE)
     sensors = [
         np.shape(a)[1] for a in (recording.measurements.vectors, recording.measurements.landmarks)
@@ -104,7 +104,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         "gain.smoothing",
         "gain.error_scale",
     ]
-    # Those of the configuration for landmarks are nobody's own either.
+    # The numbers of the configuration "landmarks" were not chosen by a user either.
     kept = with_effect_on(config.load("landmarks"), vectors=0, landmarks=3, schedule="constant")
     assert [one.key for one in kept.also] == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
     with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks.*fuzzy or smooth"):
@@ -116,7 +116,7 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         ("filter.gamma.1", "fuzzy"),
     ):
         with pytest.raises(ConfigError, match=f"'{key}'"):
-            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a text of the parameters above
+            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a string of the list above
 
 
 @pytest.mark.quick
@@ -150,7 +150,7 @@ def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -
         recorded_problem(oracle, recordings, "constant", 1.0)
 
 
-# Simulated scenarios beside recordings ------------------------------------------------------------
+# Recordings and simulated scenarios ---------------------------------------------------------------
 
 
 def mixed(*settings: str, share: float = 0.25) -> config.Experiment:
@@ -167,7 +167,7 @@ def mixed(*settings: str, share: float = 0.25) -> config.Experiment:
 
 @pytest.fixture(scope="module")
 def one_landmark() -> Recording:
-    """With the sensors of the recommended scenario."""
+    """A recording with the sensors of the recommended scenario."""
     given = motion(100)
     for name, part in (("landmarks", np.s_[:, :1]), ("landmark_references", np.s_[:1])):
         given[name] = given[name][part]
@@ -222,7 +222,7 @@ def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recor
 def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     recordings: list[Recording],
 ) -> None:
-    for given, words in (  # both together, as above, so that nothing is compiled for them
+    for given, words in (  # both together, as above, so that nothing is compiled
         (recordings, "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
         (recordings[::-1], r"attitude has no position \(attitude only\)"),
     ):

@@ -1,4 +1,4 @@
-"""What a search says before it begins; that it goes on to the same bits: `saving/test_resume`."""
+"""The warnings of a search before it starts. For resuming see `saving/test_resume`."""
 
 import warnings
 
