@@ -23,7 +23,7 @@ LEAST_SECONDS = 0.1
 programs compile faster, and together they take most of a short run's time."""
 _LOCAL = "file://"
 _BUCKET = re.compile("[a-z][a-z0-9+.-]*://")
-"""How a place begins that JAX reads and writes itself, such as gs://bucket/folder."""
+"""Start of a location that JAX reads and writes itself, such as gs://bucket/folder."""
 
 
 def enable_compilation_cache() -> None:

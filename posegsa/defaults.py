@@ -7,4 +7,4 @@ REPEATS = 20
 EVALUATIONS = 25000
 """Evaluations of each of these searches."""
 TOGETHER = 16
-"""Most searches in a batch of `sweep`; stopping a sweep loses one batch."""
+"""Maximum number of searches in a batch of `sweep`; stopping a sweep loses one batch."""

@@ -37,7 +37,7 @@ from posegsa.version import VERSION
 
 MOST_RUNS = 100_000
 BATCH_SAMPLES = 50_000_000
-"""Most samples that an iteration of a batch simulates, if one run alone does not simulate more."""
+"""Maximum samples simulated per iteration of a batch, unless a single run already has more."""
 
 
 class _Planned(NamedTuple):
@@ -75,7 +75,7 @@ def sweep(
             figures are written there too, unless there are other shards.
         shard: (i, n) searches the i-th of n parts, counted from 1. Parts may run at the same time
             and share a folder; `merge_sweeps` merges folders.
-        together: Most searches in a batch; fewer if memory is short.
+        together: Maximum number of searches in a batch; fewer if memory is short.
         overwrite: Remove a different sweep in that folder.
         progress: Called with each `steps.Step`. Each run is a part of the step "sweeping". Runs
             stored in the folder count as done.
@@ -219,9 +219,9 @@ def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]
 
 
 def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
-    """What the searches of a batch must have in common, and how many one batch is to have.
+    """What the searches of a batch must have in common, and the maximum size of the batch.
 
-    All runs of a batch are stored when the last is done, so large ones go in small batches.
+    All runs of a batch are stored when the last is done, so large runs go in small batches.
     """
     with jax.enable_x64(experiment.run.dtype == "float64"):
         problem = tuning_problem(experiment)
@@ -256,7 +256,7 @@ def _search(
         found = [run_search(problems[0], told)] if alone else search_batch(problems, told)
         last = None
         for one, problem, each in zip(batch, problems, found, strict=True):
-            if one is not last:  # else a repetition that fills the batch
+            if one is not last:  # otherwise a repeated run that fills the batch
                 yield _judged(base, one, problem, each)
             last = one
 

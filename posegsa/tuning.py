@@ -107,9 +107,9 @@ def tune(
 
     The whole search, simulations included, is one compiled loop; it is run in chunks only so that
     it can report progress and save its state. With a folder it saves its state, and Ctrl-C,
-    SIGTERM and SIGUSR1 stop it where it can go on. It runs on all
-    devices of the process, or of all processes that have joined
-    (`posegsa.search.devices.join_processes`), to the same bits.
+    SIGTERM and SIGUSR1 stop it so that it can be resumed. It runs on all devices of the process, or
+    of all processes that have joined (`posegsa.search.devices.join_processes`), with bit-identical
+    results.
 
     Args:
         experiment: An experiment, or a TOML file; by default the recommended experiment, or that of

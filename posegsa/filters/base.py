@@ -1,9 +1,9 @@
-"""What every filter is: a pytree with a few pure functions.
+"""The interface of all filters: a pytree with a few pure functions.
 
-Numbers are traced, so that a search can change them without compiling anew; structure (laws,
-switches, what is a state) is static. The same step serves a population of agents, a stream, and,
-traced once, the C header, so it is written on components: arrays without axes of their own, in
-tuples. XLA makes one vectorised kernel of that; small matrices cost ten times as much.
+Numbers are traced, so that a search can change them without recompilation; structure (laws,
+switches, which quantities are states) is static. The same step serves a population of agents, a
+stream and, traced once, the C header. So it is written by components: arrays without axes of their
+own, in tuples. XLA fuses them into one vectorised kernel; small matrices cost ten times as much.
 
     prepared once, for all agents and samples:   sample = filter.prepare(measurements)
     prepared once, before the loop:              ready = filter.ready()
@@ -28,39 +28,39 @@ from posegsa.model.vectors import VectorSamples
 
 
 class Samples(NamedTuple):
-    """What a filter reads, time-major and by components; inside the loop, that of one sample."""
+    """The input of a filter, time-major and by components; inside the loop, one sample of it."""
 
     time: Array
-    """(N,) since the first sample [s]."""
+    """(N,) time since the first sample [s]."""
     sample: Sample
     """Components (N,)."""
     truth: TruePose | None
-    """Components (N,); None where only the measurements are known. No filter that can be used
-    outside a simulation looks at it."""
+    """Components (N,); None if only the measurements are known. Only filters for simulations may
+    read it."""
 
 
 class Record(NamedTuple):
-    """What happened at a sample, beside the change of state; None where a filter has none."""
+    """Gains and errors at a sample; None for a filter without them."""
 
     gain: Array | None = None
-    """The gain K that a schedule asked for [1/s]."""
+    """The gain K that the schedule requested [1/s]."""
     gain_used: Array | None = None
-    """The same after the gain limit, mean over the sub-steps [1/s]."""
+    """K after the gain limit, mean over the sub-steps [1/s]."""
     error: Array | None = None
-    """The scaled error that the schedule saw, in [0, 1]."""
+    """The schedule's input scaled error, in [0, 1]."""
     rate: Array | None = None
-    """The scaled rate that it saw, in [0, 1]."""
+    """The schedule's input scaled rate, in [0, 1]."""
 
 
 class ReadyFilter(Protocol):
-    """A filter with everything computed that depends on its numbers alone."""
+    """A filter with everything precomputed that depends only on its numbers."""
 
     def step(self, state: Any, now: Samples) -> tuple[Any, Record]:
-        """The state at the next sample, from this one's (pure, by components)."""
+        """The state at the next sample, from the state at this one (pure, by components)."""
         ...
 
     def estimate(self, state: Any) -> FilterState:
-        """The pose and biases that a state holds."""
+        """The pose and biases in a state."""
         ...
 
 
@@ -72,12 +72,12 @@ class Filter(Protocol):
         """The same filter with some of its numbers replaced, by key (pure).
 
         Raises:
-            ArgumentError: It has no number of such a key.
+            ArgumentError: The filter has no number with this key.
         """
         ...
 
     def prepare(self, measurements: Measurements) -> Sample:
-        """What the step reads of measurements, with and without a time axis (pure, jittable).
+        """The input of `step` from measurements, with or without a time axis (pure, jittable).
 
         Raises:
             ArgumentError: The filter's settings are for another number of sensors.
@@ -88,9 +88,9 @@ class Filter(Protocol):
         """The state before the first sample.
 
         Args:
-            initial: the estimate there; its vector biases, if it has none and the filter learns
-                them, begin at 0.
-            vectors: how many vectors are measured.
+            initial: the estimate there. If it has no vector biases and the filter estimates them,
+                they start at 0.
+            vectors: number of measured vectors.
 
         Raises:
             ArgumentError: `initial` has biases of another number of vectors.
@@ -103,10 +103,10 @@ class Filter(Protocol):
 
 
 def with_vector_biases(initial: FilterState, vectors: int) -> FilterState:
-    """An initial estimate with biases of so many vectors, 0 unless it has them already.
+    """An initial estimate with biases of this number of vectors, 0 unless it has them already.
 
     Raises:
-        ArgumentError: It has those of another number of vectors.
+        ArgumentError: The estimate has biases of another number of vectors.
     """
     if len(initial.vector_biases) == vectors:
         return initial
@@ -123,14 +123,14 @@ def samples_of(
     position: Array | None = None,
     time: Array | None = None,
 ) -> Samples:
-    """Measurements, and the truth where it is known, in the form of the loop (pure, jittable).
+    """Measurements, and the truth if it is known, in the form of the loop (pure, jittable).
 
     Args:
-        filter: whose `prepare` says what it reads.
+        filter: its `prepare` is applied to the measurements.
         measurements: N samples.
         rotation: (N, 3, 3) true R, body to inertial.
         position: (N, 3) true P [m], inertial frame.
-        time: (N,) [s]; by default the time steps' sum, from 0.
+        time: (N,) [s]; by default the cumulative sum of the time steps, from 0.
     """
     if time is None:
         step = measurements.time_step
@@ -144,13 +144,16 @@ def samples_of(
 
 
 def vectors_in(samples: Samples) -> int:
-    """How many vectors samples hold one by one; 0 where only Wahba's sums of them are there."""
+    """Number of vectors that samples hold one by one; 0 if they hold only Wahba's sums."""
     vectors = samples.sample.vectors
     return len(vectors.each) if isinstance(vectors, VectorSamples) else 0
 
 
 def check_filter(name: str, value: Any, others: str = "") -> None:
-    """Raise an ArgumentError unless a value has the functions of a filter; `others` is allowed."""
+    """Raise an ArgumentError unless a value has the functions of a filter.
+
+    `others` says in the message what else is allowed.
+    """
     words = "a filter (Observer, KalmanFilter, one of your own: posegsa.filters.base.Filter)"
     check_type(name, value, Filter, allowed=f"{others}, {words}" if others else words)
     if isinstance(value, type):

@@ -1,10 +1,10 @@
-"""A left-invariant extended Kalman filter on SE(3), the observer's strongest competitor.
+"""A left-invariant extended Kalman filter on SE(3), the strongest baseline of the observer.
 
 symbol | meaning                                     | here                    | unit, frame
 ------ | ------------------------------------------- | ------------------------ | ------------------
 T_est  | estimated pose (R_est, P_est)               | `KalmanState.estimate` | B to I; m, I
 b_est  | estimated bias of both velocities           | `KalmanState.estimate` | rad/s, m/s, B
-c_i    | estimated bias of vector i, where it is one | `KalmanState.estimate` | as the vector, B
+c_i    | estimated bias of vector i, if estimated   | `KalmanState.estimate` | as the vector, B
 xi     | pose error [theta; rho], T = T_est exp(xi^) | states 0 to 5         | rad, m, B
 b, c   | errors of the biases, b = b_est + error     | states 6 to 11, 12 on | as b_est and c_i
 Sigma  | covariance of all of them                   | `KalmanState.covariance` |
@@ -27,7 +27,7 @@ the observer:
 
 After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
 J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
-most filters have it); the change of coordinates is of first order in a correction.
+most filters do); the neglected change is of first order in the correction.
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
 further information: the filter ignores the weights, normalisation and cross product of
@@ -48,7 +48,7 @@ estimate, and the remaining error is corrected only as fast as the process noise
 from the truth the vectors give no correction at all, and vector-bias states explain a wrong
 attitude by biases. Noise levels tuned for such starts recover nevertheless. Those found for 18
 states assume that the vectors' biases walk (0.005 / sqrt(s)), although they are constant, and are
-known well at the start (0.008).
+well known at the start (0.008).
 
 Mean and worst cost (0.3 x first second + 4 to 59 s) for starts up to 180 deg and 10 m off, the
 paper's sensors, random phases, 60 s, 200 held-out scenarios, one search of 1536 evaluations on 25
@@ -104,17 +104,18 @@ Row: TypeAlias = dict[int, Array | float]
 """A row of a sparse matrix: its nonzero entries by column."""
 
 SMALLEST_CUT = 128
-"""One scalar measurement reduces a variance at most to this many units of rounding times itself. A
-reduction below one unit, 1e-7 in float32, would leave only rounding errors, of either sign."""
+"""One scalar measurement leaves at least this many machine epsilons of a variance. Less than one
+epsilon, 1e-7 in float32, would leave only rounding errors of either sign."""
 
 POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
 """Index of the first state of the pose, of the velocities' biases and of the vectors' biases."""
 
 
 class KalmanNoise(NamedTuple):
-    """What the filter believes of its sensors and of its start, all standard deviations, traced.
+    """Noise that the filter assumes of its sensors and its initial estimate: standard deviations.
 
-    White noise of standard deviation s in every sample of length dt has the density s sqrt(dt).
+    All are traced. White noise of standard deviation s in samples of length dt has the density
+    s sqrt(dt).
     """
 
     angular_velocity: Array
@@ -145,10 +146,10 @@ class KalmanNoise(NamedTuple):
 
 
 class KalmanState(NamedTuple):
-    """The estimate and how far it may be off, by components of any common batch shape."""
+    """The estimate and its covariance, by components of any common batch shape."""
 
     estimate: FilterState
-    """As the observer's; `turning` is ()."""
+    """Like the estimate of the observer; `turning` is ()."""
     covariance: Covariance
     """Sigma of 12 states, or 12 + 3 n with the biases of n vectors."""
 
@@ -164,15 +165,15 @@ class KalmanFilter:
     """The invariant extended Kalman filter (`filters.base.Filter`)."""
 
     noise: KalmanNoise
-    """What it believes of its sensors and of its start."""
+    """Assumed noise of its sensors and its initial estimate."""
     vector_biases: bool = field(default=True, metadata={"static": True})
     """Whether the vectors' biases are states: 12 + 3 n of them for n vectors, else 12."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same with some standard deviations replaced, by their names in `KalmanNoise`.
+        """The same filter with some standard deviations replaced, by their names in `KalmanNoise`.
 
         Raises:
-            ArgumentError: There is none of such a name.
+            ArgumentError: A name is not in `KalmanNoise`.
         """
         for key in values:
             if key not in KalmanNoise._fields:
@@ -182,12 +183,12 @@ class KalmanFilter:
     def prepare(self, measurements: Measurements) -> Sample:
         """Each vector as measured, and landmarks.
 
-        Samples that were prepared for an observer which learns the vectors' biases serve as well.
+        Samples prepared for an observer that estimates the vectors' biases work too.
         """
         return prepare(measurements, AS_MEASURED)
 
     def start(self, initial: FilterState, vectors: int) -> KalmanState:
-        """The state before the first sample; its covariance is that of the noise's start.
+        """The state before the first sample; its covariance comes from the initial deviations.
 
         Raises:
             ArgumentError: `initial` has biases of another number of vectors.
@@ -213,7 +214,7 @@ class KalmanFilter:
         return KalmanState(estimate, covariance)
 
     def ready(self) -> "KalmanFilter":
-        """Nothing to compute."""
+        """The filter itself; there is nothing to precompute."""
         return self
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
@@ -229,23 +230,23 @@ class KalmanFilter:
 AS_MEASURED = VectorSettings(
     weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
 )
-"""Vectors as the update wants them."""
+"""Settings that leave the vectors as measured."""
 
 
 def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
-    """The state after a sample's vectors and landmarks; what is missing is passed over.
+    """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
     Args:
-        state: before them, of the batch shape.
-        sample: with its vectors as measured (`KalmanFilter.prepare`).
-        noise: of vectors and landmarks.
+        state: the state before the update, of the batch shape.
+        sample: a sample with its vectors as measured (`KalmanFilter.prepare`).
+        noise: `vector` and `landmark` are used.
 
     Raises:
         ArgumentError: The sample holds only Wahba's sums of its vectors.
     """
     if isinstance(sample.vectors, Wahba):
         raise ArgumentError(
-            "the Kalman filter needs each vector as measured: make its samples by its `prepare`"
+            "the Kalman filter needs each vector as measured: make its samples with its `prepare`"
         )
     estimate, covariance = state
     R = rows(estimate.attitude)
@@ -283,7 +284,7 @@ def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanStat
 
 
 def _stacked(sensors: Iterable[Any]) -> Any:
-    """Sensors of one kind along a first axis: a loop over them is compiled once, however many."""
+    """Sensors of one kind, stacked along a first axis for a loop that is compiled once."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
 
 
@@ -291,9 +292,9 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
     """The state at the next sample, by the measured velocities.
 
     Args:
-        state: at this sample, of the batch shape.
+        state: the state at this sample, of the batch shape.
         sample: its velocities and its time step are used.
-        noise: of the velocities, and of the biases' random walks.
+        noise: densities of the velocities' noise and random walks of the biases are used.
     """
     estimate, dt = state.estimate, sample.time_step
     omega = scale(dt, subtract(sample.angular_velocity, estimate.bias_angular))
@@ -327,7 +328,7 @@ def nees(state: KalmanState, truth: TruePose) -> Array:
     between = subtract(rotate(R_true, truth.origin), estimate.place)
     theta, rho = _log(compose((w, -x, -y, -z), truth.attitude), unrotate(R, between))
     error = stack(theta + rho)
-    # The states have different units. Their correlation matrix is solved: float32 suffices for it.
+    # The states have different units, so their correlation matrix is used; float32 suffices for it.
     sigma = _matrix(state.covariance, 6)
     deviation = jnp.sqrt(jnp.diagonal(sigma, axis1=-2, axis2=-1))
     correlation = sigma / (deviation[..., :, None] * deviation[..., None, :])
@@ -354,11 +355,11 @@ def _product(row: Row, column: Callable[[int], Array]) -> Array:
 
 
 class Found(NamedTuple):
-    """What the measurements of a sample so far have told."""
+    """Result of the measurements of a sample that have been processed so far."""
 
     covariance: Covariance
     correction: tuple[Array, ...]
-    """x, the errors of all states found so far; the estimate gets them after the last one."""
+    """x, the estimated errors of all states; applied to the estimate after the last measurement."""
 
 
 def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: Array) -> Found:
@@ -367,11 +368,11 @@ def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: A
     The outer product of one vector with itself is subtracted, so the covariance stays symmetric.
 
     Args:
-        found: before it.
-        h: the measurement's derivatives.
+        found: the result before it.
+        h: derivatives of the measurement.
         residual: measured minus predicted with x = 0.
-        variance: of the noise.
-        factor: 0 where the measurement is missing.
+        variance: variance of the noise.
+        factor: 0 if the measurement is missing.
     """
     covariance, correction = found
     every = range(len(covariance))
@@ -392,10 +393,10 @@ def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: A
 
 
 def _next_vector_first(found: Found) -> Found:
-    """The same with the states of the vectors' biases in turn: the second vector's come first.
+    """The same with the vectors' bias states rotated, so that the second vector comes first.
 
-    So the loop over vectors always finds those of its vector in the same place, and after as many
-    turns as there are vectors all are where they were.
+    So the loop over vectors always finds the states of its vector in the same place; after the last
+    vector they are back in their original order.
     """
     order = list(range(VECTORS))
     biases = range(VECTORS, len(found.covariance))
@@ -448,12 +449,12 @@ def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:
 
 
 def _variance(deviation: Array, factor: Array) -> Array:
-    """Variance of a measurement with this weight; arbitrary where it is missing."""
+    """Variance of a measurement with this weight; arbitrary if it is missing."""
     return deviation * deviation / choose(factor > 0, factor, 1.0)
 
 
 def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterState:
-    """The estimate with the errors found taken off it."""
+    """The estimate after the correction."""
 
     def part(first: int) -> Vec3:
         return correction[first], correction[first + 1], correction[first + 2]

@@ -1,4 +1,4 @@
-"""The nonlinear pose observer on SE(3), its gain set by a schedule.
+"""The nonlinear pose observer on SE(3), with a gain schedule.
 
 symbol  | meaning                              | here                    | shape  | unit, frame
 ------- | ------------------------------------ | ----------------------- | ------ | ----------------
@@ -39,8 +39,8 @@ limit:
     "quadratic":  gamma = g (K / 10)^2, a constant damping
 with K in 1/s, so that g [1/s^2] is always gamma at K = 10/s. A bias of the angular velocity moves a
 landmark in proportion to its distance |y_i|, and the residual acts on the bias with the same lever:
-that oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). Above sqrt(K L / dt) the explicit
-step is unstable. So both laws limit gamma, with y the farthest landmark, to
+that oscillator has the frequency sqrt(gamma (1 + |y_i|^2) L). The explicit step is unstable at
+frequencies above sqrt(K L / dt). So both laws limit gamma, with y the farthest landmark, to
     gamma dt (1 + |y|^2) <= K / 2  for the angular velocity,   gamma dt <= K / 2  for the linear.
 
 The unit of length. The gain K corrects attitude and position, in proportions that depend on the
@@ -307,7 +307,7 @@ def displacement(
         W: correction.
         used: gain K [1/s] after the limit.
         h: length of the sub-step [s].
-        moving: time [s] for which the measured velocity acts; None for not at all.
+        moving: time [s] for which the measured velocity acts; None if it does not act.
     """
     omega, v = scale(used * h, W.angular), scale(used * h, W.linear)
     if moving is not None:
@@ -426,12 +426,12 @@ def learnt_vector_biases(
 
 
 class ObserverState(NamedTuple):
-    """The observer between two samples."""
+    """State of the observer between two samples."""
 
     estimate: FilterState
-    """At the next sample."""
+    """The estimate at the next sample."""
     memory: SignalMemory
-    """What its error signal and its schedule remember."""
+    """Memory of the error signal and the schedule."""
 
 
 class ReadyObserver(NamedTuple):
@@ -467,17 +467,17 @@ class Observer:
     """The observer with its gain schedule: the paper's filter (`filters.base.Filter`)."""
 
     schedule: GainSchedule | None
-    """Sets the gain K at each sample; None while a search has still to choose it."""
+    """Sets the gain K at each sample; None until a search has chosen it."""
     settings: FilterSettings = field(default_factory=FilterSettings)
-    """How a step is made."""
+    """Settings of a step."""
     signal: SignalSettings = field(default_factory=SignalSettings)
-    """The error that the schedule looks at."""
+    """Settings of the error signal, the input of the schedule."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same with some numbers replaced, by their keys in a configuration.
+        """The same observer with some numbers replaced, by their keys in a configuration.
 
         Raises:
-            ArgumentError: It has no number of such a key.
+            ArgumentError: The observer has no number with this key.
         """
         settings, signal = self.settings, self.signal
         for key, value in values.items():
@@ -485,10 +485,11 @@ class Observer:
         return replace(self, settings=settings, signal=signal)
 
     def prepare(self, measurements: Measurements) -> Sample:
-        """Vectors normalised, crossed and summed up as the settings say, and landmarks.
+        """Landmarks, and vectors normalised, crossed and summed as the settings say.
 
         Raises:
-            ArgumentError: The settings have weights of another number of sensors.
+            ArgumentError: A gamma is not one number, `each_agent` is False though vector biases are
+                estimated, or the settings have weights of another number of sensors.
         """
         settings = self.settings
         for name in ("gamma_angular", "gamma_linear"):
@@ -506,11 +507,11 @@ class Observer:
         return prepare(measurements, settings.vectors)
 
     def start(self, initial: FilterState, vectors: int) -> ObserverState:
-        """The state before the first sample; the schedule begins at its initial gain.
+        """The state before the first sample; the schedule starts at its initial gain.
 
         Raises:
-            ArgumentError: `initial` has biases of another number of vectors, or the schedule is
-                none or begins at a negative gain.
+            ArgumentError: `initial` has biases of another number of vectors, the schedule is
+                missing, or its initial gain is negative.
         """
         check_schedule(self._chosen)
         if self.settings.vector_bias is not None and vectors:
@@ -521,7 +522,7 @@ class Observer:
         return ObserverState(initial, initial_memory(self._chosen, initial.place[0]))
 
     def ready(self) -> ReadyObserver:
-        """With the schedule's slopes and overlaps of terms."""
+        """The observer with its schedule prepared (slopes and overlaps of the terms)."""
         return ReadyObserver(self._chosen.prepare(), self.settings, self.signal)
 
     @property
@@ -577,7 +578,7 @@ _OF_VECTOR_BIAS: dict[str, tuple[str, Callable[[Array], Array]]] = {
     "excitation": ("per_turning", lambda turning: 1 / turning**4),
     "excitation_time": ("excitation_time", lambda time: time),
 }
-"""The field of `VectorBias` that a key of [filter] sets, and what it is set to."""
+"""For each key of [filter]: the field of `VectorBias` that it sets, and the conversion to it."""
 
 
 def _with_weight(

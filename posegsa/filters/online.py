@@ -1,4 +1,4 @@
-"""A filter compiled for one sample after another, on a few flat arrays.
+"""A filter compiled to run sample by sample, on a few flat arrays.
 
 `rollout.step` takes some fifty small arrays, and passing them costs more than the step. Here the
 state and a sample travel as one array, all numbers of the filter as a second, and the result as a
@@ -36,9 +36,9 @@ class OnlineSample(NamedTuple):
     """One sample, as in `Measurements`, and its time."""
 
     time: np.ndarray
-    """Since the first sample [s]."""
+    """Time since the first sample [s]."""
     time_step: np.ndarray
-    """To the next sample [s]."""
+    """Time to the next sample [s]."""
     angular_velocity: np.ndarray
     """(3,) [rad/s], body frame."""
     velocity: np.ndarray
@@ -54,18 +54,18 @@ class OnlineSample(NamedTuple):
 
 
 class OnlineRecord(NamedTuple):
-    """The filter after a sample, and what happened there."""
+    """The filter after a sample, and its gain there."""
 
     state: Any
-    """The filter's own."""
+    """The state of the filter."""
     estimate: FilterState
-    """At the next sample."""
+    """The estimate at the next sample."""
     rotation: Any
-    """(3, 3) the same R_est, as a matrix."""
+    """(3, 3) R_est of the estimate, as a matrix."""
     gain: Any
-    """The gain K that the schedule asked for [1/s]; None of a filter without one."""
+    """The gain K that the schedule requested [1/s]; None for a filter without a gain."""
     gain_used: Any
-    """K after the gain limit [1/s]; likewise."""
+    """K after the gain limit [1/s]; None for a filter without a gain."""
 
 
 class Layout:
@@ -97,7 +97,7 @@ class Layout:
         return np.concatenate([np.zeros(0), *flat]).astype(dtype)
 
     def unpack(self, flat: Any) -> Any:
-        """The record from a flat array of NumPy or JAX; of a NumPy array it holds views."""
+        """The record from a flat array of NumPy or JAX; it holds views of a NumPy array."""
         leaves, start = [], 0
         for shape, size in zip(self._shapes, self._sizes, strict=True):
             leaves.append(flat[start : start + size].reshape(shape))
@@ -106,11 +106,11 @@ class Layout:
 
 
 class OnlineLoop:
-    """One filter, compiled for one sample after another (which takes a second or two).
+    """One filter, compiled to run sample by sample. Compilation takes a second or two.
 
     Args:
-        parameters: All numbers at the filter's dtype.
-        example: Any estimate; its dtype is the filter's.
+        parameters: All numbers, at the dtype of the filter.
+        example: Any estimate; its dtype is the dtype of the filter.
     """
 
     def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
@@ -135,16 +135,16 @@ class OnlineLoop:
         self._on_device = jnp.asarray(self.parameters)
         self._before = state.size
         self.sample_size = sample.size
-        """Numbers in a packed sample."""
+        """Number of values in a packed sample."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments, because a compiled program cannot be pickled."""
-        # As bytes pickled here: outside of enable_x64 JAX would make float32 of float64.
+        # They are pickled to bytes here: outside of enable_x64 JAX would turn float64 to float32.
         with jax.enable_x64(self.dtype == np.float64):
             return _made_again, (self.dtype.name, pickle.dumps(self._made_of))
 
     def start(self, initial: FilterState) -> np.ndarray:
-        """The packed record before the first sample, at an estimate; no gain is known of it."""
+        """The packed record before the first sample, at an initial estimate; its gains are NaN."""
         with jax.enable_x64(self.dtype == np.float64):
             state = self._filter.start(initial, self._vectors)
             estimate = self._filter.ready().estimate(state)
@@ -153,7 +153,7 @@ class OnlineLoop:
             return self.record.pack(first, self.dtype)
 
     def __call__(self, record: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """The packed record after one packed `OnlineSample`, from the one before it."""
+        """The packed record after one packed `OnlineSample`, from the record before it."""
         given = np.concatenate([record[: self._before], sample])
         with jax.enable_x64(self.dtype == np.float64):
             return np.asarray(self._program(given, self._on_device))
@@ -185,7 +185,7 @@ def _sample_layout(vectors: int, landmarks: int) -> Layout:
 def _compiled(
     parameters: Layout, state: Layout, sample: Layout, dtype: str
 ) -> tuple[jax.stages.Compiled, Layout]:
-    """The program of all filters whose arrays have these layouts, and what it returns."""
+    """The program for all filters whose arrays have these layouts, and the layout of its result."""
 
     def step(given: Array, numbers: Array) -> OnlineRecord:
         p = parameters.unpack(numbers)

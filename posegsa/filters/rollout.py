@@ -1,7 +1,7 @@
-"""The one loop: a filter over samples, and what is wanted of it.
+"""Runs a filter over samples.
 
-One loop serves all filters and all that is asked of them: estimates, true errors, or a cost alone,
-which is summed up on the way, so that its memory does not grow with time.
+One loop serves all filters and all outputs: estimates, true errors, or a cost alone. The cost is
+summed up inside the loop, so that its memory does not grow with time.
 """
 
 from collections.abc import Callable
@@ -48,33 +48,33 @@ class Estimates(NamedTuple):
     bias: Array
     """(N, 6) b_est [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
-    """(N, n, 3) c_i of each vector, body frame, in its unit; n is 0 where they are not learnt."""
+    """(N, n, 3) c_i of each vector, body frame, in its unit; n is 0 if they are not estimated."""
     gain: Array
-    """(N,) the gain K that the schedule asked for [1/s]; NaN of a filter without one."""
+    """(N,) the gain K that the schedule requested [1/s]; NaN for a filter without a gain."""
     gain_used: Array
-    """(N,) the same after the gain limit, mean over the sub-steps [1/s]."""
+    """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
     error: Array
-    """(N,) the scaled error that the schedule saw, in [0, 1]."""
+    """(N,) the schedule's input scaled error, in [0, 1]."""
     rate: Array
-    """(N,) the scaled rate that it saw, in [0, 1]."""
+    """(N,) the schedule's input scaled rate, in [0, 1]."""
 
 
 class ErrorTrack(NamedTuple):
-    """True errors of simulations over N samples, for judging them; the shapes are of one."""
+    """True errors of a simulation over N samples; for S simulations all shapes start with S."""
 
     attitude: Array
     """(N,) ||R_err||_I in [0, 1]."""
     position: Array
     """(N,) ||P_err|| [m], P_err = P_est - R_err P: the position error of the cost."""
     gain: Array
-    """(N,) the gain K that was used, after the limit [1/s]; NaN of a filter without one."""
+    """(N,) the gain K after the limit [1/s]; NaN for a filter without a gain."""
     distance: Array
-    """(N,) |P_est - P| [m]: how far the estimate is from the body. The two differ by what the
-    attitude's error makes of the body's distance from the origin."""
+    """(N,) |P_est - P| [m], the distance of the estimate from the body. It differs from ||P_err||
+    because an attitude error rotates P in P_err."""
     bias: Array
     """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
-    """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 where none is learnt."""
+    """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 if none is estimated."""
 
     def select(self, scenarios: slice) -> "ErrorTrack":
         """Some of the scenarios, of leaves (S, ...)."""
@@ -87,8 +87,8 @@ class ErrorTrack(NamedTuple):
 
 
 Look = Callable[[Any, FilterState, Record, Samples, Any], tuple[Any, Any]]
-"""Maps what has been summed up, the estimate before a sample, the step, the sample and its entry of
-`extra` to the new sum and to what is stored of the sample."""
+"""Maps the sum so far, the estimate before a sample, the record of the step, the sample and its
+entry of `extra` to the new sum and to the values stored for the sample."""
 
 
 def run(
@@ -102,21 +102,22 @@ def run(
     extra: Any = (),
     total: Any = (),
 ) -> tuple[Any, Any, Any]:
-    """Run a filter on over samples; `look` says what is summed up and stored of each.
+    """Run a filter over samples; `look` sums up and stores values at each.
 
     Args:
-        look: what is wanted.
-        filter: any.
-        samples: N of them.
-        state: the filter's before the first of them.
-        count: samples from this one on change nothing; by default all count.
-        together: the samples and the state are those of S simulations: all leaves have one more
+        look: called at each sample.
+        filter: any filter.
+        samples: N samples.
+        state: state of the filter before the first sample.
+        count: number of samples to use; later ones change nothing. By default all are used.
+        together: whether samples and state belong to S simulations; then all leaves have one more
             axis (S, ...) in front.
-        extra: leaves (N,), told to `look` sample by sample.
+        extra: leaves (N,), passed to `look` sample by sample.
         total: the sum before the first sample.
 
     Returns:
-        The state after the samples, the sum, and what `look` stored, stacked over time.
+        The state after the last sample, the sum, and the values that `look` stored, stacked over
+        time.
     """
     ready = filter.ready()
 
@@ -137,10 +138,10 @@ def simulate_cost(
     """Cost of one simulation, summed up sample by sample; nothing else is stored (pure, jittable).
 
     Args:
-        filter: any.
-        samples: N of them, with the truth.
-        initial: the estimate at the first.
-        weights: of the cost, for N samples.
+        filter: any filter.
+        samples: N samples, with the truth.
+        initial: the estimate at the first sample.
+        weights: weights of the cost, for N samples.
     """
 
     def look(
@@ -207,7 +208,7 @@ def simulate_part(filter: Filter, samples: Samples, state: Any) -> tuple[Any, Es
 def _everything(
     total: tuple[()], estimate: FilterState, record: Record, now: Samples, entry: tuple[()]
 ) -> tuple[tuple[()], tuple[FilterState, Record]]:
-    """Stores all that `Estimates` are made of."""
+    """Store everything that `Estimates` needs."""
     return total, (estimate, record)
 
 
@@ -238,8 +239,8 @@ def simulate_errors_together(
 ) -> ErrorTrack:
     """The true errors of S simulations, all leaves (S, ...) (pure, jittable).
 
-    Samples from `count` on change nothing, and what is stored of them means nothing: so samples of
-    any number can be filled up, to be run by one program.
+    Samples from `count` on change nothing, and their stored errors are meaningless. So sequences of
+    any length can be padded and run by one program.
     """
     vectors = vectors_in(samples)
     state = jax.vmap(lambda one: filter.start(one, vectors))(initial)
@@ -250,7 +251,7 @@ def simulate_errors_together(
 def _true_errors(
     total: tuple[()], estimate: FilterState, record: Record, now: Samples, entry: tuple[()]
 ) -> tuple[tuple[()], tuple[Array, Array, Array | None, Vec3]]:
-    """Stores what an `ErrorTrack` is made of."""
+    """Store what `ErrorTrack` needs."""
     return total, (*pose_errors(estimate, now.truth), record.gain_used, estimate.place)
 
 
@@ -271,7 +272,7 @@ def _error_track(
 def distances(place: Vec3, samples: Samples) -> Array:
     """|P_est - P| (N,) [m] of estimated positions by components (N,) (pure, jittable).
 
-    Made after the loop, whose arithmetic stays what it is without it.
+    Computed after the loop, so that the arithmetic of the loop does not change.
 
     Raises:
         ArgumentError: The samples do not hold the true pose.
@@ -283,23 +284,23 @@ def distances(place: Vec3, samples: Samples) -> Array:
 def step(
     filter: Filter, state: Any, measurement: Measurements, time: ArrayLike = 0.0
 ) -> tuple[Any, Record]:
-    """One sample, for use on-line in a JAX program of one's own.
+    """Process one sample, for use on-line in your own JAX program.
 
         state = filter.start(posegsa.initial_state(R, P), vectors=2)
         state, record = posegsa.step(filter, state, measurements.at(k))
         filter.ready().estimate(state).rotation
 
     Args:
-        filter: any.
-        state: from `filter.start`, or from the last step.
+        filter: any filter.
+        state: the state from `filter.start` or from the last step.
         measurement: one sample, without a time axis (`measurements.at(k)`).
-        time: since the first sample [s]; only schedules over time look at it.
+        time: time since the first sample [s]; only schedules over time use it.
 
     Returns:
-        The state at the next sample, and what happened at this one.
+        The state at the next sample, and the record of this one.
 
     Raises:
-        ArgumentError: An argument is of another type, or they do not fit together.
+        ArgumentError: An argument has the wrong type, or the arguments do not fit together.
     """
     check_filter("filter", filter)
     check_type("measurement", measurement, Measurements)
@@ -318,17 +319,17 @@ def _step(
 
 
 def run_filter(filter: Filter, measurements: Measurements, initial: FilterState) -> Estimates:
-    """Run a filter over a whole measurement sequence of a user's own.
+    """Run a filter over a whole sequence of your own measurements.
 
     Args:
-        filter: e.g. `Observer` of a schedule.
+        filter: for example `Observer(schedule)`.
         measurements: N samples (`posegsa.model.measurements`).
         initial: the estimate at the first sample (`posegsa.initial_state`); the vectors' biases, if
-            they are learnt, begin at 0.
+            they are estimated, start at 0.
 
     Raises:
-        ArgumentError: An argument is of another type, or the filter looks at the true pose.
-        MeasurementError: The measurements hold what `Measurements.from_arrays` refuses.
+        ArgumentError: An argument has the wrong type, or the filter needs the true pose.
+        MeasurementError: `Measurements.from_arrays` would reject the measurements.
     """
     check_filter("filter", filter)
     check_type("measurements", measurements, Measurements)

@@ -1,4 +1,4 @@
-"""What optimisers found at equal budgets, side by side."""
+"""Comparison of optimisers at equal budgets."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
 
 DIGITS = 7
-"""Significant digits of the costs over a search that are kept."""
+"""Significant digits that are kept of the costs over a search."""
 
 _Positive = Annotated[int, Field(ge=1)]
 
@@ -24,38 +24,38 @@ class Repeat(NamedTuple):
     """One search of one optimiser."""
 
     cost: Cost
-    """Best cost on what it searched."""
+    """Best cost on the problem that was searched."""
     held_out: Cost | None
-    """Cost of that on unseen scenarios; None where there are none."""
+    """Cost of the same candidate on held-out scenarios; None if there are none."""
     position: list[float]
     seconds: NonNegative
-    """Time of the search, without compiling."""
+    """Time of the search, without compilation."""
     compile_seconds: NonNegative
     non_finite: Annotated[int, Field(ge=0)]
     evaluations: Annotated[list[_Positive], Field(min_length=1)]
-    """(n,) evaluations made after some or all iterations; a gradient counts at its price."""
+    """(n,) evaluations after some or all iterations; a gradient counts at its price."""
     best: list[Cost]
-    """(n,) best cost so far, then."""
+    """(n,) best cost so far, at each of these."""
     times: list[NonNegative]
-    """(n,) seconds since the search began, then."""
+    """(n,) seconds since the start of the search, at each of these."""
 
 
 class Gradients(NamedTuple):
     """How an optimiser uses gradients."""
 
     price: _Positive
-    """Evaluations that a cost with its gradient counts as."""
+    """Number of evaluations that one cost with its gradient counts as."""
     begin: Annotated[int, Field(ge=0)]
     """Evaluations before the first gradient."""
 
 
 class Versus(NamedTuple):
-    """A paired comparison with the first optimiser over repeats."""
+    """A paired comparison of an optimiser with the first one, over repeats."""
 
     difference: float
     """Median of first minus this; below 0 the first is better."""
     p: float
-    """Of the signed rank test, corrected for the number of optimisers (Holm)."""
+    """p-value of the signed rank test, corrected for the number of optimisers (Holm)."""
 
     def __str__(self) -> str:
         return f"{self.difference:+.3g} ({'<0.001' if self.p < 0.001 else f'{self.p:.3f}'})"
@@ -63,28 +63,28 @@ class Versus(NamedTuple):
 
 @dataclass(frozen=True)
 class OptimiserComparison:
-    """Searches of several optimisers on the same problem, each with the same evaluations."""
+    """Searches of the same problem with several optimisers, at the same number of evaluations."""
 
     subject: str
     """What was minimised, in words."""
     budget: _Positive
-    """Evaluations of a search."""
+    """Evaluations per search."""
     settings: dict[str, JsonValue]
-    """What the searches depend on; a file is only added to where they are the same."""
+    """What the searches depend on; repeats are added to a file only if these are the same."""
     repeats: Annotated[dict[str, Annotated[list[Repeat], Field(min_length=1)]], Field(min_length=1)]
-    """By optimiser, the first being what the others are compared with."""
+    """Repeats by optimiser; the others are compared with the first one."""
     gradients: dict[str, Gradients] = field(default_factory=dict)
-    """Of the optimisers that use gradients."""
+    """For each optimiser that uses gradients."""
     environment: dict[str, str] = field(default_factory=dict)
 
     def only(self, names: Iterable[str]) -> "OptimiserComparison":
-        """The same with some of the optimisers, in this order."""
+        """The same comparison with only some of the optimisers, in this order."""
         repeats = {name: self.repeats[name] for name in names}
         gradients = {name: self.gradients[name] for name in repeats if name in self.gradients}
         return replace(self, repeats=repeats, gradients=gradients)
 
     def disagreements(self) -> list[str]:
-        """Where its parts, each valid in itself, do not fit together."""
+        """Fields that are valid one by one but don't fit together, as messages."""
         found = []
         for name, repeats in self.repeats.items():
             spent = repeats[0].evaluations
@@ -103,11 +103,11 @@ class OptimiserComparison:
 
     @property
     def has_held_out(self) -> bool:
-        """Whether what was found was judged on unseen scenarios."""
+        """Whether every repeat was judged on held-out scenarios."""
         return all(r.held_out is not None for each in self.repeats.values() for r in each)
 
     def versus_first(self, *, held_out: bool = False) -> dict[str, Versus]:
-        """Each other optimiser against the first, over the repeats that both have made."""
+        """Each other optimiser against the first, over the repeats that both have."""
         first, *others = self.repeats
         ours, found = self.costs(first, held_out=held_out), {}
         for name in others:
@@ -123,15 +123,15 @@ class OptimiserComparison:
         }
 
     def levels(self) -> list[float]:
-        """Costs worth reaching: largest, middle and lowest of the optimisers' medians."""
+        """Target costs: the largest, middle and lowest of the optimisers' median costs."""
         medians = sorted(float(np.median(self.costs(name))) for name in self.repeats)
         chosen = (medians[-1], medians[len(medians) // 2], medians[0])
         return sorted({m for m in chosen if math.isfinite(m)}, reverse=True)
 
     def reached(self, name: str, level: float) -> tuple[float, float, float]:
-        """Median evaluations and seconds to a cost of at most `level`, and who got there (share).
+        """Median evaluations and seconds to a cost of at most `level`, and the share of repeats.
 
-        Both are infinite where fewer than half of the repeats got there.
+        Both medians are infinite if fewer than half of the repeats reached it.
         """
         evaluations, seconds = [], []
         rounding = 10.0 ** (1 - DIGITS) * abs(level)
@@ -139,7 +139,7 @@ class OptimiserComparison:
             there = np.flatnonzero(np.asarray(repeat.best) <= level + rounding)
             evaluations.append(repeat.evaluations[there[0]] if there.size else math.inf)
             seconds.append(repeat.times[there[0]] if there.size else math.inf)
-        # The lower of two middle ones: a mean of a number and infinity says nothing.
+        # The lower of the two middle values: the mean of a number and infinity is infinite.
         median = partial(np.quantile, q=0.5, method="lower")
         share = float(np.mean(np.isfinite(evaluations)))
         return float(median(evaluations)), float(median(seconds)), share
@@ -151,7 +151,7 @@ class OptimiserComparison:
         return np.array(found[0].evaluations), quantiles(best)
 
     def rows(self, levels: Sequence[float] | None = None) -> list[list[str]]:
-        """The table, its header first, with a row for each optimiser and costs to reach."""
+        """The table, header first: a row for each optimiser, a column for each target cost."""
         levels = self.levels() if levels is None else levels
         minus = f"{next(iter(self.repeats))} minus this (p)"
         rows = [["optimiser", "repeats", "cost, median [quartiles]", "best", minus]]
@@ -171,17 +171,17 @@ class OptimiserComparison:
         return rows
 
     def table(self, levels: Sequence[float] | None = None) -> str:
-        """The comparison as text for a person."""
+        """The comparison as text."""
         return "\n\n".join([self.heading(), text_table(self.rows(levels)), self.notes()])
 
     def markdown(self, levels: Sequence[float] | None = None) -> str:
-        """The same as a Markdown table."""
+        """The comparison as a Markdown table."""
         head, *rows = self.rows(levels)
         lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
         return "\n\n".join([self.heading(), "\n".join(lines), self.notes()])
 
     def heading(self) -> str:
-        """What was compared."""
+        """What was compared, in one line."""
         made = [len(repeats) for repeats in self.repeats.values()]
         few, many = min(made), max(made)
         count = counted(few, "repeat") if few == many else f"{few} to {many} repeats"
@@ -196,7 +196,7 @@ class OptimiserComparison:
             "(Holm). 'to C': median evaluations (and seconds) until the cost is at most C; '-' "
             "where fewer than half of the repeats got there.",
         ]
-        # One evaluation among many: of the quickest optimiser without gradients.
+        # Time of one evaluation, from the fastest optimiser without gradients.
         plain = [repeats for name, repeats in self.repeats.items() if name not in self.gradients]
         each = ([r.seconds / r.evaluations[-1] for r in repeats] for repeats in plain)
         quickest = float(min(map(np.median, each), default=0))
@@ -210,22 +210,22 @@ class OptimiserComparison:
         return "\n".join(lines)
 
     def gradient_seconds(self, name: str) -> float:
-        """Time of one cost with its gradient, of an optimiser that uses gradients."""
+        """Time of one cost with its gradient [s], for an optimiser that uses gradients."""
         price, begin = self.gradients[name]
         per = []
         for r in self.repeats[name]:
-            begun = np.interp(begin, [0, *r.evaluations], [0.0, *r.times])
-            per.append((r.times[-1] - begun) * price / (r.evaluations[-1] - begin))
+            start = np.interp(begin, [0, *r.evaluations], [0.0, *r.times])
+            per.append((r.times[-1] - start) * price / (r.evaluations[-1] - begin))
         return float(np.median(per))
 
 
 def quantiles(values: np.ndarray) -> np.ndarray:
-    """Quartiles (3, ...) over the first axis; between two infinite values infinite."""
+    """Quartiles (3, ...) over the first axis; infinite between two infinite values."""
     share = (0.25, 0.5, 0.75)
     below = np.quantile(values, share, axis=0, method="lower")
     with np.errstate(invalid="ignore"):
         between = np.quantile(values, share, axis=0)
-    # NumPy's interpolation makes NaN of two infinities, and of a number next to one.
+    # NumPy's interpolation returns NaN between two infinities, or a number and infinity.
     beyond = np.where(np.isinf(below), below, np.inf)
     exact = below == np.quantile(values, share, axis=0, method="higher")
     return np.where(exact, below, np.where(np.isnan(between), beyond, between))

@@ -1,4 +1,4 @@
-"""What schedules are worth on scenarios that they were not tuned on, side by side."""
+"""Comparison of filters on held-out scenarios."""
 
 import math
 import reprlib
@@ -32,11 +32,11 @@ CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, 
     "invariant EKF",
     "invariant EKF, vector biases",
 )
-"""Names of the filters that may be judged, in the order in which they are shown."""
+"""Names of the filters that can be compared, in the order of the tables."""
 BAND_POINTS = 300
-"""Most points in time that error bands are kept at over the whole of a run, evenly spaced."""
+"""Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
-"""The first second, in which the errors fall most: there as many more, at most."""
+"""Length of the transient [s], and the maximum number of additional points in it."""
 
 
 class Interval(NamedTuple):
@@ -48,7 +48,7 @@ class Interval(NamedTuple):
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Both ends; NaN alone where there is no interval."""
+        """Both ends; a single NaN if there is no interval."""
         return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
 
 
@@ -59,27 +59,27 @@ SCHEDULES: dict[Kind, type] = {
     "smooth": SmoothGain,
     "open loop": KnotGain,
 }
-"""The types of schedules without a controller, by the kind of their `Description`."""
+"""Types of the schedules without a controller, by the kind of their `Description`."""
 
 
 class Description(NamedTuple):
-    """A filter as it is stored, by its own numbers."""
+    """A filter as it is stored: its kind and its numbers."""
 
     kind: Kind
     numbers: dict[str, list[Number]]
-    """Of the schedule, or the noises of a Kalman filter, by name; one number is a list of one."""
+    """Numbers of the schedule, or noises of a Kalman filter, by name; a scalar is a list of one."""
     also: dict[str, Number]
-    """What else was tuned of the filter and its signal, by key."""
+    """Other tuned numbers of the filter and its signal, by key."""
     evaluations: Annotated[int, Field(ge=0)]
-    """Evaluations of the search that found it; 0 where none was needed."""
+    """Evaluations of the search that found it; 0 without a search."""
 
 
-def _of_its_kind(found: Description) -> Description:
-    """A description that was read, if it has the numbers that filters of its kind have."""
+def _fits_its_kind(found: Description) -> Description:
+    """Check that a description has the numbers of its kind, and return it."""
     lengths = {name: len(values) for name, values in found.numbers.items()}
     match found.kind:
         case "fuzzy":
-            # A rule table is looked at where one sees whether it was searched (`candidate_of`).
+            # `candidate_of` checks the rule table: only it knows whether the table was searched.
             own = {name: length for name, length in lengths.items() if name != "rules"}
             fits, allowed = own == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
         case "open loop":
@@ -97,7 +97,7 @@ def _of_its_kind(found: Description) -> Description:
     return found
 
 
-StoredFilter = Annotated[Description, AfterValidator(_of_its_kind)]
+StoredFilter = Annotated[Description, AfterValidator(_fits_its_kind)]
 """A description with the numbers of its kind."""
 
 
@@ -110,17 +110,17 @@ class Contender(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What a contender's costs come to."""
+    """Statistics of a contender's costs."""
 
     cost: Interval
     median: float
     p95: float
-    """95th percentile: a cost that 95 % of the scenarios do not exceed."""
+    """95th percentile: 95 % of the scenarios cost at most this."""
     worst: float
     diverged: float
-    """Share of the scenarios."""
+    """Share of scenarios on which the filter diverged."""
     tuned_minus_this: Interval | None
-    """Mean of the paired differences; below 0 tuned is better. None of the tuned one itself."""
+    """Mean paired difference; below 0 the tuned filter is better. None for the tuned filter."""
 
 
 def _contender_name(name: str) -> str:
@@ -131,7 +131,7 @@ def _contender_name(name: str) -> str:
 
 Rows = list[list[str]]
 _Columns = tuple[tuple[str, str, Callable[[Any], ArrayLike]], ...]
-"""Of a table: head, format, and the numbers of a cell."""
+"""Columns of a table: header, format, and a function that returns a cell's numbers."""
 
 COSTS: _Columns = (
     ("Mean", ".2f", lambda s: s.cost.mean),
@@ -143,7 +143,7 @@ COSTS: _Columns = (
     ("95 % interval", "+.2f", lambda s: s.tuned_minus_this.ends if s.tuned_minus_this else ()),
     ("Diverged\n[%]", ".1f", lambda s: 100 * s.diverged),
 )
-"""Columns of the table of costs, from a `Summary`."""
+"""Columns of the cost table, from a `Summary`."""
 BEHAVIOUR: _Columns = (
     ("Cost of the\nfirst window", ".2f", lambda m: np.mean(m.transient)),
     ("Cost of the\nsecond", ".2f", lambda m: np.mean(m.steady)),
@@ -155,12 +155,12 @@ BEHAVIOUR: _Columns = (
     ("Bias error,\nangular\n[rad/s]", ".3f", lambda m: np.mean(m.bias_angular)),
     ("Bias error,\nlinear\n[m/s]", ".3f", lambda m: np.mean(m.bias_linear)),
 )
-"""Columns of the table of what is behind the cost, from `Metrics`."""
+"""Columns of the table of errors behind the costs, from `Metrics`."""
 
 
 @np.errstate(over="ignore")  # a filter may diverge to any number
 def _rows(columns: _Columns, of: Mapping[str, object], write: Callable[[float, str], str]) -> Rows:
-    """A row for each contender, after the heads."""
+    """The header, then a row for each contender."""
     rows = [["Contender", *(head for head, _, _ in columns)]]
     for name, each in of.items():
         cells = [(np.ravel(numbers(each)).tolist(), form) for _, form, numbers in columns]
@@ -170,14 +170,14 @@ def _rows(columns: _Columns, of: Mapping[str, object], write: Callable[[float, s
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """Schedules on the same S scenarios."""
+    """Filters on the same S held-out scenarios."""
 
     seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)] | None
-    """Which held-out set: None is the experiment's own, a number another one."""
+    """Seed of the held-out set; None is the experiment's own set."""
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
-    """By name; the tuned schedule first."""
+    """By name, the tuned filter first."""
 
     @property
     def scenarios(self) -> int:
@@ -189,13 +189,13 @@ class Evaluation:
         return interval(self.contenders[name].metrics.cost)
 
     def difference(self, name: str) -> Interval:
-        """Paired difference of cost, tuned minus the contender; below 0 tuned is better."""
+        """Paired cost difference, tuned minus contender; below 0 the tuned filter is better."""
         tuned = self.contenders[TUNED].metrics.cost
         with np.errstate(invalid="ignore"):
             return interval(tuned - self.contenders[name].metrics.cost)
 
     def summary(self, name: str) -> Summary:
-        """What a contender's costs come to."""
+        """Statistics of a contender's costs."""
         metrics = self.contenders[name].metrics
         return Summary(
             cost=self.cost(name),
@@ -207,16 +207,17 @@ class Evaluation:
         )
 
     def tables(self, write: Callable[[float, str], str] = format) -> tuple[Rows, Rows]:
-        """The contenders' costs, and the errors behind them: tables whose first row is the head.
+        """Two tables, header first: the contenders' costs, and the errors behind them.
 
-        `write` writes a number in a format.
+        Args:
+            write: Formats a number, like the built-in `format`.
         """
         summaries = {name: self.summary(name) for name in self.contenders}
         metrics = {name: each.metrics for name, each in self.contenders.items()}
         return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
 
     def table(self) -> str:
-        """The contenders side by side, as text for a person."""
+        """Both tables as text."""
         which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
         title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
@@ -225,11 +226,11 @@ class Evaluation:
 
 @np.errstate(over="ignore")
 def interval(values: np.ndarray) -> Interval:
-    """Mean and 95 % interval of values (S,); not finite where a value is not."""
+    """Mean and 95 % interval of values (S,); not finite if a value is not."""
     mean = float(np.mean(values))
     if not math.isfinite(mean) or len(values) < 2:
         return Interval(mean, math.nan, math.nan)
-    from scipy.special import stdtrit  # not at the top: takes a while to load
+    from scipy.special import stdtrit  # imported here because it loads slowly
 
     spread = float(np.std(values, ddof=1)) / math.sqrt(len(values))
     half = float(stdtrit(len(values) - 1, 0.975)) * spread
@@ -242,14 +243,14 @@ def contender(
     description: Description,
     cost: TrackCost | None = None,
 ) -> Contender:
-    """A filter's performance from what it did on the held-out scenarios."""
+    """A filter's performance, from its errors on the held-out scenarios."""
     metrics, bands = metrics_of(tracks, held_out, cost)
     kept = band_samples(np.asarray(held_out.samples.time[0]))
     return Contender(metrics, Bands(*(band[:, kept] for band in bands)), description)
 
 
 def band_samples(time: np.ndarray) -> np.ndarray:
-    """Those (n,) of the samples at times (N,) [s] at which error bands are kept."""
+    """Indices (n,) of the samples at which error bands are stored, from times (N,) [s]."""
     early = np.count_nonzero(time - time[0] <= EARLY)
     places = (np.linspace(0, early - 1, EARLY_POINTS), np.linspace(0, len(time) - 1, BAND_POINTS))
     return np.unique(np.concatenate(places).round().astype(int))
@@ -258,6 +259,6 @@ def band_samples(time: np.ndarray) -> np.ndarray:
 def evaluation(
     contenders: dict[str, Contender], held_out: ScenarioBatch, seed: int | None = None
 ) -> Evaluation:
-    """Contenders that met the same held-out scenarios, side by side."""
+    """The comparison of contenders that ran on the same held-out scenarios."""
     time = np.asarray(held_out.samples.time[0], np.float64)
     return Evaluation(seed=seed, time=time[band_samples(time)], contenders=contenders)

@@ -1,4 +1,4 @@
-"""The invariant Kalman filter (`filters.kalman`) as a baseline: its noises tuned, as users do."""
+"""The invariant Kalman filter (`filters.kalman`) as a baseline, with tuned noises."""
 
 import math
 
@@ -22,7 +22,7 @@ from posegsa.search.population import ScenarioBatch, TrackCost
 
 AGENTS = 20
 MAX_EVALUATIONS = 1000
-"""Evaluations of a search, at most; one takes as long as two to three of the observer's."""
+"""Maximum evaluations of a search; one takes as long as two to three of the observer's."""
 CHECK_INTERVAL = 200
 """Evaluations between two checks of the improvement."""
 MIN_IMPROVEMENT = 0.01
@@ -42,7 +42,7 @@ BOUNDS = {
     "initial_linear_bias": (0.01, 5.0),
     "initial_vector_bias": (0.001, 1.0),
 }
-"""Where each noise is searched, by its logarithm, in the units of `KalmanNoise`."""
+"""Search range of each noise, in the units of `KalmanNoise`; its logarithm is searched."""
 
 
 def kalman_scenarios(
@@ -53,9 +53,10 @@ def kalman_scenarios(
     vector_biases: bool,
     own: ScenarioBatch | None = None,
 ) -> ScenarioBatch:
-    """Scenarios of an experiment as the Kalman filter reads them: each vector as measured.
+    """Scenarios of an experiment for the Kalman filter, which reads each vector as measured.
 
-    `own` are the experiment's own of these keys, if there are any: they are not made twice.
+    `own` are the observer's scenarios of the same keys, if they exist already; they are reused
+    where both filters read the same.
     """
     filter = untuned(vector_biases, jnp.dtype(experiment.run.dtype))
     if own is not None and experiment.filter.vector_bias == "estimated":
@@ -64,7 +65,7 @@ def kalman_scenarios(
 
 
 def untuned(vector_biases: bool, dtype: DTypeLike) -> KalmanFilter:
-    """A filter whose noises are still to be found."""
+    """A filter whose noises are not set yet."""
     zero = jnp.zeros((), dtype)
     return KalmanFilter(KalmanNoise(*(zero,) * len(KalmanNoise._fields)), vector_biases)
 
@@ -76,7 +77,7 @@ def tune_kalman(
     vector_biases: bool,
     cost: TrackCost | None = None,
 ) -> Description:
-    """The noises of lowest cost on the run's training scenarios; a user's own if there is one."""
+    """The noises of lowest cost on the run's training scenarios; `cost` is a user's own cost."""
     run = experiment.run
     training = kalman_scenarios(
         experiment,
@@ -90,9 +91,10 @@ def tune_kalman(
 def search_noises(
     experiment: config.Experiment, training: ScenarioBatch, cost: TrackCost | None = None
 ) -> Description:
-    """The noises, by name, of lowest cost on some scenarios, or recordings.
+    """The noises of lowest cost on scenarios or recordings, by name.
 
-    Differential evolution in their logarithms, until a check finds less than MIN_IMPROVEMENT.
+    Differential evolution searches their logarithms until a check finds less than
+    MIN_IMPROVEMENT.
     """
     assert isinstance(training.filter, KalmanFilter)
     names = tuple(noise_names(training.filter.vector_biases))
@@ -122,21 +124,21 @@ def search_noises(
 
 
 def bounds_of(names: tuple[str, ...]) -> np.ndarray:
-    """Lower and upper bounds (2, n) of noises, of their logarithms."""
+    """Lower and upper bounds (2, n) of the logarithms of noises."""
     return np.log([BOUNDS[name] for name in names]).T
 
 
 def kalman_tracks(found: Description, batch: ScenarioBatch) -> ErrorTrack:
-    """What the filter does on all S `kalman_scenarios`; on the host, leaves (S, ...)."""
+    """The filter's errors on all S `kalman_scenarios`; on the host, leaves (S, ...)."""
     return error_tracks(candidate_of_noises(found, batch.dtype), batch)
 
 
 def candidate_of_noises(found: Description, dtype: DTypeLike) -> Candidate:
-    """The noises that were stored."""
+    """The candidate with the stored noises."""
     values = tuple(jnp.asarray(numbers[0], dtype) for numbers in found.numbers.values())
     return Candidate(None, values, tuple(found.numbers))
 
 
 def noise_names(vector_biases: bool) -> list[str]:
-    """The noises that a filter with or without the vectors' biases as states has."""
+    """Names of the noises of a filter with or without vector biases as states."""
     return [n for n in BOUNDS if vector_biases or n not in ("vector_walk", "initial_vector_bias")]

@@ -1,4 +1,4 @@
-"""What is known of a filter's sensors: where their references stand, and how much they weigh."""
+"""The sensors that a filter was tuned for: their references and weights."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,18 +24,18 @@ class KnownSensors(NamedTuple):
     vectors: list[Vector]
     """v_i^I, inertial frame."""
     vector_weights: list[NonNegative]
-    """Factors on the filter's weights s_i^R: those of the recordings, with which it was tuned."""
+    """Factors on the filter's weights s_i^R, from the recordings that it was tuned on."""
     landmarks: list[Vector]
     """p_i, inertial frame [m]."""
     landmark_weights: list[NonNegative]
     """Factors on the filter's weights s_i^L."""
     attitude_only: bool
-    """Whether there is no velocity, and no position."""
+    """True if there is no velocity and no position."""
 
     def weighted(self, settings: FilterSettings) -> FilterSettings:
-        """A filter's settings for these sensors, with the factors in its weights.
+        """A filter's settings for these sensors, with the factors multiplied into its weights.
 
-        A sensor that is seen then has the factor 1, one that is not seen 0.
+        A measurement then has the factor 1, a missing measurement 0.
         """
         vectors = settings.vectors
         both = min(self.vector_weights[:2], default=1.0)
@@ -50,8 +50,8 @@ class KnownSensors(NamedTuple):
         )
 
 
-def _each_with_a_weight(sensors: KnownSensors) -> KnownSensors:
-    """Sensors that were read, if there is a weight for each."""
+def _one_weight_each(sensors: KnownSensors) -> KnownSensors:
+    """Check that each sensor has a weight, and return the sensors."""
     for kind in ("vector", "landmark"):
         there, weights = (len(getattr(sensors, f"{kind}{end}")) for end in ("s", "_weights"))
         if there != weights:
@@ -59,7 +59,7 @@ def _each_with_a_weight(sensors: KnownSensors) -> KnownSensors:
     return sensors
 
 
-StoredSensors = Annotated[KnownSensors, AfterValidator(_each_with_a_weight)]
+StoredSensors = Annotated[KnownSensors, AfterValidator(_one_weight_each)]
 """Sensors with a weight for each."""
 
 
@@ -76,10 +76,10 @@ def of_scenario(experiment: Experiment) -> KnownSensors:
 
 
 def of_recordings(recordings: Sequence[Recording]) -> KnownSensors | None:
-    """The sensors of recordings; None where these have none in common, or references move.
+    """The sensors of recordings; None if their references differ or move.
 
-    The weight of each is the median of those that it has where it is measured: what the recordings
-    were given, times the samples from one measurement to the next.
+    The weight of a sensor is the median of its weights at the samples where it is measured. Those
+    are the weights given for the recording, times the samples from one measurement to the next.
     """
     if not recordings:
         return None
@@ -96,7 +96,7 @@ def of_recordings(recordings: Sequence[Recording]) -> KnownSensors | None:
 
 
 def _references(recordings: Sequence[Recording], kind: str) -> list[Vector] | None:
-    """References (n, 3) that are the same in all samples of all recordings; None if they differ."""
+    """References (n, 3) if they are the same in all samples of all recordings, else None."""
     each = [_array(one.measurements, f"{kind}_references") for one in recordings]
     first = each[0][0]
     if any(a.shape[1:] != first.shape or (a != first).any() for a in each):

@@ -1,11 +1,11 @@
-"""Attitude filters of other libraries on recordings of an IMU, each with its paper's settings.
+"""Attitude filters of other libraries on IMU recordings, each with the settings of its paper.
 
-They come with `pip install ".[compare]"`. All read the accelerometer [m/s^2] and the
-magnetometer of `Recording.sensors`, and start from the first samples of both; their frame is x
-east, y north (magnetic), z up, and so must be the recording's.
+`pip install ".[compare]"` installs them. They read the accelerometer [m/s^2] and the magnetometer
+of `Recording.sensors`, and start from the first samples of both. Their inertial frame is x east,
+y north (magnetic), z up; the recording must use the same.
 
 VQF       D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation
-          and magnetic disturbance rejection", Information Fusion 91, 2023; package vqf, as it comes
+          and magnetic disturbance rejection", Information Fusion 91, 2023; package vqf, defaults
 Madgwick  S. Madgwick, "An efficient orientation filter for inertial and inertial/magnetic sensor
           arrays", 2010: gain 0.041 rad/s; package ahrs
 Mahony    R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear complementary filters on the special
@@ -28,18 +28,18 @@ Signals: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Gyroscope, accelerometer and magnetometer, each (K, 3)."""
 
 MADGWICK_GAIN = 0.041
-"""beta [rad/s] of a filter with magnetometer, in Madgwick's report."""
+"""beta [rad/s] of the filter with magnetometer in Madgwick's report."""
 MAHONY_GAINS = 1.0, 0.3
 """k_P, k_I [rad/s] of the experiments in Mahony's paper."""
 _NORTH_WEST_TO_EAST_NORTH = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
 def other_filter(name: str, recording: Recording) -> Estimates:
-    """What one of `OTHER_FILTERS` makes of a recording; it has no position, bias or gain.
+    """Estimates of one of `OTHER_FILTERS` on a recording: attitude only, the rest is NaN.
 
     Raises:
-        ArgumentError: Its library is not installed.
-        RecordingError: The recording lacks a signal that it needs.
+        ArgumentError: The filter's library is not installed.
+        RecordingError: The recording lacks a signal that the filter needs.
     """
     signals = _signals(recording)
     R = OTHER_FILTERS[name](signals, recording.time_step)
@@ -60,12 +60,12 @@ def other_filter(name: str, recording: Recording) -> Estimates:
 
 
 def installed(name: str) -> bool:
-    """Whether the library of one of `OTHER_FILTERS` is there."""
+    """Whether the library of one of `OTHER_FILTERS` is installed."""
     return find_spec("vqf" if name == "VQF" else "ahrs") is not None
 
 
 def readable(recording: Recording) -> bool:
-    """Whether these filters can be tried on a recording."""
+    """Whether these filters can run on a recording."""
     return recording.attitude_only and {"accelerometer", "magnetometer"} <= set(recording.sensors)
 
 
@@ -88,17 +88,20 @@ def _mahony(signals: Signals, step: float) -> np.ndarray:
 
 
 def _sample_by_sample(made: Any, signals: Signals, frame: np.ndarray) -> np.ndarray:
-    """Rotations of a filter of ahrs, in its own frame: `frame` (3, 3) of x east, y north, z up."""
+    """Run a filter of ahrs; rotations (K, 3, 3), body to its own inertial frame.
+
+    `frame` (3, 3) rotates x east, y north, z up to that frame.
+    """
     gyr, acc, mag = signals
     q = np.empty((len(gyr), 4))
-    q[0] = quaternions(frame @ _first(acc[0], mag[0]))
+    q[0] = quaternions(frame @ _initial_rotation(acc[0], mag[0]))
     for k in range(1, len(gyr)):
         q[k] = made.updateMARG(q[k - 1], gyr=gyr[k], acc=acc[k], mag=mag[k])
     return matrices(q)
 
 
-def _first(acc: np.ndarray, mag: np.ndarray) -> np.ndarray:
-    """The rotation, to east, north and up, that an accelerometer and a magnetometer say."""
+def _initial_rotation(acc: np.ndarray, mag: np.ndarray) -> np.ndarray:
+    """The rotation, body to east-north-up, from one accelerometer and magnetometer sample."""
     up = acc / np.linalg.norm(acc)
     east = np.cross(mag, up)
     east = east / np.linalg.norm(east)
@@ -119,12 +122,12 @@ def _signals(recording: Recording) -> Signals:
             f"accelerometer and magnetometer; it has: {', '.join(recording.sensors) or 'none'}"
         )
     gyr = np.asarray(recording.measurements.angular_velocity)
-    acc, mag = (_held(recording.sensors[name]) for name in ("accelerometer", "magnetometer"))
+    acc, mag = (_filled(recording.sensors[name]) for name in ("accelerometer", "magnetometer"))
     return gyr, acc, mag
 
 
-def _held(signal: np.ndarray) -> np.ndarray:
-    """A signal (K, 3) whose missing samples have the last value before, or the first after."""
+def _filled(signal: np.ndarray) -> np.ndarray:
+    """A signal (K, 3) whose missing samples hold the last value, or the first one to come."""
     known = np.flatnonzero(np.isfinite(signal).all(axis=1))
     if known.size == 0:
         raise RecordingError("sensors: a signal is missing at all samples")

@@ -1,4 +1,4 @@
-"""What a search on recordings found, and what it is worth on recordings that it has not seen."""
+"""Results on recordings: a tuned filter, judged on training and held-out recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -44,11 +44,11 @@ from posegsa.version import VERSION
 from posegsa.words import counted, text_table
 
 TunedOn = Literal["recordings", "scenarios", "recordings and scenarios", "nothing"]
-"""What a filter was tuned on; on nothing if it was made by hand."""
+"""What a filter was tuned on; "nothing" if it was made by hand."""
 
 
-def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
-    """Errors by phase that were read, if those of all that is judged are among them."""
+def _has_judged_phase(errors: dict[str, Rmse]) -> dict[str, Rmse]:
+    """Check that errors by phase include the phase "judged", and return them."""
     if "judged" not in errors:
         raise ValueError(
             f"its phases are {', '.join(errors) or 'none'}; allowed: judged among them"
@@ -56,10 +56,10 @@ def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
     return errors
 
 
-NOT_CUT = 0.99
-"""Share of the gain asked for from which on it counts as used."""
-MOSTLY = 0.5
-"""Share of samples above which a result warns that the gain limit sets the gain."""
+USED_SHARE = 0.99
+"""A used gain below this share of the requested gain counts as limited."""
+LIMITED_SHARE = 0.5
+"""A result warns if the gain limit sets the gain in more than this share of the samples."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -72,28 +72,28 @@ class RecordingScore(NamedTuple):
     """[s]"""
     attitude_only: bool
     sources: dict[str, str]
-    """What is measured and what was made from the truth, in words."""
+    """Which quantities are measured and which were made from the truth, in words."""
     notes: list[str]
-    """What was bridged, dropped or left out."""
-    errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
-    """Root mean squares by phase, "judged" first."""
+    """Samples and columns that were bridged, dropped or left out."""
+    errors: Annotated[dict[str, Rmse], AfterValidator(_has_judged_phase)]
+    """Root mean square errors by phase, "judged" first."""
     fingerprint: str
     """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
     limited: Share | None = None
-    """Share of the samples with a measurement in which the gain limit cut what the schedule asked
-    for; None of a filter without a gain K."""
+    """Share of the samples with a measurement in which the gain limit cut the schedule's gain; None
+    for a filter without a gain K."""
 
 
 class SimulatedScore(NamedTuple):
-    """A filter that was tuned on recordings and simulated scenarios, on the latter."""
+    """Costs on simulated scenarios of a filter tuned on recordings and simulated scenarios."""
 
     training: Annotated[list[AnyNumber], Field(min_length=1)]
-    """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
+    """Cost on each training scenario [deg], from the root mean square errors."""
     held_out: Annotated[list[AnyNumber], Field(min_length=1)]
-    """The same on scenarios that only judge."""
+    """The same on each held-out scenario."""
 
     def text(self, share: float) -> str:
-        """Both for a person, with the share of the scenarios in what was minimised."""
+        """Both as text, with the scenarios' share of the cost that was minimised."""
         rows = [
             [label, f"{np.mean(costs):.4g}", f"{np.max(costs):.4g}", str(len(costs))]
             for label, costs in (("tuned on", self.training), ("held out", self.held_out))
@@ -104,22 +104,22 @@ class SimulatedScore(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingResult:
-    """A gain schedule judged on recordings: how it was found, and what it is worth."""
+    """A gain schedule, how it was found, and its errors on recordings."""
 
     experiment: Experiment
     tuned_on: TunedOn
-    """What the search saw."""
+    """What the search used for training."""
     filter: StoredFilter
-    """The schedule by its kind and its own numbers, and what was tuned beside it."""
+    """The schedule's kind and numbers, and the numbers that were tuned beside it."""
     position_weight: NonNegative
-    """Of the position's RMSE in the cost on recordings [deg/m]; 0 where none were tuned on."""
+    """Weight of the position RMSE in the cost on recordings [deg/m]; 0 if not tuned on any."""
     best_cost: Cost | None
-    """Least cost that the search found: on recordings [deg], on scenarios the configured one; None
-    of a filter made by hand."""
+    """Lowest cost that the search found: on recordings [deg], on scenarios the configured cost;
+    None for a filter made by hand."""
     training: list[RecordingScore]
-    """On each recording that it was tuned on."""
+    """Errors on each training recording."""
     held_out: list[RecordingScore]
-    """On recordings that only judge; empty if there were none."""
+    """Errors on each held-out recording; empty if there were none."""
     compile_seconds: NonNegative
     search_seconds: NonNegative
     environment: dict[str, str]
@@ -127,16 +127,16 @@ class RecordingResult:
     non_finite: Annotated[int, Field(ge=0)] = 0
     """Number of agents whose cost was not finite."""
     simulated: SimulatedScore | None = None
-    """On simulated scenarios, if these were tuned on too."""
+    """Costs on simulated scenarios, if the filter was tuned on them too."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Other filters on the same held-out recordings, by name (`evaluate`)."""
     sensors: StoredSensors | None = None
-    """What the recordings that it was tuned on know of their sensors, for exports and streams; None
-    where they differ in that, or there are none."""
+    """Sensors of the training recordings, for exports and streams; None if they differ, or there
+    are no recordings."""
 
     @cached_property
     def candidate(self) -> Candidate:
-        """The tuned schedule, with what was tuned beside it."""
+        """The tuned schedule, with the numbers that were tuned beside it."""
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
             return candidate_of(self.filter, parameter_space(self.experiment))
 
@@ -144,12 +144,12 @@ class RecordingResult:
     def schedule(self) -> GainSchedule:
         """The tuned gain schedule, ready for `run_filter`."""
         schedule = self.candidate.schedule
-        assert schedule is not None  # every kind that is stored has one
+        assert schedule is not None  # every stored kind has a schedule
         return schedule
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with all in it that was tuned beside the schedule, its rule table too."""
+        """The experiment, with everything that was tuned beside the schedule."""
         return tuned_experiment(self.experiment, self.filter)
 
     @property
@@ -157,7 +157,7 @@ class RecordingResult:
         """The tuned fuzzy controller; `controller(error=..., rate=...)` is a gain [1/s].
 
         Raises:
-            ArgumentError: The gain is another kind of schedule, which has none.
+            ArgumentError: The schedule is of another kind and has no controller.
         """
         schedule = self.schedule
         if not isinstance(schedule, FuzzyGain):
@@ -166,7 +166,7 @@ class RecordingResult:
 
     @property
     def known_sensors(self) -> KnownSensors:
-        """What the filter knows of its sensors: of its recordings; of its scenario without any.
+        """The sensors of the filter's recordings, or of its scenario if it has none.
 
         Raises:
             ArgumentError: The recordings have different references, or references that move.
@@ -182,10 +182,10 @@ class RecordingResult:
         return of_scenario(self.experiment)
 
     def filter_for(self, vectors: int, landmarks: int) -> Observer:
-        """The tuned filter for so many sensors, each seen with the factor 1.
+        """The tuned filter for a number of vectors and landmarks, each with the factor 1.
 
-        If there are as many as in `known_sensors`, the weights that these have in the recordings
-        are in its settings.
+        If `sensors` has the same numbers of them, their weights in the recordings are multiplied
+        into the filter's weights.
         """
         observer, known = self._observer(vectors, landmarks), self.sensors
         if known and (len(known.vectors), len(known.landmarks)) == (vectors, landmarks):
@@ -193,7 +193,7 @@ class RecordingResult:
         return observer
 
     def filter_on(self, recording: Recording) -> Observer:
-        """The tuned filter for a recording, whose own weights are factors on the filter's."""
+        """The tuned filter for a recording; the recording's weights are factors on its weights."""
         return self._observer(*_sensors(recording))
 
     def _observer(self, vectors: int, landmarks: int) -> Observer:
@@ -207,8 +207,8 @@ class RecordingResult:
         """Run the tuned filter over a recording.
 
         Raises:
-            ArgumentError: It is none.
-            MeasurementError: It can't be started.
+            ArgumentError: The argument is not a recording.
+            MeasurementError: The recording has no initial estimate.
         """
         check_type("recording", recording, Recording)
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
@@ -218,7 +218,7 @@ class RecordingResult:
         return f"<RecordingResult: a {self.filter.kind} gain; see summary()>"
 
     def summary(self) -> str:
-        """A short text for a person; the held-out recordings always stand in it."""
+        """A short text; it always says whether recordings were held out."""
         numbers = self.filter.numbers | {key: [a] for key, a in self.filter.also.items()}
         found = ", ".join(f"{key} = {a[0]:.4g}" for key, a in numbers.items() if len(a) == 1)
         share = self.experiment.objective.simulated_share
@@ -254,7 +254,7 @@ class RecordingResult:
             found.append(behind)
         shares = [each.limited for each in self.held_out or self.training]
         cut = [share for share in shares if share is not None]
-        if cut and np.mean(cut) > MOSTLY:
+        if cut and np.mean(cut) > LIMITED_SHARE:
             found.append(
                 "the schedule asks for more than the gain limit allows in "
                 f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "
@@ -264,7 +264,7 @@ class RecordingResult:
         return found
 
     def _behind_constant(self) -> str:
-        """That the best constant gains err less on what was held out, in all that is judged."""
+        """A warning if the best constant gains have lower mean errors on what was held out."""
         others = self.baselines.get(CONSTANT)
         if not (others and self.held_out):
             return ""
@@ -296,7 +296,7 @@ class RecordingResult:
         )
 
     def table(self) -> str:
-        """Root mean square errors by recording and phase, and those of other filters."""
+        """Root mean square errors by recording and phase, of this and the other filters."""
         heads = ["", *HEADS]
         blocks = {"tuned on": self.training, "held out": self.held_out}
         blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
@@ -310,7 +310,7 @@ class RecordingResult:
         return text_table([heads, *rows])
 
     def origins(self) -> str:
-        """What of the recordings is measured and what synthetic, and what was bridged."""
+        """Which quantities of the recordings are measured and which synthetic, and the notes."""
         lines = []
         for one in (*self.training, *self.held_out):
             words = [f"{quantity}: {text}" for quantity, text in one.sources.items()]
@@ -319,7 +319,7 @@ class RecordingResult:
 
 
 def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
-    """A row for each phase of each recording, and the mean of what is judged of several."""
+    """A row for each phase of each recording, and the mean if there are several."""
     rows = [row for one in scores for row in error_rows(one.name, one.errors.items())]
     if len(scores) > 1:
         mean = mean_errors(scores)
@@ -328,7 +328,7 @@ def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
 
 
 def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
-    """Means over recordings of the root mean squares of what is judged."""
+    """Root mean square errors of the phase "judged", mean over recordings."""
     judged = [one.errors["judged"] for one in scores]
     positions = [one.position for one in judged if one.position is not None]
     return Rmse(
@@ -341,7 +341,7 @@ def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
 
 
 def score(recording: Recording, estimates: Estimates) -> RecordingScore:
-    """A filter's estimates of a recording with a truth, judged."""
+    """The score of a filter's estimates on a recording with a truth."""
     errors = replayed_on(recording, estimates).errors
     if errors is None:
         raise RecordingError(f"{recording.name}: has no truth, so that nothing can be judged")
@@ -359,14 +359,14 @@ def score(recording: Recording, estimates: Estimates) -> RecordingScore:
 
 
 def _limited(recording: Recording, estimates: Estimates) -> float | None:
-    """`RecordingScore.limited` of a filter's estimates."""
+    """`RecordingScore.limited` for a filter's estimates."""
     m = recording.measurements
     weights = np.concatenate([m.vector_weights, m.landmark_weights], axis=1)
     asked, used = (np.asarray(g, np.float64) for g in (estimates.gain, estimates.gain_used))
     seen = (np.asarray(weights) > 0).any(axis=1) & np.isfinite(asked) & np.isfinite(used)
     if not seen.any():
         return None
-    return float(np.mean(used[seen] < NOT_CUT * asked[seen]))
+    return float(np.mean(used[seen] < USED_SHARE * asked[seen]))
 
 
 def judge_on_recordings(
@@ -376,7 +376,7 @@ def judge_on_recordings(
     training: Sequence[Recording],
     held_out: Sequence[Recording],
 ) -> RecordingResult:
-    """Judge the best candidate that a search on recordings found."""
+    """Judge the best candidate of a search on recordings."""
     experiment, search = problem.experiment, found.search
     tuned = problem.space.candidate(search.best_position)
     simulated = None if problem.beside is None else _on_scenarios(tuned, problem)
@@ -412,11 +412,11 @@ def _on_scenarios(tuned: Candidate, problem: TuningProblem) -> SimulatedScore:
 
 
 def tuned_on_scenarios(result: TuneResult, filter: Description | None = None) -> RecordingResult:
-    """The filter of a run on simulated scenarios, not yet judged on any recording.
+    """The filter of a run on simulated scenarios, not yet judged on recordings.
 
     Args:
         result: The run.
-        filter: Another one that was found on its scenarios, instead of the tuned one.
+        filter: Another filter tuned on the run's scenarios, instead of the tuned one.
     """
     tuned = result.evaluation.contenders[TUNED].filter
     return RecordingResult(
@@ -441,17 +441,17 @@ def by_hand(
     *,
     recordings: Sequence[Recording] = (),
 ) -> RecordingResult:
-    """A filter whose gain schedule was not searched, as a result: to be judged, saved, exported.
+    """A result from a schedule that was not searched, for judging, saving and exporting it.
 
     Args:
-        schedule: `ConstantGain`, `FuzzyGain` of a controller that the experiment can have, or
-            another of `posegsa.model.schedules`.
-        experiment: Whose filter, signal and weights it has; by default the recommended one.
-        recordings: That judge it.
+        schedule: `ConstantGain`, `FuzzyGain` with a controller that the experiment can produce,
+            or another schedule of `posegsa.model.schedules`.
+        experiment: Gives the filter, signal and weights; by default the recommended experiment.
+        recordings: Recordings to judge the filter on.
 
     Raises:
-        ArgumentError: It is another schedule.
-        FuzzyError: The controller is none that the experiment can have.
+        ArgumentError: The schedule has another type.
+        FuzzyError: The experiment can't produce this controller.
     """
     chosen = Experiment() if experiment is None else experiment
     check_type("experiment", chosen, Experiment)
@@ -465,7 +465,7 @@ def by_hand(
             own = schedule.controller
             made = space.schedule(space.checked(np.asarray(space.vector(own)))).controller
             for each in fields(FuzzyController):
-                # How far terms overlap saves time and changes nothing.
+                # `reach` only says how far terms overlap, to save time; it changes no output.
                 if each.name != "reach" and not _same(getattr(made, each.name), own, each.name):
                     raise FuzzyError(
                         f"schedule.controller.{each.name}: is not what the experiment makes of its "
@@ -477,7 +477,7 @@ def by_hand(
         experiment=chosen,
         tuned_on="nothing",
         filter=found,
-        position_weight=DEGREES_PER_METRE,  # of the baselines that it is judged beside
+        position_weight=DEGREES_PER_METRE,  # for the baselines beside it
         best_cost=None,
         training=[],
         held_out=[],
@@ -492,7 +492,7 @@ def by_hand(
 
 
 def _same(made: object, controller: FuzzyController, name: str) -> bool:
-    """Whether a field of a controller is what another one has, terms to the precision of both."""
+    """Whether a controller's field equals `made`, arrays up to the precision of both."""
     own = getattr(controller, name)
     if isinstance(own, Array | np.ndarray):
         eps = 8 * max(float(np.finfo(np.asarray(a).dtype).eps) for a in (made, own))

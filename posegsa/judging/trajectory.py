@@ -1,4 +1,4 @@
-"""One simulation over time as a person looks at it: in degrees and metres."""
+"""One simulation over time, in degrees and metres."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -29,12 +29,12 @@ from posegsa.settings.arrays import Columns
 from posegsa.settings.plain import decimal
 
 _column = partial(Columns, allow="any")
-"""Columns of a filter that may have diverged."""
+"""Columns that may hold any number, as the filter may have diverged."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Truth, estimates, errors and gain over N samples, a row a sample in a table."""
+    """Truth, estimates, errors and gain over N samples; one row per sample in a table."""
 
     time: Annotated[np.ndarray, Columns("time_s")]
     """(N,) [s]."""
@@ -61,19 +61,19 @@ class Trajectory:
     position_error: Annotated[np.ndarray, _column("position_error_m")]
     """(N,) ||P_est - R_err P|| [m], the position error of the cost."""
     distance: Annotated[np.ndarray, _column("distance_m")]
-    """(N,) |P_est - P| [m], how far the estimate is from the body."""
+    """(N,) |P_est - P| [m], the distance of the estimate from the body."""
     gain: Annotated[np.ndarray, _column("gain_1_s")]
-    """(N,) K that the schedule asked for [1/s]."""
+    """(N,) K that the schedule requested [1/s]."""
     gain_used: Annotated[np.ndarray, _column("gain_used_1_s")]
     """(N,) K after the gain limit, mean over the sub-steps [1/s]."""
     error: Annotated[np.ndarray, _column("scaled_error")]
-    """(N,) the scaled error that the schedule saw, in [0, 1]."""
+    """(N,) the schedule's input scaled error, in [0, 1]."""
     rate: Annotated[np.ndarray, _column("scaled_rate")]
-    """(N,) the scaled rate that it saw, in [0, 1]."""
+    """(N,) the schedule's input scaled rate, in [0, 1]."""
     vector_bias_est: Annotated[
         np.ndarray, _column("bias_est_v#_x", "bias_est_v#_y", "bias_est_v#_z", each=True)
     ]
-    """(N, 3 n) estimated biases of n vectors, body frame, in their unit; n is 0 without any."""
+    """(N, 3 n) estimated biases of n vectors, body frame, in their unit; n may be 0."""
     vector_bias_error: Annotated[np.ndarray, _column("bias_error_v#", each=True)]
     """(N, n) their distances from the true ones, in the vectors' unit."""
 
@@ -86,14 +86,14 @@ def trajectory(
     Args:
         rotation: (N, 3, 3) true R, body to inertial.
         position: (N, 3) true P [m], inertial frame.
-        estimates: What a filter made of the same N samples.
+        estimates: A filter's estimates at the same N samples.
         vector_bias: (n, 3) true biases of the vectors, body frame.
     """
     return _in_float64(_values(rotation, position, estimates, vector_bias))
 
 
 def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Trajectory:
-    """What a candidate does on one scenario of a batch."""
+    """The trajectory of a candidate on one scenario of a batch."""
     samples, initial, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
     )
@@ -117,7 +117,7 @@ def _run(
     estimates = simulate(candidate.applied(shared), samples, initial)
     assert samples.truth is not None
     R = rotation_matrix(stack(samples.truth.attitude))
-    # The loop reads P as the inertial origin in the body frame, R^T P.
+    # The simulation stores P as R^T P, in the body frame.
     P = jnp.einsum("nij,nj->ni", R, stack(samples.truth.origin), precision="highest")
     return _values(R, P, estimates, vector_bias)
 
@@ -132,12 +132,12 @@ def _values(
     distance = attitude_distance((w_est, x_est, y_est, z_est), (w, x, y, z))
     R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, R, precision="highest")
     P_err = estimates.position - jnp.einsum("nij,nj->ni", R_err, P, precision="highest")
-    learnt = estimates.vector_bias
-    N, n, _ = learnt.shape
-    true = jnp.broadcast_to(jnp.asarray(vector_bias, learnt.dtype)[None, :n], learnt.shape)
+    estimated = estimates.vector_bias
+    N, n, _ = estimated.shape
+    true = jnp.broadcast_to(jnp.asarray(vector_bias, estimated.dtype)[None, :n], estimated.shape)
     return {
-        "vector_bias_est": learnt.reshape(N, 3 * n),
-        "vector_bias_error": jnp.linalg.norm(learnt - true, axis=-1),
+        "vector_bias_est": estimated.reshape(N, 3 * n),
+        "vector_bias_error": jnp.linalg.norm(estimated - true, axis=-1),
         "time": estimates.time,
         "euler": jnp.degrees(euler_angles(R)),
         "euler_est": jnp.degrees(euler_angles(estimates.rotation)),

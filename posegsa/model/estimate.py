@@ -1,4 +1,4 @@
-"""What a filter estimates at one sample, by components, and how it is made from arrays."""
+"""The estimate of a filter at one sample, by components, and how to make it from arrays."""
 
 from typing import NamedTuple
 
@@ -25,9 +25,9 @@ class FilterState(NamedTuple):
     bias_linear: Vec3
     """b_est of the linear velocity [m/s], body frame."""
     vector_biases: tuple[Vec3, ...] = ()
-    """c_i of each vector, body frame, in its unit; () where they are not learnt."""
+    """c_i of each vector, body frame, in its unit; () if they are not estimated."""
     turning: Vec3 | tuple[()] = ()
-    """Low-passed measured angular velocity [rad/s], body frame; () likewise."""
+    """Low-passed measured angular velocity [rad/s], body frame; () if it is not needed."""
 
     @property
     def rotation(self) -> Array:
@@ -46,7 +46,7 @@ class FilterState(NamedTuple):
 
     @property
     def vector_bias(self) -> Array:
-        """C (..., n, 3) of n vectors, body frame; n is 0 where they are not learnt."""
+        """C (..., n, 3) of n vectors, body frame; n is 0 if they are not estimated."""
         if not self.vector_biases:
             return jnp.zeros((*self.place[0].shape, 0, 3), self.place[0].dtype)
         return jnp.stack([stack(c) for c in self.vector_biases], axis=-2)
@@ -65,10 +65,10 @@ def initial_state(
         rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
         position: (..., 3) P_est [m], inertial frame.
         bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
-        learnt_vectors: Number of vectors whose biases are learnt, all from 0.
+        learnt_vectors: Number of vectors whose biases are estimated, starting at 0.
 
     Raises:
-        MeasurementError: wrong shape or no numbers; names the argument.
+        MeasurementError: wrong shape, or not numbers; the message names the argument.
     """
     batch = np.shape(position)[:-1]
     numeric_array("rotation", rotation, (*batch, 3, 3))
@@ -115,10 +115,10 @@ def checked_state(
         position: (3,) P_est [m], inertial frame.
         bias: (6,) b_est [rad/s, m/s], angular first; None for zeros.
         dtype: floating type of the state.
-        learnt_vectors: as `initial_state`'s.
+        learnt_vectors: as in `initial_state`.
 
     Raises:
-        MeasurementError: wrong shape, not finite, or not a rotation; names the argument.
+        MeasurementError: an argument has the wrong shape, is not finite, or is not a rotation.
     """
     R = finite_array("rotation", rotation, (3, 3))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -16,10 +16,10 @@ Sensors = Literal["all", "vectors", "landmarks"]
 
 
 class Occasions(NamedTuple):
-    """An event that recurs: when one is over, the next begins after a random time."""
+    """An event that recurs: when one is over, the next starts after a random time."""
 
     rate: Array
-    """How often one begins while none is going on [1/s]."""
+    """Rate at which events start while none is active [1/s]."""
     duration: Array
     """(2,) minimum and maximum duration [s]."""
 
@@ -27,7 +27,7 @@ class Occasions(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Family:
-    """The ranges that scenarios are drawn from; numbers are traced, which are None is static.
+    """The ranges that scenarios are drawn from; numbers are traced, None is static.
 
     A range is (2,), minimum and maximum; values are drawn uniformly between them. None keeps the
     scenario's own value.
@@ -62,9 +62,9 @@ class Family:
     landmark_interval: Array | None
     """Time between two measurements of the landmarks [s]."""
     rest: Array | None
-    """Time at rest at the start [s], in scenarios that begin at rest."""
+    """Time at rest at the start [s], in scenarios that start at rest."""
     rest_share: Array
-    """Share of the scenarios that begin at rest."""
+    """Share of the scenarios that start at rest."""
     duration: Array | None
     """Time after which samples no longer count [s]."""
     random_phase: bool = field(metadata={"static": True})
@@ -89,7 +89,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     changed: dict[str, Any] = {}
 
     def unit(key: Array, *shape: int) -> Array:
-        # Drawn in float32 whatever the dtype, so that a key means the same scenario in both.
+        # Drawn in float32 for both dtypes, so that a key gives the same scenario in both.
         return random.uniform(key, shape, jnp.float32).astype(dtype)
 
     def normal(key: Array, *shape: int) -> Array:

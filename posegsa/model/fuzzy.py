@@ -57,7 +57,7 @@ class Overlap(NamedTuple):
 
 
 class PreparedController(NamedTuple):
-    """What depends on the terms alone, computed once per controller, not at each evaluation."""
+    """Everything that depends only on the terms, computed once per controller."""
 
     inputs: tuple[Slopes, ...]
     overlaps: tuple[tuple[Overlap, ...], ...]
@@ -65,7 +65,7 @@ class PreparedController(NamedTuple):
     middles: tuple[Array, ...]
     """(a_i + c_i)/2 of the output terms."""
     grid: tuple[Array, Array, Array] | None
-    """Of the sampled centroid: points (P,), weights (P,), output terms' memberships (n, P)."""
+    """For the sampled centroid: points (P,), weights (P,), output terms' memberships (n, P)."""
     midrange: Array
     """Middle of the output range."""
 
@@ -114,8 +114,8 @@ def searched_heights(
 ) -> Heights:
     """`firing_heights` for a rule table that is traced, because a search chooses it.
 
-    The results are the same bit for bit, since minima and maxima round nothing. It is slower: every
-    rule is compared with every term.
+    The results are the same bit for bit, since minima and maxima cause no rounding. It is slower,
+    because every rule is compared with every term.
 
     Args:
         error: memberships of the error in the n input terms.
@@ -253,7 +253,7 @@ class FuzzyController:
         _check(self)
 
     def prepare(self) -> PreparedController:
-        """All that does not depend on the inputs, computed before a loop."""
+        """Everything that does not depend on the inputs, computed before a loop."""
         a, b, c = (self.input_terms[..., i] for i in range(3))
         inputs = tuple(slopes(a[..., i], b[..., i], c[..., i]) for i in range(a.shape[-1]))
         out = self.output_terms
@@ -326,7 +326,7 @@ class FuzzyController:
         return self.offset + 0.5 * (low + high)
 
     def initial_gain(self) -> Array:
-        """The gain before any rule has fired: that in the middle of the output range [1/s]."""
+        """The gain before any rule has fired: the middle of the output range [1/s]."""
         return jnp.asarray(self.middle_gain, self.output_terms.dtype)
 
     def __call__(self, error: ArrayLike, rate: ArrayLike, last: ArrayLike | None = None) -> Array:
@@ -339,8 +339,8 @@ class FuzzyController:
                 the middle of the range.
 
         Returns:
-            The gains. Where an input is NaN the gain is NaN; inside jit it is that of no rule
-            firing, because there a NaN input means that the estimate is NaN already.
+            The gains. Where an input is NaN the gain is NaN; inside jit it is the gain without a
+            firing rule, because there a NaN input means that the estimate is NaN already.
         """
         with fitting("FuzzyController: error, rate, last"):
             if any(isinstance(a, Tracer) for a in (*jax.tree.leaves(self), error, rate, last)):

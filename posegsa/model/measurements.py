@@ -116,7 +116,7 @@ class Measurements(NamedTuple):
         """The same measurements, checked as by `from_arrays`; traced ones are not checked.
 
         Raises:
-            MeasurementError: an array has the wrong shape or forbidden values; names it.
+            MeasurementError: an array has the wrong shape or forbidden values; names the array.
         """
         if any(isinstance(a, Tracer) for a in self):
             return self
@@ -124,7 +124,7 @@ class Measurements(NamedTuple):
         return Measurements.from_arrays(**self._asdict(), dtype=dtype)
 
     def at_least(self, dtype: np.dtype) -> "Measurements":
-        """The same with fields of lower precision than the filter's converted, and a warning.
+        """The same at the filter's precision; warns if fields of lower precision were converted.
 
         Args:
             dtype: floating type of the filter.

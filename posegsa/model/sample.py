@@ -1,4 +1,4 @@
-"""One sample as a filter's step reads it, by components."""
+"""One sample in the form that a filter's step reads, by components."""
 
 from typing import NamedTuple
 
@@ -19,11 +19,11 @@ class LandmarkSample(NamedTuple):
     inertial: Vec3
     """p_i [m]."""
     factor: Array
-    """Factor on its weight, 0 where it is missing."""
+    """Factor on its weight, 0 if it is missing."""
 
 
 class Sample(NamedTuple):
-    """What one sample tells the filter, by components of any common batch shape."""
+    """The measurements of one sample, by components of any common batch shape."""
 
     time_step: Array
     """[s]."""
@@ -39,13 +39,13 @@ class Sample(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What the filter makes of a sample with its estimates so far."""
+    """A sample after correction by the current estimates."""
 
     wahba: Wahba
     freed: tuple[Vec3, ...]
-    """d_i = v_i^B - c_i; () where the biases are not learnt."""
+    """d_i = v_i^B - c_i; () if the biases are not estimated."""
     landmark_weights: tuple[Array, ...]
-    """s_i^L, 0 where a landmark is missing."""
+    """s_i^L, 0 if the landmark is missing."""
 
 
 def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
@@ -74,7 +74,7 @@ def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
 
 
 def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:
-    """x_i = T_est y_i, where the estimate puts each landmark [m, inertial frame]."""
+    """x_i = T_est y_i, the estimated position of each landmark [m, inertial frame]."""
     return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
 
 

@@ -16,7 +16,7 @@ class Sines(NamedTuple):
     """A sum of sines for each of three axes, sum_j amplitude_j sin(frequency_j t + phase_j)."""
 
     amplitude: Array
-    """(3, J) [rad/s or m/s]; axes with fewer sines are filled up with amplitude 0."""
+    """(3, J) [rad/s or m/s]; axes with fewer sines are padded with amplitude 0."""
     frequency: Array
     """(3, J) [rad/s]."""
     phase: Array
@@ -32,11 +32,11 @@ class Bursts(NamedTuple):
     """Times in which one vector is disturbed by a constant, in the body frame."""
 
     window: Array
-    """(w, 2) beginning and end [s]."""
+    """(w, 2) start and end [s]."""
     vector: Array
-    """(w,) which vector."""
+    """(w,) index of the vector."""
     offset: Array
-    """(w, 3) what is added to it, in its unit."""
+    """(w, 3) offset added to it, in its unit."""
 
 
 @jax.tree_util.register_dataclass
@@ -53,7 +53,7 @@ class Scenario:
     velocity: Sines
     """V, body frame [m/s]."""
     rest: Array
-    """(r, 2) beginning and end [s] of each time at rest, where both velocities are 0."""
+    """(r, 2) start and end [s] of each time at rest, where both velocities are 0."""
     bias: Array
     """(6,) b at the start, body frame [rad/s, m/s], angular first."""
     bias_drift: Array
@@ -69,7 +69,7 @@ class Scenario:
     vector_noise: Array
     """(n,) standard deviations."""
     vector_outages: Array
-    """(w, 2) beginning and end [s] of each time without any vector."""
+    """(w, 2) start and end [s] of each time without any vector."""
     bursts: "Bursts"
     """Disturbances of single vectors."""
     landmarks: Array
@@ -79,7 +79,7 @@ class Scenario:
     landmark_noise: Array
     """(m,) standard deviations [m]."""
     landmark_outages: Array
-    """(w, 2) beginning and end [s] of each time without any landmark."""
+    """(w, 2) start and end [s] of each time without any landmark."""
     landmark_period: Array
     """Samples from one measurement of the landmarks to the next; 1 is every sample."""
     rotation: Array
@@ -93,7 +93,7 @@ class Scenario:
     bias_estimate: Array
     """(6,) b_est(0) [rad/s, m/s]."""
     end: Array
-    """Time [s] after which nothing counts any more; infinite for all of it."""
+    """Time [s] after which samples no longer count; infinite if all count."""
 
 
 class Truth(NamedTuple):
@@ -112,7 +112,7 @@ class Truth(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What the sensors of a scenario say, and what they were wrong by."""
+    """The measurements of a scenario, and the biases in them."""
 
     measurements: Measurements
     bias: Array
@@ -120,7 +120,7 @@ class Sensed(NamedTuple):
 
 
 def integrate(scenario: Scenario) -> Truth:
-    """The true motion, T_{k+1} = T_k exp([Omega_k; V_k]^ dt): exact for velocities held a step."""
+    """The true motion T_{k+1} = T_k exp([Omega_k; V_k]^ dt), for velocities held over each step."""
     step = scenario.time_step
     time = jnp.arange(scenario.samples, dtype=jnp.int32).astype(step.dtype) * step
     moving = jnp.where(_inside(scenario.rest, time), 0.0, 1.0).astype(step.dtype)[:, None]
@@ -144,11 +144,11 @@ def integrate(scenario: Scenario) -> Truth:
 
 
 def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
-    """What the sensors say of a motion, for one noise key (pure, jittable).
+    """The measurements of a motion, for one noise key (pure, jittable).
 
     Y_m = Y + b + n (Eq. 6), v_i^B = R^T v_i^I + b_i + n_i (Eq. 2) and
     y_i = R^T (p_i - P) + b_i + n_i (Eq. 4). Vectors are as measured, neither normalised nor with
-    their cross product; what is missing has weight 0.
+    their cross product; a missing one has weight 0.
     """
     of_angular, of_linear, of_vectors, of_landmarks = jax.random.split(key, 4)
     of_drift = jax.random.fold_in(key, 4)
@@ -156,9 +156,10 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
     N, n, m = time.shape[0], scenario.vectors.shape[0], scenario.landmarks.shape[0]
 
     def noise(key: Array, *shape: int) -> Array:
-        # Drawn in float32 whatever the dtype: the same key gives unrelated normals in float64.
+        # Always drawn in float32: in float64 the same key gives unrelated normals.
         drawn = jax.random.normal(key, (N, *shape), jnp.float32)
-        # Else XLA folds the normals' factor sqrt(2) into the noise level, and rounds otherwise.
+        # Otherwise XLA folds the factor sqrt(2) of the normals into the noise level, which rounds
+        # differently.
         return jax.lax.optimization_barrier(drawn).astype(dtype)
 
     walks = jnp.cumsum(jnp.sqrt(scenario.time_step) * noise(of_drift, 6), axis=0)
@@ -197,13 +198,13 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
 
 
 def _inside(windows: Array, time: Array) -> Array:
-    """Whether times (N,) lie in any of the windows (w, 2), ends included at the beginning only."""
+    """Whether times (N,) lie in any of the windows (w, 2), start included, end excluded."""
     begun = time[:, None] >= windows[None, :, 0]
     return jnp.any(begun & (time[:, None] < windows[None, :, 1]), axis=1)
 
 
 def _disturbance(bursts: Bursts, time: Array, count: int) -> Array:
-    """What bursts add to `count` vectors at times (N,), (N, count, 3)."""
+    """The offsets that bursts add to `count` vectors at times (N,), (N, count, 3)."""
     begun = time[:, None] >= bursts.window[None, :, 0]
     active = begun & (time[:, None] < bursts.window[None, :, 1])
     vectors = jnp.arange(count, dtype=bursts.vector.dtype)

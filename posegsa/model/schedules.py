@@ -63,7 +63,7 @@ class GainSchedule(Protocol):
         ...
 
     def prepare(self) -> PreparedSchedule:
-        """The schedule, with all that is the same at every sample computed."""
+        """The schedule, with everything precomputed that is the same at every sample."""
         ...
 
 
@@ -79,7 +79,7 @@ class ConstantGain:
         return self.gain
 
     def prepare(self) -> "ConstantGain":
-        """Nothing to compute."""
+        """The schedule itself; there is nothing to precompute."""
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
@@ -168,7 +168,7 @@ class SmoothGain:
         return self.high
 
     def prepare(self) -> "SmoothGain":
-        """Nothing to compute."""
+        """The schedule itself; there is nothing to precompute."""
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
@@ -192,7 +192,7 @@ class KnotGain:
         return jnp.exp(self.log_gain[0])
 
     def prepare(self) -> "KnotGain":
-        """Nothing to compute."""
+        """The schedule itself; there is nothing to precompute."""
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
@@ -220,7 +220,7 @@ class SwitchGain:
         return self.before
 
     def prepare(self) -> "SwitchGain":
-        """Nothing to compute."""
+        """The schedule itself; there is nothing to precompute."""
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
@@ -251,7 +251,7 @@ class SettlingGain:
         return self.gain
 
     def prepare(self) -> "SettlingGain":
-        """Nothing to compute."""
+        """The schedule itself; there is nothing to precompute."""
         return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:

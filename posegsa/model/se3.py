@@ -152,7 +152,7 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
     quarter = 0.25 * choose(far, rest * rest, angle_squared)
     # Enough terms that the first omitted one is below rounding at pi/2 and at SERIES_BELOW.
     small = angle_squared < SERIES_BELOW
-    # One division serves both: by the squared angle, and by the angle where it is far.
+    # One division serves both: by the squared angle, and by the angle where it is large.
     per_square = 1 / choose(small, 1.0, angle_squared)
     half_cos = choose(far, sign, 1.0) * series(quarter, 0, 6 if single else 10)
     half_sinc = series(quarter, 1, 6 if single else 10) * choose(

@@ -64,7 +64,7 @@ class Measured(NamedTuple):
     attitude_seen: Array | bool
     """Whether any vector was measured."""
     position_seen: Array | bool
-    """Whether any landmark was."""
+    """Whether any landmark was measured."""
 
 
 def known_pose(truth: TruePose | None) -> TruePose:
@@ -125,7 +125,7 @@ class SignalMemory(NamedTuple):
     error: Array
     """The last error signal, smoothed, unscaled; ignored at the first sample."""
     gain: Array
-    """The last gain that the schedule asked for [1/s]."""
+    """The last gain that the schedule requested [1/s]."""
     time_step: Array
     """Time since the last sample [s]; infinite before the first one."""
 
@@ -151,7 +151,7 @@ def scheduled_gain(
     time_step: Array,
     settings: SignalSettings,
 ) -> tuple[Gains, ScheduleInputs, SignalMemory]:
-    """The gains that a schedule asks for, from the errors of attitude [1] and position [m].
+    """The gains that a schedule requests, from the errors of attitude [1] and position [m].
 
     A part that is not measured at a sample keeps its last value. The signal e is attitude + weight
     x position after a first-order low-pass filter (backward Euler, starting at the first value).

@@ -1,1 +1,1 @@
-"""What is kept on disk, so that nothing already computed is lost."""
+"""Files: results, checkpoints and tables, so that nothing already computed is lost."""

@@ -52,7 +52,7 @@ class About(NamedTuple):
 
 
 class RecordedTask(NamedTuple):
-    """What a run on recordings is tuned on and for; the recordings themselves are not included."""
+    """The task of a run on recordings; the recordings themselves are not included."""
 
     schedule: RecordedSchedule
     position_weight: NonNegative
@@ -94,13 +94,13 @@ def search_with_checkpoints(
 ) -> Found:
     """Search to the end, or until a signal asks to stop where the search can be resumed.
 
-    It goes on with a run, or begins one in place of any whose checkpoints the locked folder holds.
-    The times of what was found are those of all processes together. `recorded` is what is tuned
-    on, if that is recordings.
+    It continues a given run. Otherwise it starts a new one, which replaces all checkpoints in the
+    locked folder. The times in the result are totals over all processes. `recorded` is the task of
+    a run on recordings.
 
     Raises:
-        SearchInterrupted: Ctrl-C or SIGTERM.
-        SearchError: JAX could not go on.
+        SearchInterrupted: Ctrl-C, SIGTERM or SIGUSR1.
+        SearchError: JAX failed.
         CheckpointError: The first checkpoint can't be written.
     """
     experiment = problem.experiment
@@ -183,8 +183,8 @@ def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
 class CheckpointWriter:
     """Writes a run's checkpoints, as a context around its search.
 
-    It stops the search if a signal has asked for that, even after the last chunk: the process that
-    resumes the run will judge it. A search that ends early, for whatever reason, is saved. If a
+    It stops the search if a signal has asked for that, even after the last chunk; the process that
+    resumes the run then judges it. A search that ends early, for whatever reason, is saved. If a
     checkpoint can't be written, a warning says so and the search goes on until the next one is due;
     only the very first one must succeed.
     """
@@ -197,7 +197,7 @@ class CheckpointWriter:
     cost: str = CONFIGURED
     """The name of the cost that is minimised."""
     recorded: RecordedTask | None = None
-    """What is tuned on, if that is recordings."""
+    """The task of a run on recordings; None for a run on simulated scenarios."""
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -252,10 +252,10 @@ class CheckpointWriter:
         )
 
     def stop_if_asked(self) -> None:
-        """Stop the search if a signal has asked for that; an iteration that is not whole is lost.
+        """Stop the search if a signal has asked for that; an unfinished iteration is lost.
 
         Raises:
-            SearchInterrupted: It has.
+            SearchInterrupted: A signal has asked to stop.
         """
         if self.request.signal_number is not None:
             self._save()
@@ -291,7 +291,7 @@ class CheckpointWriter:
                 )
             return
         self._saved, self._saved_at, self._warned = self._iteration, self.clock(), False
-        # The last few stay. Later ones, which were damaged, go.
+        # The last few are kept. Later ones, which were damaged, are removed.
         with contextlib.suppress(OSError):
             numbered = [p for p in checkpoint_paths(self.folder) if p.stem.isdecimal()]
             later = [p for p in numbered if int(p.stem) > self._iteration]

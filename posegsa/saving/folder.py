@@ -146,7 +146,7 @@ def replace_files(folder: Path, files: Mapping[str, bytes], remove: Iterable[str
     with write_errors(folder):
         try:
             shutil.rmtree(staged, ignore_errors=True)
-            staged.mkdir(parents=True)  # a folder that was removed must not cost the result
+            staged.mkdir(parents=True)  # if the folder was removed, the result must not be lost
             for name, content in files.items():
                 path = staged / name
                 path.parent.mkdir(exist_ok=True)

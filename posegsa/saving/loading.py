@@ -25,7 +25,7 @@ def save(
         result: From `tune`, `evaluate` or `by_hand`.
         folder: Where; created if missing.
         overwrite: Replace another run's files there.
-        figures: Names of those to draw; by default all. A result on recordings has none.
+        figures: Names of the figures to draw; by default all. A result on recordings has none.
 
     Returns:
         The folder.

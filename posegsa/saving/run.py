@@ -68,16 +68,16 @@ def save(
 
     Args:
         result: From `tune` or `evaluate`.
-        folder: Where; made if missing.
+        folder: Where; created if missing.
         overwrite: Replace another run's files there.
-        figures: Names of those to draw; by default all.
+        figures: Names of the figures to draw; by default all.
 
     Returns:
         The folder.
 
     Raises:
-        RunFolderError: It holds a run already, or can't be written.
-        ArgumentError: There is no figure of such a name.
+        RunFolderError: The folder contains a run already, or cannot be written.
+        ArgumentError: There is no figure with such a name.
     """
     check_type("result", result, TuneResult)
     names = run_figures(figures)
@@ -107,12 +107,12 @@ def write_run(
     Args:
         result: What is written.
         folder: Where.
-        figures: Names of those that are drawn, by default all; others that are there go.
-        same_run: Whether what the folder holds is of the same run, judged anew: then what the
-            search left stays, and how the run was judged on recordings.
+        figures: Names of the figures to draw, by default all; others in the folder are removed.
+        same_run: Whether the folder contains the same run, which was judged again. Then the files
+            of the search and the results on recordings are kept.
 
     Raises:
-        RunFolderError: They can't be written; the folder is as it was.
+        RunFolderError: They cannot be written; the folder is unchanged.
     """
     steps.begin("writing" if figures == [] else "drawing")
     drawn = list(draw(result, figures).items())
@@ -155,11 +155,11 @@ def _result_summary(result: TuneResult) -> dict[str, Any]:
 
 
 def load(folder: str | Path) -> TuneResult:
-    """Read back the folder of a run on simulated scenarios.
+    """Read the folder of a run on simulated scenarios.
 
     Raises:
-        RunFolderError: It is not a run's folder, or a file in it is damaged, of another layout, or
-            does not fit to the others; names the file and the field.
+        RunFolderError: It is not a run's folder, or a file in it is damaged, has another format,
+            or contradicts the others; names the file and the field.
     """
     folder = as_path("folder", folder)
 
@@ -179,14 +179,14 @@ def load(folder: str | Path) -> TuneResult:
 
 
 def _history(text: str, source: Path, dtype: str) -> History:
-    """A history at the run's precision, as the search had it."""
+    """A history at the run's precision, as in the search."""
     columns = from_csv(History, text, source, counted="iteration")
-    with np.errstate(over="ignore"):  # of a damaged one, which is refused below
+    with np.errstate(over="ignore"):  # a damaged history, which is refused below
         return History(*(a.astype(dtype) if a.dtype == np.float64 else a for a in columns))
 
 
 def _refuse_disagreement(folder: Path, result: TuneResult) -> None:
-    """Raise a RunFolderError where the files of a run do not fit together."""
+    """Raise a RunFolderError if the files of a run do not fit together."""
     experiment, evaluation, history = result.experiment, result.evaluation, result.history
     last = round(float(evaluation.time[-1]) / experiment.scenario.sampling_time)
     both = [name for name in (TUNED, CONSTANT) if name in evaluation.contenders]

@@ -79,8 +79,8 @@ def prepare_sweep_folder(
 
     Args:
         folder: Where.
-        base: What the sweep does not vary.
-        keys: What it varies.
+        base: The settings that the sweep does not vary.
+        keys: The keys that it varies.
         overwrite: Remove the runs of another sweep.
 
     Raises:

@@ -50,7 +50,7 @@ PLAIN = reference_ekf.Noise(
 
 
 def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> KalmanNoise:
-    """The same in the package's form."""
+    """The same noise as `KalmanNoise`."""
     return as_arrays(
         KalmanNoise(
             angular_velocity=plain.velocity[0],
@@ -71,11 +71,11 @@ def noise_of(plain: reference_ekf.Noise, dtype: Any = np.float64) -> KalmanNoise
 
 
 def samples_for(m: Measurements, rotation: Any = None, position: Any = None) -> Samples:
-    """What the filter reads, whatever its noise."""
+    """The input of the filter, which does not depend on its noise."""
     return samples_of(KalmanFilter(noise_of(PLAIN, np.float32)), m, rotation, position)
 
 
-def begun(initial: FilterState, noise: KalmanNoise) -> KalmanState:
+def started(initial: FilterState, noise: KalmanNoise) -> KalmanState:
     """The state before the first sample; the vectors' biases that `initial` has are states."""
     learnt = len(initial.vector_biases)
     return KalmanFilter(noise, vector_biases=learnt > 0).start(initial, learnt)
@@ -96,7 +96,7 @@ def leaves_close(got: Any, want: Any, atol: float) -> None:
 
 
 def step(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
-    """One sample, as a user's own loop would take it."""
+    """Process one sample, as in a user's own loop."""
     return propagate(update(state, sample, noise), sample, noise)
 
 
@@ -109,7 +109,7 @@ def held(state: KalmanState) -> tuple[Array, ...]:
 
 @jax.jit
 def one_by_one(state: KalmanState, samples: Sample, noise: KalmanNoise) -> tuple[Array, ...]:
-    """What is `held` before each of N samples and after the last, (N + 1, ...)."""
+    """The numbers of `held` before each of N samples and after the last, (N + 1, ...)."""
 
     def body(state: KalmanState, now: Sample) -> tuple[KalmanState, tuple[Array, ...]]:
         return step(state, now, noise), held(state)
@@ -124,7 +124,7 @@ def first_of(samples: Samples) -> Sample:
 
 
 COUNT = 40
-"""Samples of a sequence; always as many, and with 12 states as a rule one vector: one program."""
+"""Samples in a sequence. It is always the same number, so that programs are compiled once."""
 
 
 @pytest.mark.usefixtures("x64")
@@ -139,7 +139,7 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt) -> None:
     m = random_measurements(rng, COUNT, vectors, landmarks, missing=0.3)
     T, b = random_poses(rng, 1)[0], 0.3 * rng.normal(size=6)
     samples, noise = seen(m, rng), noise_of(PLAIN)
-    state = begun(state_of(T, b, learnt_vectors=learnt), noise)
+    state = started(state_of(T, b, learnt_vectors=learnt), noise)
     begin = reference_ekf.start(T, b, learnt, PLAIN)
     want = reference_ekf.run([sample_of(m, k) for k in range(COUNT)], begin, PLAIN)
     wanted = zip(*((one.T, one.b, one.c, one.Sigma) for one in want), strict=True)
@@ -148,7 +148,7 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt) -> None:
 
 
 def seen(m: Measurements, rng: np.random.Generator) -> Samples:
-    """What the filter reads of measurements, with a truth that has nothing to do with them."""
+    """The input of the filter from measurements, with an unrelated truth."""
     truth = random_poses(rng, len(m.time_step))
     return jitted_samples(as_arrays(m, np.float64), truth[:, :3, :3], truth[:, :3, 3])
 
@@ -159,7 +159,7 @@ def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> 
     rng = np.random.default_rng(5)
     T = random_poses(rng, 1)[0]
     xi = np.concatenate([size * np.array([0.6, 0.0, -0.8]), rng.normal(size=3)])
-    state = begun(state_of(T), noise_of(PLAIN))
+    state = started(state_of(T), noise_of(PLAIN))
     truth = T @ se3_exp(xi)
     origin = truth[:3, :3].T @ truth[:3, 3]
     truth = TruePose(state_of(truth).attitude, (origin[0], origin[1], origin[2]))
@@ -168,7 +168,7 @@ def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> 
 
 
 def test_the_reference_agrees_with_gtsam() -> None:
-    """Without biases, and without gtsam's reset of the covariance, both are one filter."""
+    """Without biases, and without gtsam's reset of the covariance, both are the same filter."""
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed")
     rng = np.random.default_rng(0)
     noise = replace(PLAIN, bias_walk=np.zeros(6), bias=np.zeros(6))
@@ -191,14 +191,14 @@ def test_a_step_is_the_same_jitted_and_not() -> None:
     rng = np.random.default_rng(1)
     samples = seen(random_measurements(rng, COUNT, 1, 0), rng)
     noise = noise_of(PLAIN)
-    state = begun(state_of(random_poses(rng, 1)[0]), noise)
+    state = started(state_of(random_poses(rng, 1)[0]), noise)
     jitted = [a[1] for a in one_by_one(state, samples.sample, noise)]
     leaves_close(jitted, list(jax.jit(held)(step(state, first_of(samples), noise))), atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
 def test_all_simulations_are_the_same_steps() -> None:
-    """Scenarios and noises side by side, cost, errors, estimates: as the steps one by one."""
+    """Batched scenarios and noises, cost, errors and estimates agree with single steps."""
     rng = np.random.default_rng(2)
     weights = CostWeights(
         transient=jnp.asarray(rng.uniform(size=COUNT)),
@@ -234,7 +234,7 @@ def test_all_simulations_are_the_same_steps() -> None:
         away = np.linalg.norm(estimates.position - places[i], axis=1)
         track = errors_of(plain(noises[0]), samples, initial)
         np.testing.assert_allclose(track.distance, away, atol=1e-10)
-        T, bias, _, _ = one_by_one(begun(initial, noises[0]), samples.sample, noises[0])
+        T, bias, _, _ = one_by_one(started(initial, noises[0]), samples.sample, noises[0])
         np.testing.assert_allclose(estimates.rotation, T[:-1, :3, :3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.position, T[:-1, :3, 3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.bias, bias[:-1], rtol=0, atol=1e-10)
@@ -251,7 +251,7 @@ def test_without_measurements_an_update_changes_nothing() -> None:
         landmark_weights=np.zeros_like(m.landmark_weights),
     )
     noise = noise_of(PLAIN)
-    state = begun(state_of(random_poses(rng, 1)[0]), noise)
+    state = started(state_of(random_poses(rng, 1)[0]), noise)
     sample = first_of(seen(missing, rng))
     leaves_close(update(state, sample, noise), state, atol=1e-15)
 
@@ -270,12 +270,12 @@ def test_samples_of_an_observer_that_learns_the_biases_serve_too() -> None:
         leaves_close((a.measured, a.known, a.factor), (b.measured, b.known, b.factor), atol=0)
     sums = jax.eval_shape(prepare, m, replace(settings, weights=None, each_agent=False))
     noise = noise_of(PLAIN, np.float32)
-    state = begun(state_of(np.eye(4), dtype=np.float32), noise)
+    state = started(state_of(np.eye(4), dtype=np.float32), noise)
     with pytest.raises(ArgumentError, match="each vector"):
         update(state, sums, noise)
 
 
-# The paper's sensors; how far off a start and the biases are is drawn from the last four.
+# The paper's sensors; errors of the start and the biases are drawn with the last three fields.
 SENSED = reference_ekf.Noise(
     velocity=np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1]) * 0.01**0.5,
     bias_walk=np.zeros(6),
@@ -287,13 +287,13 @@ SENSED = reference_ekf.Noise(
     vector_bias=0.05,
 )
 SIDE, CHUNK, BETWEEN = 10, 400, 20
-"""Filters side by side, samples at a time, and from one that is looked at to the next: one program
-for both tests below."""
+"""Number of filters at once, samples in a chunk, and samples between two checks. Both tests below
+share one program."""
 
 
 @jax.jit
 def scenarios(keys: Array) -> tuple[Samples, FilterState]:
-    """The paper's motion and noise for 4 s, with starts and biases drawn anew."""
+    """The paper's motion and noise for 4 s, with random starts and biases."""
 
     def one(key: Array) -> tuple[Samples, FilterState]:
         of_start, of_noise = jax.random.split(key)
@@ -327,11 +327,11 @@ def watched(state: KalmanState, samples: Samples, noise: KalmanNoise) -> tuple[K
     return jax.lax.scan(look, state, parts)
 
 
-starts = jax.jit(jax.vmap(begun))
+starts = jax.jit(jax.vmap(started))
 
 
 def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
-    """100 starts, biases and noises as the filter believes them: the mean NEES is of chi^2(6)."""
+    """The mean NEES of 100 runs with the noise that the filter assumes has the mean of chi^2(6)."""
     noise = as_arrays(
         jax.tree.map(lambda a: np.full(SIDE, a), noise_of(SENSED, np.float32)), np.float32
     )
@@ -347,7 +347,7 @@ def test_consistent_for_small_initial_errors_and_the_true_noise() -> None:
 
 
 def test_the_covariance_stays_positive_definite_in_float32() -> None:
-    """Over 6000 steps, from wide beliefs, with sensors believed as they are to far too good."""
+    """6000 steps from a large covariance; the assumed sensor noise is up to 20 times too small."""
     wide = replace(
         SENSED,
         pose=np.array([3.0, 3.0, 3.0, 30.0, 30.0, 30.0]),

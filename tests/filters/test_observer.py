@@ -55,9 +55,9 @@ from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import filter_settings
 
 COUNT = 30
-"""States that are stepped at once; of one number wherever it does not matter: one program."""
+"""Number of states stepped at once; mostly the same, so that programs are compiled once."""
 SEQUENCE = 40
-"""Samples that are filtered one after the other; likewise."""
+"""Number of samples filtered one after the other; likewise."""
 
 # One step against the reference ------------------------------------------------------------------
 
@@ -78,7 +78,7 @@ def check_against_reference(
         reference.filter_step(T[k], b[k], reference_sample(raw, k), gains[k], gamma=GAMMA, **limit)
         for k in range(count)
     ]
-    # Relative to numbers up to 10 or so.
+    # Absolute tolerances, for numbers up to about 10.
     np.testing.assert_allclose(matrices(after), [T for T, _ in steps], rtol=0, atol=1e-10)
     np.testing.assert_allclose(biases(after), [b for _, b in steps], rtol=0, atol=1e-10)
     if limit["gain_limit"] is None:
@@ -157,7 +157,7 @@ def test_the_gain_used_is_the_least_of_gain_and_limit_averaged_over_substeps(sub
 
 @pytest.mark.usefixtures("x64")
 def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_reference() -> None:
-    # The vectors' biases are learnt from a state that has none yet.
+    # The vectors' biases are estimated from a state without biases.
     rng = np.random.default_rng(4)
     raw = random_measurements(rng, SEQUENCE, 2, 1, missing=0.4)
     m = as_arrays(raw, np.float64)
@@ -197,14 +197,14 @@ def test_a_sequence_with_uneven_steps_and_dropouts_online_at_once_and_by_the_ref
         wanted = zip(*by_reference, strict=True)
         for got, loop, want in zip(found, one_by_one, wanted, strict=True):
             np.testing.assert_allclose(got, loop, rtol=0, atol=1e-12)
-            # Rounding, amplified a little by steps on measurements that fit nothing.
+            # Rounding, slightly amplified because the measurements fit no pose.
             np.testing.assert_allclose(got, want, rtol=0, atol=1e-10)
     assert np.abs(c).max() > 0.01
     np.testing.assert_allclose(estimates.time, np.cumsum(raw.time_step) - raw.time_step)
 
 
 def with_none(state: FilterState) -> FilterState:
-    """A state that has none yet, with the biases of two vectors, all 0."""
+    """The state; if it has no vector biases, with those of two vectors, all 0."""
     zero = np.zeros_like(state.place[0])
     zeros = (zero, zero, zero)
     return state if state.turning else state._replace(vector_biases=(zeros,) * 2, turning=zeros)
@@ -234,7 +234,7 @@ def test_the_bias_is_zero_unless_given() -> None:
 
 
 def test_whole_numbers_make_a_state_of_floating_ones() -> None:
-    with jax.numpy_dtype_promotion("standard"):  # as a user has it
+    with jax.numpy_dtype_promotion("standard"):  # as a user may pass it
         made = jax.eval_shape(lambda: initial_state(np.eye(3, dtype=int), [4, -3, 5], [0] * 6))
     assert {a.dtype for a in jax.tree.leaves(made)} == {np.dtype(np.float32)}
 
@@ -285,7 +285,7 @@ def test_step_compiles_once_for_all_numbers(caplog: pytest.LogCaptureFixture) ->
 def configured(dtype: Any, **section: Any) -> FilterSettings:
     """The filter settings of a [filter] section, with the paper's scenario."""
     run = RunConfig(dtype=np.dtype(dtype).name)
-    parameters = ParametersConfig(also=())  # what may be tuned too depends on the section
+    parameters = ParametersConfig(also=())  # what else may be tuned depends on the section
     return filter_settings(
         Experiment(run=run, filter=FilterConfig(**section), parameters=parameters)
     )
@@ -331,13 +331,13 @@ def test_weights_and_the_law_of_the_vectors_biases_are_those_of_the_configuratio
     np.testing.assert_allclose(numbers, [0.5, 0.01, 16, 16, 2], rtol=1e-6)
 
 
-# What is learnt of the vectors --------------------------------------------------------------------
+# Estimated biases of the vectors ------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("x64")
 def test_an_estimated_bias_is_never_longer_than_its_bound() -> None:
     m, _, state = random_samples(COUNT)
-    state = with_vector_biases(state, 3, length=2.0)  # some of them beyond it already
+    state = with_vector_biases(state, 3, length=2.0)  # some are beyond the bound already
     chosen = learning(gain=60.0, bound=0.4, excitation=1e-3)
     sample = prepared_for(m, chosen)
     for _ in range(2):
@@ -345,7 +345,7 @@ def test_an_estimated_bias_is_never_longer_than_its_bound() -> None:
         length = np.linalg.norm(vector_biases(state), axis=-1)
         assert length.max() <= 0.4 * (1 + 1e-12)
     assert length.max() > 0.3
-    assert (length == 0).any()  # a step far beyond it begins anew
+    assert (length == 0).any()  # a step far beyond the bound starts again at 0
 
 
 @pytest.mark.usefixtures("x64")
@@ -365,7 +365,7 @@ def test_the_estimated_bias_of_a_missing_vector_stays() -> None:
 def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
     m, _, state = random_samples(COUNT)
     state = with_vector_biases(state, 3, length=0.1)
-    # The measured angular velocity is its bias, and always was.
+    # The measured angular velocity is, and always was, exactly its bias.
     omega = biases(state)[:, :3]
     m = m._replace(angular_velocity=jnp.asarray(omega))
     x, y, z = jnp.asarray(omega.T)
@@ -374,7 +374,7 @@ def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
     still, _ = jitted_observe(state, prepared_for(m, chosen), np.full(COUNT, 5.0), chosen)
     before = vector_biases(state)
     np.testing.assert_allclose(vector_biases(still), before, rtol=0, atol=1e-15)
-    # With a leak it is forgotten.
+    # With a leak the estimate decays.
     forgets = learning(leak=0.5)
     leaked, _ = jitted_observe(state, prepared_for(m, forgets), np.full(COUNT, 5.0), forgets)
     kept = (1 - 0.5 * np.asarray(m.time_step))[:, None, None]
@@ -481,7 +481,7 @@ def test_settings_of_another_number_of_sensors_are_refused() -> None:
 
 
 def learning(dtype: Any = np.float64, **law: float) -> FilterSettings:
-    """Settings of a filter that learns the vectors' biases, with all that it can make of them."""
+    """Settings of a filter that estimates the vectors' biases and uses every option for vectors."""
     return settings(
         dtype,
         gamma_law="linear",
@@ -525,13 +525,13 @@ def test_float32_agrees_with_float64_to_rounding() -> None:
     single = result(np.float32)
     with jax.enable_x64(True):
         double = result(np.float64)
-    # Numbers up to 40 (gains), with some tens of operations on them.
+    # Numbers up to 40 (gains), after some tens of operations.
     leaves_close(single, double, rtol=1e-5, atol=1e-5)
 
 
 @jax.jit
 def forward_and_reverse(chosen: FilterSettings, *inputs: Any) -> tuple[Any, Any]:
-    """Derivatives of the sum of all that a step returns, by state, gain and measurements."""
+    """Derivatives of the sum of all outputs of a step by state, gain and measurements."""
 
     def total(state: FilterState, gain: Array, m: Measurements) -> Array:
         after, _ = observed(state, prepare(m, chosen.vectors), gain, chosen)
@@ -547,7 +547,7 @@ def forward_and_reverse(chosen: FilterSettings, *inputs: Any) -> tuple[Any, Any]
 def test_derivatives_are_finite_at_rest_on_the_truth_and_without_measurements(
     learns, seen, gain_limit
 ) -> None:
-    # Everything that has a square root or a division is at its zero here.
+    # Every argument of a square root and every divisor is 0 here.
     m = fitting(np.eye(4), np.array([[0.0, 0.0, 1.0]] * 2), np.zeros((1, 3)))
     m = m._replace(vector_weights=np.full(2, seen), landmark_weights=np.full(1, seen))
     state = state_of(np.eye(4), dtype=np.float32, learnt_vectors=2 * learns)

@@ -1,4 +1,4 @@
-"""The observer over a minute without noise: it finds pose and biases; the printed law does not."""
+"""The observer over a minute without noise: pose and biases converge, not with the printed law."""
 
 from dataclasses import replace
 from functools import cache
@@ -39,15 +39,15 @@ BIASES = np.array([0.1, -0.1, 0.1, 0.2, 0.5, 0.1])
 
 
 def papers() -> VectorSettings:
-    """What the paper makes of vectors."""
+    """The vector settings of the paper."""
     return vector_settings(normalise=True, cross_weight=1.0)
 
 
 @cache
 def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
-    """The paper's motion, what these sensors say of it, and its initial estimate.
+    """The paper's motion, its measurements by these sensors, and the initial estimate.
 
-    For two minutes, as below, of which the first is looked at: one program.
+    It lasts two minutes like the one below, to share its program; only the first is used.
     """
     s = quietly(experiment(**(BIASED if biased else FREE), duration=120.0))
     truth = jax.jit(integrate)(s)
@@ -59,7 +59,7 @@ def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
 
 
 def run(chosen: FilterSettings, gain: float, *, biased: bool) -> tuple[Truth, Estimates]:
-    """That motion filtered with a constant gain."""
+    """The motion filtered with a constant gain."""
     truth, sensors, initial = sensed(biased)
     observer = Observer(ConstantGain(jnp.asarray(gain)), chosen)
     return truth, simulate(observer, sensors, initial)
@@ -67,7 +67,7 @@ def run(chosen: FilterSettings, gain: float, *, biased: bool) -> tuple[Truth, Es
 
 def errors(truth: Truth, estimates: Estimates) -> tuple[np.ndarray, np.ndarray]:
     """||R_err||_I and |P_err| [m] at each sample."""
-    with np.errstate(all="ignore"):  # of estimates that diverge; whether NumPy warns is the CPU's
+    with np.errstate(all="ignore"):  # diverged estimates; whether NumPy warns depends on the CPU
         return _errors(truth, estimates)
 
 
@@ -87,9 +87,9 @@ def test_without_noise_pose_and_bias_converge_to_the_truth(substeps, gain_limit,
     )
     truth, estimates = run(chosen, 5.0, biased=biased)
     attitude, position = errors(truth, estimates)
-    assert attitude[0] > 0.5  # the paper's start: far off
+    assert attitude[0] > 0.5  # the paper's start, with a large error
     assert position[0] > 5
-    # Over the last 10 s, and to 1e-9; rounding would be reached after 100 s.
+    # Over the last 10 s to 1e-9; it would take 100 s to reach rounding.
     assert attitude[-1000:].max() < 1e-9
     assert position[-1000:].max() < 1e-9
     bias = BIASES if biased else np.zeros(6)
@@ -103,7 +103,7 @@ def test_the_printed_law_fails_with_velocity_biases_where_the_gradient_law_conve
 
     It has Ad(T_est)^T in the innovation and Ad(T_est^-1) in the bias law; the Lyapunov argument
     holds with the two exchanged. At gamma = 10 it diverges; at gamma = 1 the attitude error is 0.23
-    after 60 s, and wanders on. (At some gammas, 2 for one, it happens to converge.)
+    after 60 s and does not settle. (At some gammas, such as 2, it happens to converge.)
     """
     chosen = settings(gain_limit=None, gamma=(gamma, gamma), vectors=papers())
     printed, gradient = (errors(*run(replace(chosen, law=law), 1.0, biased=True)) for law in LAWS)
@@ -115,7 +115,7 @@ def test_the_printed_law_fails_with_velocity_biases_where_the_gradient_law_conve
         assert not np.isfinite(printed[0][-1])
 
 
-# With the vectors' biases learnt -----------------------------------------------------------------
+# With estimated biases of the vectors -------------------------------------------------------------
 
 VECTOR_BIASES = np.array([[0.0, 0.1, 0.1], [0.0, 0.0, 0.1]])
 VECTORS_BIASED = BIASED | {
@@ -127,7 +127,7 @@ VECTORS_BIASED = BIASED | {
 
 
 def learning(dtype: Any = np.float64, *, gamma: float = 5.0, **law: float) -> FilterSettings:
-    """A filter that learns the vectors' biases, with the gains of both bias laws tied to K."""
+    """A filter that estimates the vectors' biases; the gains of both bias laws follow K."""
     return settings(
         dtype,
         gamma_law="linear",
@@ -141,7 +141,7 @@ def learning(dtype: Any = np.float64, *, gamma: float = 5.0, **law: float) -> Fi
 def learnt(
     s: Scenario, chosen: FilterSettings, schedule: GainSchedule, dtype: Any = np.float64
 ) -> tuple[Truth, Estimates]:
-    """A scenario filtered with the vectors' biases learnt from 0."""
+    """A scenario filtered with estimated vector biases that start at 0."""
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
     initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
@@ -152,26 +152,26 @@ def learnt(
 
 @pytest.mark.usefixtures("x64")
 def test_without_noise_pose_and_all_biases_converge_while_the_body_turns() -> None:
-    # The paper's motion and start; learning begins when the error is small.
+    # The paper's motion and start; bias estimation starts when the error is small.
     schedule = SwitchGain(*(jnp.asarray(x) for x in (50.0, 5.0, 6.0, 2.0)))
     s = quietly(experiment(**VECTORS_BIASED, duration=120.0))
     truth, estimates = learnt(s, learning(), schedule)
     attitude, position = errors(truth, estimates)
     assert attitude[0] > 0.5
     last = slice(-500, None)
-    # 1e-5 rad, m, rad/s, m/s and of the vectors' unit; 1e-7 was measured.
+    # 1e-5 in rad, m, rad/s, m/s and the vectors' unit; 1e-7 was measured.
     assert 2 * np.sqrt(np.abs(attitude[last]).max()) < 1e-5
     assert position[last].max() < 1e-5
     assert np.abs(np.asarray(estimates.bias)[last] - BIASES).max() < 1e-5
     assert np.abs(np.asarray(estimates.vector_bias)[last] - VECTOR_BIASES).max() < 1e-5
-    # A filter that takes these vectors as they are stays degrees off.
+    # A filter that does not estimate these biases keeps an error of degrees.
     _, ignored = learnt(s, learning(gain=0.0), schedule)
     assert (np.asarray(ignored.vector_bias) == 0).all()
     assert 2 * np.sqrt(errors(truth, ignored)[0][last].max()) > np.radians(5)
 
 
 def test_at_rest_for_long_nothing_wanders() -> None:
-    # 600 s at 20 Hz, 90 degrees turned, 30 degrees off; with noise, and vectors that have biases.
+    # 600 s at 20 Hz, turned by 90 degrees, error 30 degrees; with noise and vector biases.
     turned, start = (
         Rotation.from_euler("x", angle, degrees=True).as_matrix().tolist() for angle in (90, 120)
     )
@@ -186,8 +186,8 @@ def test_at_rest_for_long_nothing_wanders() -> None:
             initial_position_estimate=(1.0, -1.0, 0.5),
         )
     )
-    # Learning begins when the estimate has settled: the gate takes the turning of an estimate of
-    # the velocity's bias for the body's.
+    # Bias estimation starts when the estimate has settled: its gate takes a changing estimate of
+    # the velocity's bias for a turning body.
     schedule = SwitchGain(*(jnp.asarray(x) for x in (3.0, 3.0, 0.0, 60.0)))
     off = {}
     for gain in (0.5, 0.0):
@@ -196,6 +196,6 @@ def test_at_rest_for_long_nothing_wanders() -> None:
             assert np.isfinite(leaf).all()
         attitude, position = errors(truth, estimates)
         off[gain] = [np.sqrt(np.mean(attitude[-1200:])), np.sqrt(np.mean(position[-1200:] ** 2))]
-        # The c_i start at 0, and at rest there is nothing to learn.
+        # The c_i start at 0, and at rest nothing can be estimated.
         assert np.abs(estimates.vector_bias).max() < 0.15
     np.testing.assert_array_less(off[0.5], 1.25 * np.array(off[0.0]))

@@ -1,4 +1,4 @@
-"""What the observer's equations promise: its steps go down its cost, and how long they may be."""
+"""Theory of the observer: its steps decrease its cost, up to a maximum step length."""
 
 from dataclasses import replace
 from functools import partial
@@ -34,7 +34,7 @@ from posegsa.model.measurements import Measurements
 
 
 def cost(T: Array, m: Measurements) -> Array:
-    """f of the docstring of `innovation`, of T (4, 4) and one sample."""
+    """f of the docstring of `innovation`, for T (4, 4) and one sample."""
     x = m.landmarks @ T[:3, :3].T + T[:3, 3][None]
     landmarks = jnp.sum(m.landmark_weights * jnp.sum((x - m.landmark_references) ** 2, axis=-1))
     turned = m.vectors @ T[:3, :3].T
@@ -51,7 +51,7 @@ GENERATORS = np.stack([reference.wedge(e) for e in np.eye(6)])
 def derivatives(T: Array, m: Measurements) -> tuple[Array, Array]:
     """Gradient and Hessian of f by the spatial displacement xi, f(exp(xi) T), at xi = 0.
 
-    For both the exponential's series is needed to the second order only.
+    Both need the series of the exponential only up to second order.
     """
 
     def around(xi: Array) -> Array:
@@ -86,7 +86,7 @@ def test_the_curvature_bounds_every_second_derivative_of_the_cost() -> None:
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("kind", ["vector", "landmark"])
 def test_the_curvature_is_exact_for_one_vector_or_one_landmark_that_fits(kind) -> None:
-    # So no smaller number would do. Of the 3 vectors and 2 landmarks one has a weight.
+    # So no smaller bound exists. Only one of the 3 vectors and 2 landmarks has a weight.
     m, T, state = random_samples(200)
     poses, known = np.asarray(T), jax.tree.map(np.asarray, m)
     fits = [
@@ -108,7 +108,7 @@ triples = partial(hnp.arrays, np.float64, elements=st.floats(-5, 5))
 
 @jax.jit
 def stepped(T: Array, m: Measurements, step_length: Array) -> tuple[Array, Array, Array]:
-    """f before and after a step of K h L = step_length made of the innovation alone; K h L."""
+    """f before and after a step by the innovation alone with K h L = step_length; and K h L."""
     still = m._replace(angular_velocity=jnp.zeros(3), velocity=jnp.zeros(3))
     state = initial_state(T[:3, :3], T[:3, 3])
     chosen = replace(settings(), gain_limit=step_length)
@@ -133,7 +133,7 @@ def test_no_step_within_the_limit_makes_the_cost_larger(
 ) -> None:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = reference.se3_exp(np.append(omega, np.zeros(3)))[:3, :3], place
-    if fits:  # the measurements of some pose, here the identity; otherwise of none
+    if fits:  # measurements of a pose, here the identity; otherwise they fit no pose
         body = known
     zero = np.zeros(3)
     raw = Measurements(
@@ -142,9 +142,9 @@ def test_no_step_within_the_limit_makes_the_cost_larger(
         *(body[2:], known[2:], weights[2:]),
     )
     before, after, length = stepped(jnp.asarray(T), as_arrays(raw, float), step_length)
-    # K = 1e6 stands for any that the limit cuts; it does so unless all measurements are tiny.
+    # K = 1e6 stands for any gain above the limit; it is above unless all measurements are tiny.
     assert length <= step_length * (1 + 1e-12)
-    # Rounding, of a cost made of coordinates up to 10 m.
+    # Rounding of a cost of coordinates up to 10 m.
     assert after <= before + 1e-12 * (1 + float(before))
 
 
@@ -179,7 +179,7 @@ def test_the_lyapunov_function_falls_by_the_innovation_alone_under_the_gradient_
     U = jitted_innovation(state, jitted_prepare(m))
     W = jax.jit(correction, static_argnames="law")(state, U, law=law)
     bias_error, Ad, u = rng.normal(size=6), reference.adjoint(T), joined(U)
-    # The bias law is -gamma times this, so that gamma, whatever it is, is not in dV/dt.
+    # The bias law is -gamma times this, so gamma cancels in dV/dt.
     bias_rate = -np.stack(W.bias_angular + W.bias_linear, axis=-1)
     rate = -u @ Ad @ (bias_error + K * joined(W)) - bias_error @ bias_rate
     assert (rate == pytest.approx(-K * u @ u)) == holds

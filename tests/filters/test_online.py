@@ -1,4 +1,4 @@
-"""Flat arrays on-line: what is packed comes back, and filters of one structure share a program."""
+"""Flat arrays on-line: packing is reversible; filters of one structure share a program."""
 
 import jax
 import jax.numpy as jnp

@@ -46,9 +46,9 @@ from posegsa.search.build import cost_weights, filter_settings, signal_settings
 from posegsa.search.build import observer as observer_of
 
 VECTOR = search_vectors(1, seed=1)[0]
-"""A schedule with nothing special about it; its gains run from 11 to 75 in the paper's scenario."""
+"""A typical schedule; its gains range from 11 to 75 in the paper's scenario."""
 THREE = [[1.0, 0.2, -0.3], [-0.2, 0.8, 0.4], [0.1, -0.5, 1.4]]
-"""Vectors that are independent, neither orthogonal nor of one length."""
+"""Independent vectors, neither orthogonal nor of equal length."""
 TWO = [[0.5, 1.4, 1.0], [-1.0, 0.3, 2.0]]
 """Landmarks [m]."""
 cost_of = jax.jit(simulate_cost)
@@ -81,7 +81,7 @@ def reference_gain(experiment: Experiment) -> Callable[[float, float, float], fl
 
 
 def as_used(experiment: Experiment) -> dict[str, Any]:
-    """How the reference is to use the vectors, and the weights of vectors and landmarks."""
+    """Vector settings of the reference, and the weights of vectors and landmarks."""
     f, scenario = experiment.filter, experiment.scenario
     return {
         "normalise": f.normalise_vectors,
@@ -206,7 +206,7 @@ def gain_limits(
 
 
 class Chain(NamedTuple):
-    """What a chain is run with: settings of the filter and the signal, and sensors."""
+    """Settings of a chain: filter, signal and sensors."""
 
     settings: tuple[str, ...]
     vectors: int = 2
@@ -215,17 +215,17 @@ class Chain(NamedTuple):
 
 
 RAW = ("filter.normalise_vectors=false", "filter.cross_vector=false")
-"""Vectors are used as they are measured."""
+"""Vectors are used as measured."""
 LEARNT = ("filter.vector_bias=estimated", "filter.vector_bias_gain=2.0")
-"""Their biases are learnt, fast enough to matter in two seconds."""
+"""Their biases are estimated, fast enough to matter in two seconds."""
 SCALED = (
     "gain.error_scale=0.5",
     "gain.rate_scale=3.0",
     "gain.position_weight=0.4",
     "gain.smoothing=0.05",
 )
-"""Each number of the signal is another than the paper's."""
-CHAINS = {  # each is a program of its own, so that each has many of the choices
+"""Every number of the signal differs from the paper's."""
+CHAINS = {  # each needs its own compilation, so each combines many options
     "as the paper": Chain((*SCALED, "filter.gamma=[4.0, 6.0]"), missing=0.3),
     "printed law, pose signal": Chain(
         (*RAW, "filter.law=printed", "filter.gamma=1.0", "gain.signal=pose")
@@ -266,11 +266,11 @@ OWN = Chain(
     landmarks=2,
     missing=0.4,
 )
-"""What a user's own measurements are filtered with."""
+"""The chain for a user's own measurements."""
 
 
 def weighted(chain: Chain) -> Experiment:
-    """The experiment of a chain, in which each vector and landmark has a weight of its own."""
+    """The experiment of a chain, with a different weight for each vector and landmark."""
     vectors = [
         f"{{direction = {v}, weight = {w}}}" for v, w in zip(THREE, (0.8, 1.3, 0.5), strict=True)
     ]
@@ -314,15 +314,15 @@ def test_the_chain_against_the_reference(chain: Chain) -> None:
         longest = np.linalg.norm(estimates.bias.reshape(200, 2, 3), axis=-1).max(axis=0)
         assert (longest <= np.array(bounds) * (1 + 1e-12)).all()
         assert (longest > 0.8 * np.array(bounds)).all(), "reached"
-    # In sub-steps too, a gain well under the limit is used as it is.
+    # A gain well below the limit is used unchanged, in sub-steps too.
     if experiment.filter.gain_limit == "off":
         free = np.full(200, True)
     else:
         free = expected.gain < 0.5 * gain_limits(experiment, measurements, expected)
     assert free.sum() > 10
     np.testing.assert_allclose(estimates.gain_used[free], expected.gain[free], rtol=1e-8)
-    # The cost of the trajectory; that the running form is the same is shown once, above and in
-    # test_cost, because it is one more compilation for each case.
+    # The cost of the trajectory. That the running sum is the same is only tested above and in
+    # test_cost, because it takes one more compilation per case.
     c = experiment.cost
     weights = cost_weights(c, 200, jnp.dtype("float64"))
     theirs = reference.cost(
@@ -354,7 +354,7 @@ def test_run_filter_with_missing_measurements_and_uneven_steps_against_the_refer
     assert_same_run(estimates, expected, signal)
     np.testing.assert_allclose(estimates.time, np.cumsum(step) - step, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(np.asarray(estimates.gain_used)[nothing], estimates.gain[nothing])
-    # What can't be measured stays as it was.
+    # A part that can't be measured keeps its value.
     error, k = np.asarray(estimates.error), np.flatnonzero(nothing[1:]) + 1
     np.testing.assert_array_equal(error[k], error[k - 1])
     length = np.linalg.norm(estimates.vector_bias, axis=-1)

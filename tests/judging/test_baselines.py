@@ -1,4 +1,4 @@
-"""What a tuned filter is judged beside: how each is found, stored and read back."""
+"""Baselines of a tuned filter: how each is found, stored and read back."""
 
 import dataclasses
 import math
@@ -49,18 +49,18 @@ ALSO = (
 
 @pytest.fixture(scope="module")
 def problem() -> TuningProblem:
-    """That of `test_evaluate`: its programs are compiled once."""
+    """The problem of `test_evaluate`, so that its programs are compiled once."""
     return tuning_problem(tiny())
 
 
 @pytest.fixture(scope="module")
 def tuned_too() -> TuningProblem:
-    """The same with learnt biases, and with two numbers tuned too."""
+    """The same with estimated biases, and with two more tuned numbers."""
     return tuning_problem(tiny(ALSO, "filter.vector_bias=estimated"))
 
 
 def middle(problem: TuningProblem) -> Candidate:
-    """A controller as good as any."""
+    """An arbitrary controller: the middle of the search box."""
     return problem.space.candidate((problem.space.box.lower + problem.space.box.upper) / 2)
 
 
@@ -147,7 +147,7 @@ def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem)
     again = replayed(problem, knots)
     assert (again.keys, again.values) == (knots.keys, knots.values)
     tracks, replay = (error_tracks(one, problem.scenarios) for one in (knots, again))
-    # All below the gain limit, which cuts the gain of each scenario by itself.
+    # All gains are below the gain limit, which cuts the gain of each scenario separately.
     np.testing.assert_allclose(replay.gain, tracks.gain, rtol=1e-4)
     np.testing.assert_allclose(replay.position, tracks.position, rtol=1e-4)
 

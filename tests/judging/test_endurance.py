@@ -19,7 +19,7 @@ from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 RUN = tiny()
-"""Compiled once with `test_evaluate`."""
+"""The experiment of `test_evaluate`, so that it is compiled once."""
 SHORT = config.override(
     RUN, ["scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]"]
 )
@@ -83,7 +83,7 @@ def test_its_scenarios_are_no_others() -> None:
 def test_worse_names_the_windows_after_the_first() -> None:
     assert made().worse() == []
     worse = made(attitude=np.array([99.0, 6, 8.5, 5]), position=np.array([9.0, 0.2, 0.2, 0.3]))
-    # Equal is not worse; the first window is that of the scenarios, which the cost judges.
+    # Equal is not worse. The first window is skipped, because the cost judges it.
     assert worse.worse() == ["attitude from 30 to 60 s", "P_err from 60 to 120 s"]
 
 

@@ -1,4 +1,4 @@
-"""What `evaluate` says of a tiny run beside every baseline."""
+"""`evaluate` on a tiny run, with every baseline."""
 
 import dataclasses
 import json
@@ -41,7 +41,7 @@ FILE = Path("evaluation.json")
 def evaluated():
     """A tiny run, evaluated against every baseline; the Kalman filters' searches are cut short.
 
-    As many scenarios as `tune` looks at: what has one shape is compiled once.
+    There are as many scenarios as in `tune`, so that programs are compiled once.
     """
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECK_INTERVAL", 20)
@@ -54,7 +54,7 @@ def evaluated():
 
 
 def about(name: str, told: list[Step]) -> list[str]:
-    """What the parts of a step were about, in order."""
+    """`about` of the parts of a step, in order."""
     return list(dict.fromkeys(step.about for step in told if step.name == name))
 
 
@@ -86,13 +86,13 @@ def test_what_was_found_is_not_searched_again(evaluated):
 
 
 def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
-    """One baseline is still to be found."""
+    """One baseline is missing and must be searched."""
     result, folder = evaluated[1], tmp_path / "run"
     known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
     before = dataclasses.replace(result.evaluation, contenders=known)
     posegsa.save(dataclasses.replace(result, evaluation=before), folder, figures=())
     left = {name: folder / f"{name}.csv" for name in ("history", "trajectory")}
-    for path in left.values():  # numbers that are written otherwise than posegsa does
+    for path in left.values():  # numbers in another notation than posegsa writes
         path.write_text(path.read_text().replace("\n0,", "\n0.0,", 1).replace(",0.0", ",0", 1))
     before_csv = {name: path.read_bytes() for name, path in left.items()}
     arguments = ["--scenarios", "3", "--seed", "2", "--figures", "costs,bands,vector_biases"]

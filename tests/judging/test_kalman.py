@@ -1,4 +1,4 @@
-"""The Kalman filter as a baseline: its noises are found, and it does what it does alone."""
+"""The Kalman filter as a baseline: its noises are found, and its errors are those of the filter."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from posegsa.search.keys import training_keys
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 TINY = tiny()
-"""Its programs are those of `test_evaluate`."""
+"""The experiment of `test_evaluate`, so that its programs are compiled once."""
 NOISES = {name: float(np.sqrt(low * high)) for name, (low, high) in BOUNDS.items()}
 
 
@@ -31,7 +31,7 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 
 @pytest.fixture(scope="module")
 def found():
-    """Two searches of one generation, on two scenarios: the program of `test_evaluate`."""
+    """Two searches of one generation, with the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECK_INTERVAL", 20)
     patch.setattr(kalman, "MAX_EVALUATIONS", 40)
@@ -55,7 +55,7 @@ def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
 
 
 def test_tracks_are_those_of_the_filter_one_by_one() -> None:
-    """Simulated in groups of 16: the last one is filled up."""
+    """They are simulated in groups of 16; the last group is padded."""
     noises = NOISES | {"vector": 0.1, "landmark": 0.1}
     batch = kalman_scenarios(TINY, quietly(TINY), training_keys(0, 3), vector_biases=False)
     several = jax.device_get(batch).select(np.arange(26) % 3)

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 @pytest.fixture(scope="module")
 def posed():
-    """Six scenarios, those of a tuning run of this size."""
+    """Six scenarios of a tuning run of this size."""
     return tuning_problem(EXPERIMENT).scenarios
 
 
@@ -31,7 +31,7 @@ def tracks(posed):
 
 
 def made(attitude, position, posed) -> ErrorTrack:
-    """ErrorTrack with given errors, (S, 200) each."""
+    """An ErrorTrack with given errors, (S, 200) each."""
     S = len(attitude)
     return ErrorTrack(
         attitude=np.float32(attitude),
@@ -61,8 +61,8 @@ def test_the_distance_is_from_the_estimated_to_the_true_position(posed, tracks):
 def test_settling_is_the_last_time_outside(posed):
     position = np.zeros((4, 200))
     position[0, :37] = 1.0  # outside until sample 36
-    position[1, 100] = 0.6  # once more
-    position[2, 199] = 0.6  # at the very end
+    position[1, 100] = 0.6  # outside once more
+    position[2, 199] = 0.6  # outside at the very end
     attitude = np.zeros((4, 200))
     found, _ = metrics_of(made(attitude, position, posed), posed.select(slice(4)))
     np.testing.assert_allclose(found.settling_position, [0.37, 1.01, np.inf, 0.0], atol=1e-6)
@@ -83,7 +83,7 @@ def test_rms_and_angles_are_in_degrees_and_metres(posed):
 
 @pytest.mark.parametrize("weight", [0.0, 5e-324])
 def test_the_rms_is_that_of_the_window_also_where_it_has_no_weight(posed, tracks, weight):
-    """5e-324 is 0 in float32."""
+    """The weight 5e-324 is 0 in float32."""
     cost = EXPERIMENT.cost.model_copy(update={"steady_weight": weight})
     weights = cost_weights(cost, 200, jnp.dtype("float32"))
     found, _ = metrics_of(tracks, posed._replace(weights=weights))
@@ -113,7 +113,7 @@ def test_the_bias_error_is_against_the_true_bias(posed, tracks):
 
 
 def test_groups_give_what_one_call_gives(posed, tracks, monkeypatch):
-    monkeypatch.setattr(groups, "SCENARIOS", 4)  # of six: the last group begins again
+    monkeypatch.setattr(groups, "SCENARIOS", 4)  # of six, so the last group is padded
     monkeypatch.setattr(groups, "LENGTH", 200)
     again = error_tracks(Candidate(ConstantGain(jnp.float32(20))), posed)
     for whole, parts in zip(tracks, again, strict=True):

@@ -1,4 +1,4 @@
-"""Other libraries' attitude filters on a recording of an IMU: frames, starts and what they need."""
+"""Attitude filters of other libraries on an IMU recording: frames, starts and required signals."""
 
 import numpy as np
 import pytest

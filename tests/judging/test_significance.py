@@ -10,10 +10,10 @@ pytestmark = pytest.mark.quick
 
 
 def exact(differences: np.ndarray) -> float:
-    """The p-value by counting all choices of signs, rank by rank; ranks doubled, to be whole."""
+    """The p-value by counting all choices of signs, rank by rank; ranks are doubled integers."""
     d = differences[differences != 0]
     ranks = (2 * rankdata(np.abs(d))).astype(int)
-    share = np.ones(1)  # of the choices whose positive ranks add up to 0, 1, ...
+    share = np.ones(1)  # number of choices whose positive ranks add up to 0, 1, ...
     for rank in ranks:
         share = 0.5 * (np.append(share, np.zeros(rank)) + np.append(np.zeros(rank), share))
     observed = ranks[d > 0].sum()
@@ -54,7 +54,7 @@ def test_infinite_differences_rank_last_and_nan_is_refused() -> None:
 
 
 def test_holm_by_hand() -> None:
-    # 4 x 0.01, 3 x 0.02, 2 x 0.03, then never less than the one before.
+    # 4 x 0.01, 3 x 0.02, 2 x 0.03; each at least the one before.
     assert holm([0.03, 0.01, 0.9, 0.02]) == pytest.approx([0.06, 0.04, 0.9, 0.06])
     assert holm([0.5, 0.6]) == [1.0, 1.0]
     assert holm([]) == []

@@ -1,4 +1,4 @@
-"""A simulation in a person's units: degrees and metres."""
+"""A simulation over time in degrees and metres."""
 
 from dataclasses import fields
 
@@ -68,7 +68,7 @@ def test_errors_against_the_reference() -> None:
     assert (np.abs(away - position) > 0.1).any(), "they are two things"
     R_err = T_est[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
     angle = np.degrees(Rotation.from_matrix(R_err).magnitude())
-    # Near 180 degrees the distance hardly depends on the angle: roundings of 1e-16 show as 1e-7.
+    # Near 180 degrees the distance hardly depends on the angle: rounding of 1e-16 becomes 1e-7.
     np.testing.assert_allclose(made.attitude_error, angle, rtol=0, atol=1e-6)
 
 

@@ -31,8 +31,8 @@ def test_with_the_gain_limit_a_result_is_not_sensitive(sound):
 
 
 def test_without_it_the_chaos_is_marked():
-    # Weights that take every gain of the paper's boxes far over the stable ones. The program is
-    # that of the sound result.
+    # With these weights every gain of the paper's boxes is far above the stable ones. The program
+    # is the one of the sound result.
     settings = ["filter.gain_limit=off"]
     settings += [f"scenario.{one}.weight=30.0" for one in ("vectors.0", "vectors.1", "landmarks.0")]
     result = posegsa.tune(tiny(*settings))
@@ -53,7 +53,7 @@ def test_the_uncovered_share_is_counted(sound):
         sound.controller.rules,
         sound.controller.output_range,
     )
-    # Over half of each axis a term fires, and at 0 itself (1 of 201 points).
+    # A term fires on half of each axis, and at 0 itself (1 of 201 points).
     assert uncovered(controller) == pytest.approx(0.75, abs=0.01)
 
 

@@ -1,4 +1,4 @@
-"""The cost: its windows by hand, against the reference, and run up inside a simulation."""
+"""The cost: its windows by hand, against the reference, and accumulated inside a simulation."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ HAND = CostConfig(
 
 
 POWERS = jnp.asarray([2.0**k for k in range(8)])
-"""Powers of two: a sum of them says which samples are in it."""
+"""Powers of two: their sum shows which samples it includes."""
 
 
 def test_windows_include_both_ends() -> None:

@@ -159,20 +159,20 @@ CHANGED = {
     "rest": ("rest",),
     "duration": ("end",),
 }
-"""What a setting changes that no other does."""
+"""The fields that only this setting changes."""
 
 
 def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
     assert set(EVERYTHING) <= set(FamilyConfig.model_fields)
     assert set(FamilyConfig.model_fields) - set(EVERYTHING) == {"rest_share"}
     chosen = {name: varied(**{name: EVERYTHING[name]}) for name in CHANGED}
-    # As many windows as there are with all of them.
+    # As many windows as with all settings.
     full = varied(**EVERYTHING)
     chosen = {name: replace(f, most_windows=full.most_windows) for name, f in chosen.items()}
     draws = jax.jit(
         lambda families, key: {n: draw_scenario(base, f, key) for n, f in families.items()}
     )
-    # One scenario alone, with one thing varied, and one of many with everything.
+    # A single scenario with one setting varied, and one of many with all varied.
     each = draws(chosen, many_keys()[3])
     together = jax.tree.map(lambda a: a[3], drawn(base))
     for name, one in each.items():
@@ -245,7 +245,7 @@ def test_nothing_happens_at_a_rate_of_zero_and_only_the_noise_differs(base):
     assert not np.isnan(windows).any()
     assert (windows[:, 0] > 1e9).all()
     assert (np.asarray(sensed.measurements.vector_weights) == 1).all()
-    # But for the noise.
+    # Except for the noise.
     assert not np.array_equal(sensed.measurements.velocity, other.measurements.velocity)
 
 

@@ -1,4 +1,4 @@
-"""Fuzzy inference: rules, memberships, whole controllers; by the reference and scikit-fuzzy."""
+"""Fuzzy inference against the reference and scikit-fuzzy: rules, memberships, controllers."""
 
 import dataclasses
 from collections.abc import Callable
@@ -36,7 +36,7 @@ DTYPES = ("float32", "float64")
 
 def test_the_configured_rules_are_the_papers() -> None:
     assert rule_indices(PAPER.fuzzy.rules) == RULES
-    # Corners of Table I, read by hand: least error and rate, one of them large, both.
+    # Corners of Table I, read by hand: smallest error and rate, one of them large, both large.
     assert (RULES[0][0], RULES[0][4], RULES[4][0], RULES[4][4]) == (0, 4, 3, 4)
 
 
@@ -50,7 +50,7 @@ EDGES = [
 @pytest.mark.usefixtures("x64")
 def test_memberships_against_the_reference_and_scikit_fuzzy() -> None:
     x = np.unique(np.concatenate([np.linspace(0, 1, 201), np.ravel(EDGES)]))
-    # One term at a time as VS, with every other one out of reach, on the diagonal of the table:
+    # One term at a time as VS, all others out of reach, on the diagonal of the table:
     # the height of output term VS is then the term's membership.
     for term in EDGES:
         controller = fuzzy([term, *[[2, 2, 2]] * 4], OUTPUTS)
@@ -119,8 +119,8 @@ def test_gain_against_scikit_fuzzy_on_random_points(
     off = np.abs(gains - [by_scikit_fuzzy(*case) for case in cases])
     # Measured over 500 draws of each kind: up to 3e-4, and all but 3 under 1e-5, where no edge is
     # vertical; up to 3e-3, and all but 1 under 2e-3, with corners of the boxes. `trimf` on a grid
-    # draws a vertical edge as a slope of one spacing, 0.005. That the difference is theirs, the
-    # quadrature shows.
+    # draws a vertical edge as a slope of one spacing, 0.005. The quadrature test shows that the
+    # error is theirs.
     assert off.max() < (2e-3 if vectors is search_vectors else 4e-3)
     assert (off < 2e-3).mean() > 0.98
     assert np.median(off) < 1e-6
@@ -150,7 +150,7 @@ def test_arrays_and_vmap_equal_single_calls() -> None:
     # Other orders of sums, and fused multiply-adds.
     for name, gains in forms.items():
         np.testing.assert_allclose(gains, each, rtol=100 * np.finfo(float).eps, err_msg=name)
-    assert (np.asarray(each) == last).any()  # some held the last gain
+    assert (np.asarray(each) == last).any()  # some kept the last gain
 
 
 def test_inputs_are_clipped_and_broadcast(caplog: pytest.LogCaptureFixture) -> None:
@@ -159,7 +159,7 @@ def test_inputs_are_clipped_and_broadcast(caplog: pytest.LogCaptureFixture) -> N
     np.testing.assert_array_equal(evaluated(controller, [-3.0, 1.5], [7.0, -0.1]), ends)
     assert evaluated(controller, np.zeros((3, 2)), 0.5).shape == (3, 2)
     assert controller(0.3, 0.2).shape == ()
-    # Outside of a compiled program a call is one, found again for other numbers and controllers.
+    # Outside of jit a call is itself a compiled program, reused for other numbers and controllers.
     other = dataclasses.replace(controller, output_terms=0.5 * controller.output_terms)
     with jax.log_compiles():
         assert float(controller(0.4, 0.1)) != float(other(0.4, 0.1))
@@ -178,7 +178,7 @@ def test_the_surfaces_rows_are_the_rate() -> None:
     assert not np.allclose(gains, gains.T)
 
 
-# What makes no controller -------------------------------------------------------------------------
+# Invalid controllers ------------------------------------------------------------------------------
 
 
 def changed(terms: np.ndarray, i: int, values: list[float]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The centroid, exact and sampled, against quadrature; and what stands in where there is none."""
+"""The centroid, exact and sampled, against quadrature; and the gain where there is none."""
 
 from collections.abc import Callable
 from functools import cache
@@ -29,7 +29,7 @@ DTYPES = ("float32", "float64")
 
 
 BATCH = {"exact": 300, "sampled": 40}
-"""Sets of heights at once, always as many: one program."""
+"""Sets of heights at once; always the same number, so that programs are compiled once."""
 
 
 @cache
@@ -46,7 +46,7 @@ def defuzzifier(**options: object) -> Callable[..., Array]:
 
 
 def defuzzified(outputs: object, heights: object, dtype: str = "float64", **options) -> np.ndarray:
-    """Gains K of heights under output terms; the gain to hold is NaN, so that a hold shows."""
+    """Gains K of heights under output terms; the last gain is NaN, so that a hold shows."""
     count, batch = len(np.asarray(heights)), BATCH["sampled" if options else "exact"]
     assert count <= batch
     given = (np.asarray(a, np.float64) for a in (outputs, heights))
@@ -75,7 +75,7 @@ def test_exact_centroid_against_quadrature(vectors: Callable[[int], np.ndarray])
     expected = [
         reference.centroid_by_quadrature(h, t) for h, t in zip(heights, outputs, strict=True)
     ]
-    # A corner vector may fire a term of no width alone: no area, see the limit points below.
+    # A corner vector may fire only a term without width: no area, see the limit points below.
     area = np.isfinite(expected)
     assert area.mean() > 0.98
     gains = defuzzified(outputs, heights)
@@ -107,7 +107,7 @@ DEGENERATE = {
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("outputs", DEGENERATE.values(), ids=DEGENERATE.keys())
 def test_exact_centroid_of_degenerate_terms_against_quadrature(outputs: list) -> None:
-    terms = np.asarray(fuzzy(INPUTS, outputs).output_terms)  # made outside jit, so checked
+    terms = np.asarray(fuzzy(INPUTS, outputs).output_terms)  # outside jit, so it is checked
     heights = np.concatenate([some_heights(60), np.eye(5), np.ones((1, 5)), 1e-6 * np.eye(5)])
     expected = np.array([reference.centroid_by_quadrature(h, terms) for h in heights])
     area = np.isfinite(expected)
@@ -118,7 +118,7 @@ def test_exact_centroid_of_degenerate_terms_against_quadrature(outputs: list) ->
 
 @pytest.mark.usefixtures("x64")
 def test_exact_area_of_any_number_of_terms_against_trapezoids() -> None:
-    # Not only five: the closed form is for any number, one included.
+    # The closed form holds for any number of terms, including one.
     z = np.linspace(0, 100, 200_001)
     for count in (1, 2, 7):
         rng = np.random.default_rng(count)
@@ -133,7 +133,7 @@ def test_exact_area_of_any_number_of_terms_against_trapezoids() -> None:
             ],
             axis=0,
         )
-        # Trapezoids of 5e-4 err by kinks only, some 1e-7 each.
+        # Trapezoids of width 5e-4 have errors only at kinks, some 1e-7 each.
         np.testing.assert_allclose(area, np.trapezoid(mu, z), rtol=1e-6)
         np.testing.assert_allclose(moment, np.trapezoid(z * mu, z), rtol=1e-6)
 
@@ -151,7 +151,7 @@ def test_sampled_sum_against_the_reference(points: int) -> None:
         for h, t in zip(heights, outputs, strict=True)
     ]
     gains = defuzzified(outputs, heights, centroid="sampled", sampled_points=points)
-    seen = np.isfinite(expected)  # a narrow term alone may lie between two points
+    seen = np.isfinite(expected)  # a single narrow term may lie between two points
     assert seen.sum() > 30
     # The grid points agree to rounding, and so do the memberships unless an edge is vertical.
     np.testing.assert_allclose((gains - 1)[seen], np.array(expected)[seen], rtol=0, atol=1e-9)
@@ -168,7 +168,7 @@ def test_sampled_trapezoid_halves_the_weight_of_the_ends() -> None:
         expected.append(np.trapezoid(z * mu, z) / np.trapezoid(mu, z))
     gains = defuzzified(outputs, heights, centroid="sampled", sampled_rule="trapezoid")
     np.testing.assert_allclose(gains - 1, expected, rtol=0, atol=1e-9)
-    # Both ends count here, so the rules must differ.
+    # Both ends have area here, so the two rules must differ.
     assert np.abs(gains - defuzzified(outputs, heights, centroid="sampled")).max() > 0.05
 
 
@@ -189,14 +189,14 @@ def test_sampled_centroid_tends_to_the_exact_one(rule: str) -> None:
         )
         for points in (101, 1001, 10_001)
     ]
-    # A sum over both ends is off by the order of the spacing, a trapezoid by its square.
+    # The error of a sum over both ends is of the order of the spacing, of a trapezoid its square.
     order = {"sum": 10, "trapezoid": 100}[rule]
     assert off[1] < 2 * off[0] / order
     assert off[2] < 2 * off[1] / order
     assert off[2] < {"sum": 1e-2, "trapezoid": 1e-5}[rule]
 
 
-# Where nothing fires, or nothing has an area ------------------------------------------------------
+# No rule fires, or no term has an area -----------------------------------------------------------
 
 
 @pytest.mark.parametrize("centroid", ["exact", "sampled"])
@@ -207,9 +207,9 @@ def test_where_no_rule_fires_the_last_gain_is_held_or_the_mid_range_taken(centro
     )
     assert evaluated(held, 0.15, 0.5, 7.25) == 7.25
     assert evaluated(held, 0.5, 0.15, 7.25) == 7.25
-    assert evaluated(held, 0.15, 0.5) == 51  # before any gain: mid-range of [0, 100], and 1
+    assert evaluated(held, 0.15, 0.5) == 51  # before any gain: mid-range of [0, 100], plus 1
     assert evaluated(middle, 0.15, 0.5, 7.25) == 51
-    # Where rules fire, neither matters.
+    # If rules fire, neither matters.
     assert evaluated(held, 0.25, 0.5, 7.25) == evaluated(middle, 0.25, 0.5, 9.0)
 
 
@@ -224,11 +224,11 @@ def test_the_mid_range_is_that_of_the_output_range() -> None:
 def test_the_limit_where_rules_fire_over_no_area(dtype: str) -> None:
     with jax.enable_x64(dtype == "float64"):
         spikes = np.repeat([[0.0], [10], [30], [70], [100]], 3, axis=1)
-        # One term of no width: its place, however high it fires.
+        # One term without width: its position, at any firing height.
         for h in (1.0, 0.3, 1e-6):
             gains = defuzzified([spikes] * 5, h * np.eye(5), dtype)
             np.testing.assert_allclose(gains, 1 + spikes[:, 0], rtol=1e-6)
-        # All in one place: that place.
+        # All terms at one position: that position.
         same = np.full((5, 3), 40.0)
         assert defuzzified([same], [[0.2, 0, 0.4, 1, 0.1]], dtype) == pytest.approx(41, rel=1e-6)
         # A term so low that its area underflows: the middle of its support, as for any low height.
@@ -239,7 +239,7 @@ def test_the_limit_where_rules_fire_over_no_area(dtype: str) -> None:
 
 @pytest.mark.parametrize(("dtype", "tiny"), [("float32", 1e-30), ("float64", 1e-200)])
 def test_the_limit_where_several_terms_fire_too_low_for_an_area(dtype: str, tiny: float) -> None:
-    # Terms that have a width: clipped that low they are flat, and wide ones count for more.
+    # Terms with a width: clipped that low they are flat, and wide ones have more weight.
     heights = np.array([[1.0, 0, 0, 0, 1], [1, 0.5, 0, 0, 0], [0, 1, 0.2, 0.7, 0]])
     flat = [reference.centroid_by_quadrature(1e-9 * h, OUTPUTS) for h in heights]
     with jax.enable_x64(dtype == "float64"):
@@ -254,7 +254,7 @@ def test_terms_of_no_width_are_the_limit_of_equally_narrow_ones() -> None:
     heights = some_heights(20)
     expected = [reference.centroid_by_quadrature(h, narrow) for h in heights]
     gains = defuzzified([spikes] * 20, heights)
-    # The feet that far from 1e2 are rounded to 1e-14, 1e-9 of the width.
+    # Feet near 1e2 are rounded to 1e-14, which is 1e-9 of the width.
     np.testing.assert_allclose(gains - 1, expected, rtol=0, atol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""The gain of fuzzy inference is continuous, and has the derivatives that it should."""
+"""Continuity and derivatives of the gain of fuzzy inference."""
 
 from collections.abc import Callable
 from functools import cache
@@ -39,14 +39,14 @@ def test_the_gain_is_continuous(seed: int) -> None:
     def largest_jump(every: int) -> float:
         return float(np.abs(np.diff(gains[::every])).max())
 
-    # A jump would be as large however short the steps are. A steep place is not a jump: terms may
+    # A jump is equally large for any step length. A steep slope is not a jump: terms may
     # overlap by 0.01 only, and the gain then changes by tens within a fraction of that.
     assert largest_jump(1) < 0.1 * largest_jump(1000)
 
 
 @cache
 def derivatives() -> Callable[..., Array]:
-    """Derivatives (B, 2) of the gain by error and rate; B = 200 always, to compile it once."""
+    """Derivatives (B, 2) of the gain by error and rate; B is always 200, to compile once."""
 
     def gain(x: Array, inputs: Array, outputs: Array) -> Array:
         return FuzzyController(inputs, outputs, RULES, (0.0, 100.0))(x[0], x[1])
@@ -64,7 +64,7 @@ def test_derivatives_are_finite(dtype: str) -> None:
         arrays = (jnp.asarray(a, dtype) for a in (x, *repaired_terms(vectors)))
         slope = np.asarray(derivatives()(*arrays))
     assert np.isfinite(slope).all()
-    # Clipped inputs have no influence, the others some.
+    # Clipped inputs have no influence, the others have.
     clipped = (x < 0) | (x > 1)
     assert (slope[clipped] == 0).all()
     assert (slope[~clipped] != 0).mean() > 0.3
@@ -86,7 +86,7 @@ def test_derivatives_are_those_of_the_gain() -> None:
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_derivatives_at_the_ends_of_the_inputs_are_not_the_vertical_edges(dtype: str) -> None:
-    # VS peaks at 0 and VL at 1, with their vertical edge there, at the end of what is looked at.
+    # VS peaks at 0 and VL at 1, with their vertical edge there, at the ends of the tested range.
     corners = np.array([[0.0, 0], [0, 1], [1, 0], [1, 1]])
     with jax.enable_x64(dtype == "float64"):
         arrays = (np.repeat([INPUTS], 200, axis=0), np.repeat([OUTPUTS], 200, axis=0))

@@ -49,7 +49,7 @@ N = 60
 
 @jax.jit
 def jitted_errors(state: FilterState, sample: Sample) -> Measured:
-    """The errors that a filter measures which takes vectors as they are."""
+    """The measured errors for vectors used as measured."""
     return measured_errors(state, sample, see(state, sample, settings(sample.time_step.dtype)))
 
 
@@ -68,7 +68,7 @@ def true_poses(poses: np.ndarray) -> TruePose:
 
 
 class Listener(NamedTuple):
-    """A schedule whose gain is what it is told of one input."""
+    """A schedule whose gain is one of its inputs."""
 
     field: str
 
@@ -77,14 +77,14 @@ class Listener(NamedTuple):
 
 
 def nothing_yet(gain: float) -> SignalMemory:
-    """Memory before the first sample, of a schedule that starts at this gain."""
+    """Memory before the first sample, for a schedule that starts at this gain."""
     return initial_memory(ConstantGain(jnp.asarray(gain)), jnp.asarray(0.0))
 
 
 def told(
     errors: list[tuple[float | None, float | None]], field: str, step: float = 0.01, **changes: Any
 ) -> np.ndarray:
-    """What a schedule is told of `field` at each sample, given its attitude and position errors."""
+    """The input `field` of a schedule at each sample, from attitude and position errors."""
     memory = nothing_yet(0.0)
     heard = []
     for k, now in enumerate(errors):
@@ -101,7 +101,7 @@ def listen(
     step: float = 0.01,
     **changes: Any,
 ) -> tuple[Array, SignalMemory]:
-    """One sample of `schedule`, and what it leaves in memory; None is an error not measured."""
+    """Gain and memory after one sample of `schedule`; an error of None is not measured."""
     made = signal_settings(GainConfig(**PAPER.gain.model_dump() | changes), jnp.float32)
     values = (jnp.asarray(0.0 if error is None else error) for error in errors)
     seen = (jnp.asarray(error is not None) for error in errors)
@@ -124,11 +124,11 @@ def test_measured_signal_against_the_reference(vectors: int, landmarks: int) -> 
     expected = [
         reference.measured_errors(T, reference_sample(sensed, k)) for k, T in enumerate(poses)
     ]
-    # What is missing takes no part, and some samples have nothing at all.
+    # Missing measurements have no effect, and some samples have none at all.
     each = (errors.attitude, errors.attitude_seen), (errors.position, errors.position_seen)
     for (part, seen), wanted in zip(each, zip(*expected, strict=True), strict=True):
         assert np.asarray(seen).tolist() == [want is not None for want in wanted]
-        # A difference of sums of a few squares, so their rounding and no more.
+        # A difference of sums of a few squares, so only their rounding.
         want = [0.0 if want is None else want for want in wanted]
         np.testing.assert_allclose(part, want, rtol=1e-13, atol=1e-14)
     assert not np.all(errors.attitude_seen) or vectors > 3
@@ -162,7 +162,7 @@ def test_attitude_parts_are_equal_for_orthonormal_vectors_without_noise() -> Non
     measured = jitted_errors(states(estimates), jitted_prepare(sensed)).attitude
     true, _ = jitted_pose_errors(states(estimates), true_poses(truths))
     np.testing.assert_allclose(measured, true, rtol=1e-12)
-    # Not so for two of them: the third direction is not seen.
+    # Two of them do not suffice: the third direction is not measured.
     weights = np.array(sensed.vector_weights) * [1, 1, 0]
     two = sensed._replace(vector_weights=weights)
     unseen = jitted_errors(states(estimates), jitted_prepare(two)).attitude
@@ -171,7 +171,7 @@ def test_attitude_parts_are_equal_for_orthonormal_vectors_without_noise() -> Non
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> None:
-    # A difference that is 0 but for rounding; below 0, the rate would take it for the first sample.
+    # The difference is 0 except for rounding; a negative one would mark the first sample.
     with jax.enable_x64(dtype == "float64"):
         rng = np.random.default_rng(2)
         poses = random_poses(rng, 500)
@@ -186,7 +186,7 @@ def test_measured_attitude_part_of_a_perfect_fit_is_not_negative(dtype: str) -> 
     assert (attitude < 20 * np.finfo(dtype).eps).all()
 
 
-# What the schedule is told ------------------------------------------------------------------------
+# Inputs of the schedule ---------------------------------------------------------------------------
 
 ERRORS: list[tuple[float | None, float | None]] = [
     (0.5, 10.0),
@@ -208,7 +208,7 @@ def test_the_error_is_scaled_then_clipped() -> None:
 
 
 def test_the_rate_is_that_of_the_signal_before_scaling_and_clipping() -> None:
-    rate = [0, 0.5, 1, 0.5, 0, 0]  # 2.5 to 2.0 is seen, both of them clipped; 1.2 is clipped
+    rate = [0, 0.5, 1, 0.5, 0, 0]  # 2.5 to 2.0 counts, though both are clipped; 1.2 is clipped
     np.testing.assert_allclose(told(ERRORS, "rate"), rate, atol=1e-6)
     np.testing.assert_allclose(told(ERRORS, "rate", error_scale=5.0), rate, atol=1e-6)
     halved = told(ERRORS, "rate", rate_scale=0.5)
@@ -217,7 +217,7 @@ def test_the_rate_is_that_of_the_signal_before_scaling_and_clipping() -> None:
 
 
 def test_the_rate_is_zero_at_the_first_sample_only() -> None:
-    # Also where the signal was 0: that is not "no sample yet".
+    # Also after a signal of 0, which does not mean "no sample yet".
     assert told([(0.0, 0.0), (0.25, 0.0)], "rate").tolist() == [0, 0.25]
     assert told([(0.9, 0.0)], "rate").tolist() == [0]
 
@@ -301,7 +301,7 @@ def test_a_fuzzy_gain_is_held_from_sample_to_sample_where_nothing_fires() -> Non
     prepared = schedule.prepare()
     memory = initial_memory(schedule, jnp.asarray(0.0))
     assert memory.gain == 51
-    # Scaled errors: a gap, then fired, then the gap twice, then fired anew; the rate is scaled off.
+    # Scaled errors: a gap, firing, a gap twice, firing again; the rate is scaled to 0.
     gains = []
     for e in (0.2, 0.5, 0.2, 0.25, 0.9):
         gain, memory = listen(prepared, memory, (e, 0.0), 0.0, rate_scale=0.0)
@@ -321,7 +321,7 @@ def test_a_switch_changes_gain_and_learning_each_at_its_time() -> None:
 
 
 def test_a_gain_that_is_nan_stays_nan() -> None:
-    # Also where a limit would cut it.
+    # Also if a limit would cut it.
     poses = random_poses(np.random.default_rng(0), 1)
     m = as_arrays(random_measurements(np.random.default_rng(0), 3, 2, 1), np.float32)
     chosen = settings(np.float32)

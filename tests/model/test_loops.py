@@ -1,4 +1,4 @@
-"""Loops over long times: the same as one `lax.scan`, however they are cut."""
+"""Loops over many steps: the same as one `lax.scan`, however they are split."""
 
 from typing import Any
 
@@ -42,7 +42,7 @@ def test_loops_inside_each_other_are_one_loop(count: int) -> None:
             for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
                 assert a.shape == b.shape
                 assert a.dtype == b.dtype
-                # Whole numbers are the same; fused multiply-adds may differ.
+                # Whole numbers are equal; with others fused multiply-adds may differ.
                 np.testing.assert_allclose(a, b, rtol=0 if a.dtype == np.int32 else 1e-5, atol=1e-6)
 
 
@@ -76,7 +76,7 @@ def test_derivatives_go_through(count: int) -> None:
 
     def total(x: dict[str, Array], loop: Any) -> Array:
         def step(carry: Array, one: dict[str, Array]) -> tuple[Array, Array]:
-            # A step that the inputs which fill the last loop up would make infinite.
+            # A step that would be infinite with the padding of the last loop.
             return 0.5 * carry + jnp.sqrt(one["a"] ** 2 + 1e-3), carry * one["b"]
 
         last, stored = loop(step, jnp.asarray(0.5), x)
@@ -102,7 +102,7 @@ def test_loops_are_short_and_hardly_any_step_is_made_for_nothing(count: int) -> 
 
 
 def loop_lengths(program: Any) -> list[int]:
-    """Lengths of the loops inside each other of a traced program, the outermost first."""
+    """Lengths of the nested loops of a traced program, the outermost first."""
     for one in program.eqns:
         if one.primitive is lax.scan_p:
             return [one.params["length"], *loop_lengths(one.params["jaxpr"].jaxpr)]

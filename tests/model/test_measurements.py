@@ -1,4 +1,4 @@
-"""Measurements from a user's arrays, and what the filter reads of them."""
+"""Measurements from a user's arrays, and the input of the filter from them."""
 
 import re
 from typing import Any
@@ -19,7 +19,7 @@ N, VECTORS, LANDMARKS = 4, 3, 2
 
 
 def arrays(**changes: Any) -> dict[str, Any]:
-    """Valid arguments of `from_arrays` for 4 samples, 3 vectors and 2 landmarks; None removes."""
+    """Valid arguments of `from_arrays` for 4 samples, 3 vectors and 2 landmarks; None omits one."""
     rng = np.random.default_rng(0)
     valid = {
         "time_step": 0.01,
@@ -100,7 +100,7 @@ def test_nan_in_any_component_marks_a_measurement_as_missing() -> None:
 
 
 def test_what_is_masked_is_missing() -> None:
-    """Masked arrays hold numbers under their masks; those are none."""
+    """Masked arrays hold numbers under their masks; these must not be used."""
     given, masked = arrays(), arrays()
     given["vectors"][1, 2] = np.nan
     masked["vectors"] = np.ma.masked_invalid(given["vectors"])
@@ -141,7 +141,7 @@ def test_vectors_or_landmarks_may_be_absent() -> None:
 def test_from_arrays_gives_the_dtype_asked_for(dtype) -> None:
     m = Measurements.from_arrays(**arrays(), dtype=dtype)
     assert {a.dtype for a in m} == {np.dtype(dtype)}
-    # Not rounded on the way.
+    # Must not be rounded.
     np.testing.assert_array_equal(m.vectors, arrays()["vectors"].astype(dtype))
 
 
@@ -159,7 +159,7 @@ def test_at_gives_one_sample_or_a_range_of_them() -> None:
     for whole, single, part in zip(m, one, some, strict=True):
         np.testing.assert_array_equal(single, whole[2])
         np.testing.assert_array_equal(part, whole[1:3])
-        # Views, not programs of JAX: on-line, a sample after the other is taken out.
+        # Views instead of JAX programs, because on-line samples are taken out one by one.
         assert type(single) is type(part) is np.ndarray
         assert (single.dtype, single.shape) == (whole.dtype, whole.shape[1:])
     traced = jax.jit(lambda all_of_them, k: all_of_them.at(k))(m, 2)
@@ -170,7 +170,7 @@ def test_at_gives_one_sample_or_a_range_of_them() -> None:
 
 
 ones = np.ones
-# What is changed, and what the message then says ("...": anything).
+# The change, and the expected message ("..." is any text).
 REFUSED = {
     "angular velocity, shape": (
         {"angular_velocity": ones((N, 2))},
@@ -321,7 +321,7 @@ def test_from_arrays_names_what_it_refuses(case) -> None:
         Measurements.from_arrays(**arrays(**changes))
 
 
-# What the filter reads ---------------------------------------------------------------------------
+# Input of the filter ------------------------------------------------------------------------------
 
 
 def direct_sums(m: Measurements, k: int) -> dict[str, Any]:

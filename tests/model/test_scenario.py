@@ -32,7 +32,7 @@ SILENT = {
     "angular_velocity_bias": (0.0, 0.0, 0.0),
     "velocity_bias": (0.0, 0.0, 0.0),
 }
-"""Velocities as they are; what vectors and landmarks say is in each of them."""
+"""Velocities without errors; each vector and landmark sets its own errors."""
 
 SINES = (
     (Sine(amplitude=1.0, frequency=0.7), Sine(amplitude=-0.4, frequency=3.0, phase=1.0)),
@@ -141,7 +141,8 @@ NEVER = ((1e9, 2e9), (3e9, 4e9))
 def lively(given: dict[str, Any] | None = None, **changes: Any) -> Scenario:
     """A scenario of 50 samples with two vectors and two landmarks, with other numbers.
 
-    With two outages of each sensor and two bursts, if long after the end: one program for all.
+    It has two outages of each sensor and two bursts, all after the end by default, so that all
+    scenarios share one program.
     """
     s = quietly(experiment(**(SENSORS | (given or {}))))
     windows = jnp.asarray(NEVER)
@@ -162,7 +163,7 @@ def test_noise_free_vectors_are_the_turned_ones_with_bias() -> None:
         seen = from_body(truth, np.tile(v.direction, (50, 1))) + v.bias
         np.testing.assert_allclose(np.asarray(m.vectors)[:, i], seen, atol=1e-14)
         assert (np.asarray(m.vector_references)[:, i] == v.direction).all()
-    # The weights are the filter's; these say what is missing.
+    # The filter has its own weights; these only mark what is missing.
     np.testing.assert_array_equal(m.vector_weights, np.ones((50, 2)))
 
 
@@ -231,7 +232,7 @@ NOISY = {
 
 
 def noises(m: Measurements, silent: Measurements) -> dict[str, np.ndarray]:
-    """What noise did to each sensor, (N, 3)."""
+    """The noise in each sensor, (N, 3)."""
     d = jax.tree.map(lambda a, b: np.asarray(a, np.float64) - np.asarray(b, np.float64), m, silent)
     vectors = {f"vector {i}": d.vectors[:, i] for i in range(2)}
     landmarks = {f"landmark {i}": d.landmarks[:, i] for i in range(2)}
@@ -258,7 +259,7 @@ def test_noise_has_the_standard_deviation_asked_for_and_mean_zero(
 ) -> None:
     noise = residuals[sensor]
     count = noise.shape[0]
-    # Five standard deviations of the estimates: of the mean s / sqrt(N), of s itself s / sqrt(2N).
+    # Five standard deviations of the estimates: s / sqrt(N) of the mean, s / sqrt(2N) of s.
     np.testing.assert_allclose(noise.mean(axis=0), 0, atol=5 * deviation / np.sqrt(count))
     np.testing.assert_allclose(noise.std(axis=0), deviation, rtol=5 / np.sqrt(2 * count))
 
@@ -277,7 +278,7 @@ def test_noises_are_independent_between_sensors_axes_and_samples(residuals) -> N
         assert abs(np.mean(columns[:, i] * columns[:, j])) < limit, (i, j)
     later = np.mean(columns[1:] * columns[:-1], axis=0)
     assert (np.abs(later) < limit).all()
-    # Nor is any draw used twice, at whatever sample: but for chance (1 %) all values differ.
+    # No draw is used twice: all values differ, except by chance (1 %).
     values = np.round(columns, 6)
     assert len(np.unique(values)) > 0.95 * values.size
 
@@ -302,7 +303,7 @@ def test_same_key_gives_the_same_and_another_key_other_measurements() -> None:
     np.testing.assert_array_equal(a.vector_references, b.vector_references)
 
 
-# As life has it --------------------------------------------------------------------------------
+# Realistic sensors: drift, outages and bursts ---------------------------------------------------
 
 
 @pytest.mark.usefixtures("x64")
@@ -373,7 +374,7 @@ def test_the_velocities_biases_drift_as_random_walks_and_change_no_other_noise()
         free = (np.asarray(getattr(s.measurements, name)) - s.bias[:, part] for s in (a, b))
         np.testing.assert_allclose(*free, atol=1e-12)
     same(a.measurements.vectors, b.measurements.vectors)
-    # Increments over 0.01 s of deviation s sqrt(0.01), within 5 deviations of the estimate.
+    # Increments over 0.01 s have the deviation s sqrt(0.01), to 5 deviations of the estimate.
     moved = np.diff(b.bias, axis=0) / (0.1 * np.repeat([0.3, 2.0], 3))
     np.testing.assert_allclose(moved.std(axis=0), 1, rtol=5 / np.sqrt(2 * 4999))
     np.testing.assert_allclose(moved.mean(axis=0), 0, atol=5 / np.sqrt(4999))

@@ -46,7 +46,7 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def near_the_branches() -> np.ndarray:
-    """Rotations where each of Shepperd's divisors is largest, ties of them, and half turns."""
+    """Rotations where each of Shepperd's divisors is largest, ties, and half turns."""
     axes = np.concatenate([np.eye(3), directions(4), [[1, 1, 1] / np.sqrt(3), [0, 0.6, 0.8]]])
     angles = [0.0, 1e-9, 1e-3, 1.0, math.pi / 2, 2 * math.pi / 3, 3.0]
     angles += [math.pi + d for d in (-1e-3, -1e-8, 0.0, 1e-8, 1e-3)]
@@ -179,7 +179,7 @@ def test_attitude_distance_is_one_at_half_a_turn_and_zero_at_none(dtype) -> None
 
 
 def test_clipped_distances_are_at_most_one_and_otherwise_the_same(dtype) -> None:
-    # q and q half a turn further: here the formula gives more than 1 for many pairs.
+    # q and q turned by half a turn: the formula gives more than 1 for many pairs.
     q = Rotation.random(1000, rng=np.random.default_rng(0))
     p = Rotation.from_rotvec(math.pi * directions(1000)) * q
     found = distance(*(a.as_quat(scalar_first=True).astype(dtype) for a in (p, q)))
@@ -202,7 +202,7 @@ def test_attitude_distance_keeps_its_relative_accuracy_near_zero_in_float32(angl
 
 
 def test_attitude_distance_from_the_identity_is_exact_to_rounding_in_float32() -> None:
-    # Here the quaternions' rounding does not come in, so nothing is left but the formula's own.
+    # The quaternions are not rounded here, so only the formula's own rounding is left.
     half = np.array([[1e-2], [1e-5], [1e-8], [1e-15]])
     q = np.concatenate([np.cos(half), np.sin(half) * directions(4)], axis=-1).astype(np.float32)
     identity = np.tile(np.float32([1, 0, 0, 0]), (4, 1))
@@ -240,7 +240,7 @@ def test_euler_angles_equal_scipys() -> None:
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
 @pytest.mark.parametrize("away", [0.0, 1e-12, 1e-6, 1e-3])
 def test_euler_angles_give_the_rotation_back_at_and_near_gimbal_lock(pitch, away) -> None:
-    # Exactly at it only yaw -+ roll is defined, and that is enough to give the rotation back.
+    # Exactly there only yaw -+ roll is defined, which suffices to restore the rotation.
     s, c = math.sin(0.7), math.cos(0.7)
     roll = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     up = np.sign(pitch)
@@ -254,7 +254,7 @@ def test_euler_angles_give_the_rotation_back_at_and_near_gimbal_lock(pitch, away
 
 
 def test_project_rotation_takes_the_rotation_out_of_a_stretched_one() -> None:
-    # The polar factor: of R S with S symmetric and positive, the nearest rotation is R.
+    # Polar decomposition: the rotation nearest to R S, S symmetric and positive, is R.
     rng = np.random.default_rng(0)
     for R in random_rotations(10):
         stretch = np.eye(3) + 0.1 * (lambda a: a + a.T)(rng.uniform(-1, 1, (3, 3)))

@@ -20,9 +20,9 @@ from jax import Array
 from posegsa.model import se3
 
 THRESHOLD = math.sqrt(se3.SERIES_BELOW)
-"""Angle [rad] at which the series hands over to the closed form."""
+"""Angle [rad] at which the closed form replaces the series."""
 
-# From none over the threshold, half and whole turns to many turns.
+# From 0 through the threshold, half and whole turns to many turns.
 ANGLES = np.array(
     [0.0, 1e-30, 1e-12, 1e-8, 1e-4, 0.01, 0.1, 0.5]
     + [THRESHOLD * (1 + d) for d in (-1e-3, -2e-7, -1e-16, 0.0, 2e-16, 2e-7, 1e-3)]
@@ -43,9 +43,9 @@ def twists(angles: np.ndarray, dtype: type[np.floating], draws: int = 2) -> np.n
 def tolerance(xi: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
     """Absolute error allowed in exp(xi) and its derivatives, one number for each xi.
 
-    16 units of rounding at metres of motion, and the angle's own rounding, eps * angle, which turns
-    everything: no evaluation in this precision could do without it. SciPy's expm, squaring again
-    and again, needs more at many turns in float64.
+    16 units of rounding at metres of motion, plus the rounding of the angle, eps * angle, which no
+    evaluation in this precision can avoid. SciPy's expm squares repeatedly and needs more at many
+    turns in float64.
     """
     angle = np.linalg.norm(xi[:, :3].astype(np.float64), axis=-1)
     return epsilon(dtype) * np.where(angle < 20, 16 * (1 + angle), 64 * (1 + angle))
@@ -190,7 +190,7 @@ tangent_vectors = hnp.arrays(np.float64, 6, elements=st.floats(-10, 10))
 
 
 def moved(*xis: np.ndarray) -> np.ndarray:
-    """exp(xi_1) exp(xi_2) ..., by `move`, as a matrix; up to three, one program."""
+    """exp(xi_1) exp(xi_2) ... by `move`, as a matrix; one program for up to three."""
     nothing = (np.zeros(6),) * (3 - len(xis))
     return np.asarray(all_moved(*xis, *nothing))
 

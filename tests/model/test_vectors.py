@@ -1,4 +1,4 @@
-"""What is made of measured vectors, before the loop and in it, against sums by the definition."""
+"""Processing of measured vectors, before and in the loop, against sums by the definition."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ N = 15
 def in_the_loop(
     m: Measurements, biases: Array | None, settings: VectorSettings
 ) -> tuple[Wahba, tuple[Vec3, ...]]:
-    """Wahba's sums of vectors freed of biases (N, n, 3), made in the loop, and those vectors."""
+    """Wahba's sums, computed in the loop, of vectors less biases (N, n, 3), and these vectors."""
     vectors = prepare_vectors(m, settings)
     assert isinstance(vectors, VectorSamples)
     columns = [] if biases is None else [biases[:, i] for i in range(biases.shape[1])]
@@ -72,7 +72,7 @@ def by_definition(
     return fields
 
 
-WAYS = [  # vectors, weights of their own, weight of the cross product, brought to length 1
+WAYS = [  # vectors, their weights, weight of the cross product, whether normalised
     (1, None, None, True),
     (2, (0.4, 1.5), 0.3, True),
     (2, None, 0.3, False),
