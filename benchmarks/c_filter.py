@@ -7,8 +7,9 @@
    than one. The board must give the same estimate as this machine. Needs gcc-arm-none-eabi,
    libnewlib-arm-none-eabi and qemu-system-arm; without them this part is left out.
 
-The filter is that of a tuned result, for the pose and for the attitude only. The latter has the
-same settings without landmarks, like other attitude filters with a gyroscope and two vectors.
+The filter is a tuned result's, whole, and that for its attitude alone: the same settings without
+the landmarks, which is what other attitude filters do with a gyroscope and two vectors. Beside them
+Kalman filters of 12 and 18 states, with the result's sensors and with eight landmarks.
 
     python benchmarks/c_filter.py [--run FOLDER] [--write]
 """
@@ -25,6 +26,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from contenders.c import compiler
 from machine import machine
@@ -33,11 +35,14 @@ from readme import write_block
 import posegsa
 from posegsa import config
 from posegsa.export import export_c, filter_to_c
-from posegsa.judging.result import TuneResult
+from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.observer import Observer
+from posegsa.judging.result import Result
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import integrate, measure
-from posegsa.saving.run import load
+from posegsa.saving.result import load
 from posegsa.search.build import filter_settings, scenario, signal_settings
+from posegsa.words import counted
 
 HERE = Path(__file__).parent / "on_target"
 PASSES = 200
@@ -70,8 +75,8 @@ class Exported:
     start: np.ndarray
 
 
-def exported(result: TuneResult) -> list[Exported]:
-    """The tuned filter, for the pose and for the attitude only."""
+def exported(result: Result) -> list[Exported]:
+    """The tuned filter, and that for its attitude alone."""
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     with jax.enable_x64(True):
         one = scenario(experiment)
@@ -79,20 +84,39 @@ def exported(result: TuneResult) -> list[Exported]:
         m = jax.tree.map(np.asarray, sensed)
         settings = filter_settings(experiment)
         signal = signal_settings(experiment.gain, np.float64)
-    alone = filter_to_c(
-        result.schedule,
-        replace(settings, landmark_weights=None),
-        signal,
-        vectors=m.vector_references[0],
-    )
+    attitude = Observer(result.schedule, replace(settings, landmark_weights=None), signal)
+    alone = filter_to_c(attitude, vectors=m.vector_references[0])
     n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
-    sensors = f"{n} vectors, {landmarks} landmark{'' if landmarks == 1 else 's'}"
+    sensors = f"{n} vectors, {counted(landmarks, 'landmark')}"
     return [
         Exported(f"pose, {sensors}", export_c(result), rows(m), (), START),
+        *(kalman(each, biases) for each in (m, with_landmarks(m, 8)) for biases in (False, True)),
         Exported(
             f"attitude alone, {n} vectors", alone, rows(m, False), ("-DATTITUDE_ONLY",), START[:4]
         ),
     ]
+
+
+def kalman(m: Measurements, vector_biases: bool) -> Exported:
+    """A Kalman filter with noises as they may be; its time does not depend on them."""
+    values = (0.02, 0.02, 0.002, 0.003, 0.005, 0.1, 0.15, 1.0, 2.0, 0.1, 0.1, 0.1)
+    filter = KalmanFilter(KalmanNoise(*map(jnp.float32, values)), vector_biases)
+    n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
+    text = filter_to_c(filter, vectors=m.vector_references[0], landmarks=m.landmark_references[0])
+    name = f"Kalman, {12 + 3 * n * vector_biases} states, {n} vectors, "
+    return Exported(name + counted(landmarks, "landmark"), text, rows(m), (), START)
+
+
+def with_landmarks(m: Measurements, count: int) -> Measurements:
+    """The same with so many landmarks: the first, and others some metres around it."""
+    off = np.random.default_rng(0).uniform(-3.0, 3.0, (count, 3))
+    off[0] = 0.0
+    # The body's axes are not known here: what is seen need not be what a body would see.
+    return m._replace(
+        landmarks=m.landmarks[:, :1] + off,
+        landmark_references=m.landmark_references[:, :1] + off,
+        landmark_weights=np.repeat(m.landmark_weights[:, :1], count, axis=1),
+    )
 
 
 def rows(m: Measurements, pose: bool = True) -> np.ndarray:
@@ -117,10 +141,21 @@ def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[
 
 
 def on_this_machine(one: Exported, real: str, folder: Path) -> list[str]:
-    """A table row: time per step and sizes."""
-    times, (state, measurement, _) = run_here(one, real, PASSES, folder)
+    """A row: time a step and sizes."""
+    passes = PASSES // 10 if one.name.startswith("Kalman") else PASSES
+    times, (state, measurement, _) = run_here(one, real, passes, folder)
     took = f"{min(times):.0f} ns ({statistics.median(times):.0f} ns)"
-    return [one.name, real, took, f"{state} B", f"{measurement} B"]
+    sizes = (code_size(real, one, folder), state, measurement)
+    return [one.name, real, took, *(f"{size} B" for size in sizes)]
+
+
+def code_size(real: str, one: Exported, folder: Path) -> int:
+    """Bytes of the code and the constants of a step on this machine."""
+    source, made = folder / "step.c", folder / "step.o"
+    source.write_text(CODE_ONLY)
+    options = ["-O2", f"-DPOSEGSA_REAL={real}", *one.options, "-I", str(folder)]
+    compiled(str(compiler()), *options, "-c", str(source), "-o", str(made))
+    return int(output("size", str(made)).splitlines()[1].split()[0])
 
 
 def on_the_board(one: Exported, level: str, folder: Path) -> list[str]:
@@ -190,8 +225,8 @@ def markdown(head: list[str], lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in [head, rule, *lines])
 
 
-def tables(result: TuneResult) -> str:
-    """All measurements as Markdown."""
+def tables(result: Result) -> str:
+    """All measurements."""
     filters = exported(result)
     here, board = [], []
     emulated = all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm")))
@@ -204,9 +239,9 @@ def tables(result: TuneResult) -> str:
                 board += [on_the_board(one, level, folder) for level in ("-O2", "-Os")]
     about = machine(version("jax"), 1, "")
     parts = [
-        markdown(["filter", "type", "a step, best (median)", "state", "measurement"], here),
+        markdown(["filter", "type", "a step, best (median)", "code", "state", "measurement"], here),
         f"{about['cpu']}, one core, {about['compiler']} -O2; {len(filters[0].rows)} samples, "
-        f"{PASSES} passes; {about['date']}.",
+        f"{PASSES} passes, of Kalman filters {PASSES // 10}; {about['date']}.",
     ]
     if board:
         head = [

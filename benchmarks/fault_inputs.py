@@ -9,7 +9,7 @@ from readme import ROOT
 
 import posegsa
 from posegsa import config
-from posegsa.saving.run import load
+from posegsa.saving.result import load
 
 sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
 
@@ -97,6 +97,7 @@ def tuned_whole(experiment: config.Experiment, counts: Counter) -> tuple[bool, f
     else:
         result = posegsa.tune(experiment)
     counts[count] += 1
+    assert result.best_cost is not None  # it was searched
     return bool(generated.not_numbers(result)), result.best_cost
 
 

@@ -27,9 +27,9 @@ import posegsa
 from posegsa import config
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.runtime import environment
-from posegsa.saving.run import load
+from posegsa.saving.result import load
 from posegsa.search.build import parameter_space, scenario, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
@@ -62,8 +62,8 @@ def lasting(duration: float) -> list[str]:
     return [f"scenario.duration={duration}"]
 
 
-def rest(result: TuneResult) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last of ten minutes at rest, with and without learning."""
+def rest(result: Result) -> tuple[float, float]:
+    """Attitude RMS [deg] over the last minute of ten at rest, with the law and without."""
     tuned, gains = result.tuned, Candidate(result.schedule)
     found = []
     for law in ([], LAW_OFF):
@@ -85,14 +85,14 @@ def rest(result: TuneResult) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def rest_after_motion(result: TuneResult) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last of two minutes at rest, and over 20 s before the rest."""
+def rest_after_motion(result: Result) -> tuple[float, float]:
+    """Attitude RMS [deg] over the last minute of two at rest, and over 20 s before the rest."""
     settings = [*lasting(180.0), "scenario.rest=[[60.0, 180.0]]"]
     angle = degrees(tracks(config.override(result.tuned, settings), Candidate(result.schedule), 32))
     return rms(angle[:, 12000:]), rms(angle[:, 4000:6000])
 
 
-def without_noise(result: TuneResult) -> dict[str, float]:
+def without_noise(result: Result) -> dict[str, float]:
     """Largest errors after 300 s without noise, in float64, over 8 scenarios."""
     tuned = result.tuned
     scenario_noises = ("angular_velocity_noise", "velocity_noise")
@@ -117,8 +117,8 @@ def without_noise(result: TuneResult) -> dict[str, float]:
         }
 
 
-def step_ratio(result: TuneResult, repetitions: int = 7) -> tuple[float, float]:
-    """Best time [s] of 100 agents on 8 scenarios of 15 s, with and without learning vector biases.
+def step_ratio(result: Result, repetitions: int = 7) -> tuple[float, float]:
+    """Best time [s] of a population of 100 agents on 8 scenarios of 15 s, with the law and without.
 
     The same agents, by turns.
     """
@@ -144,7 +144,7 @@ def step_ratio(result: TuneResult, repetitions: int = 7) -> tuple[float, float]:
     return best[0], best[1]
 
 
-def table(result: TuneResult) -> str:
+def table(result: Result) -> str:
     """The measurements as a Markdown table."""
     on, off = rest(result)
     still, moving = rest_after_motion(result)
@@ -169,7 +169,9 @@ def table(result: TuneResult) -> str:
         f"| {what} | {a:.3g}{unit} | {b:.3g}{unit} | {a / b:.2f} |" for what, a, b, unit in rows
     ]
     lines += ["", "| time | tuned filter | best constant gains |", "| --- | --- | --- |"]
-    for begin, end, *errors in result.endurance.rows():
+    judged = result.on_scenarios
+    assert judged is not None
+    for begin, end, *errors in judged.endurance.rows():
         tuned, constant = (
             f"{attitude:.2f}° {100 * position:.1f} cm"
             for attitude, position, _ in (errors[:3], errors[3:])

@@ -28,7 +28,8 @@ from readme import ROOT, write_block
 import posegsa
 from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import EKF
-from posegsa.judging.recorded import RecordingResult, mean_errors
+from posegsa.judging.on_recordings import mean_errors
+from posegsa.judging.result import Result
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.recording import LANDMARK_OUTLIER
 from posegsa.runtime import environment
@@ -75,9 +76,10 @@ def euroc(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _rows(rate: float, judged: RecordingResult) -> list[dict[str, Any]]:
-    rows = []
-    filters = {"tuned fuzzy gain": judged.held_out, **judged.baselines}
+def _rows(rate: float, judged: Result) -> list[dict[str, Any]]:
+    rows, on = [], judged.on_recordings
+    assert on is not None
+    filters = {"tuned fuzzy gain": on.held_out, **on.baselines}
     for which, (degrees, metres) in enumerate(STARTS):
         part = slice(which * HELD_OUT_SEEDS, (which + 1) * HELD_OUT_SEEDS)
         for name, scores in filters.items():

@@ -26,7 +26,8 @@ from posegsa import config
 from posegsa.cli.progress import Display
 from posegsa.evaluating import evaluate
 from posegsa.judging.evaluation import CONSTANT, TUNED
-from posegsa.judging.result import TuneResult
+from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.result import Result
 
 
 class Case(NamedTuple):
@@ -61,6 +62,12 @@ def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
     return config.override(one, [f"run.seed={seed}"])
 
 
+def on_scenarios(result: Result) -> OnScenarios:
+    """What a result is worth on the scenarios that it was judged on."""
+    assert result.on_scenarios is not None
+    return result.on_scenarios
+
+
 POSITION = "Centimetres are of the cost's position error, |P_est - R_err P|, not of |P_est - P|."
 
 
@@ -71,10 +78,10 @@ def errors(attitude: float, position: float) -> str:
     return f"{attitude:.1f}° {100 * position:.1f} cm"
 
 
-def endurance_rows(case: Case, result: TuneResult) -> list[str]:
+def endurance_rows(case: Case, result: Result) -> list[str]:
     """The rows of one result in the table of endurance."""
     rows = []
-    for begin, end, *both in result.endurance.rows():
+    for begin, end, *both in on_scenarios(result).endurance.rows():
         tuned, constant = errors(*both[:2]), errors(*both[3:5])  # not the distances
         rows.append(f"| {case.title} | {begin:g} to {end:g} s | {tuned} | {constant} |")
     return rows
@@ -85,7 +92,8 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
     result = posegsa.tune(experiment_of(case, seed))
     with Display():
         result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED)
-    evaluation, rows, differences = result.evaluation, [], {}
+    on = on_scenarios(result)
+    evaluation, rows, differences = on.evaluation, [], {}
     for name, contender in evaluation.contenders.items():
         m, cost = contender.metrics, evaluation.cost(name)
         versus = "-"
@@ -98,7 +106,7 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
             f"| {np.mean(m.rms_attitude):.1f}° {100 * np.mean(m.rms_position):.1f} cm "
             f"| {100 * np.mean(m.diverged):.1f} % |"
         )
-    trained = float(np.mean(result.training_costs))
+    trained = float(np.mean(on.training[TUNED]))
     return {
         "scenarios": scenarios,
         "rows": rows,
@@ -109,8 +117,8 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
         "differences": differences,
         "endurance": endurance_rows(case, result),
         "note": (
-            f"{case.title}: training cost {trained:.2f}, {result.trust.used_rules} of 25 rules "
-            "carry 1 % of the weight"
+            f"{case.title}: training cost {trained:.2f}, {on.trust.used_rules} of 25 rules carry "
+            "1 % of the weight"
         ),
     }
 
@@ -193,12 +201,10 @@ def seeded(seeds: int) -> str:
             # One by one, as a batch would hold all scenarios in memory.
             results = [posegsa.tune(experiment, seed=seed) for seed in range(seeds)]
             for result in results:
-                contenders = result.evaluation.contenders
-                for label, training, which in (
-                    (f"fuzzy gain, {search}", float(np.mean(result.training_costs)), TUNED),
-                    (CONSTANT, float(np.mean(result.constant_training_costs)), CONSTANT),
-                ):
-                    cost = contenders[which].metrics.cost
+                on = on_scenarios(result)
+                for label, which in ((f"fuzzy gain, {search}", TUNED), (CONSTANT, CONSTANT)):
+                    training = float(np.mean(on.training[which]))
+                    cost = on.evaluation.contenders[which].metrics.cost
                     row = (training, float(np.mean(cost)), float(np.max(cost)))
                     if which == TUNED or search != "random_search":
                         rows.setdefault(label, []).append(row)

@@ -23,7 +23,7 @@ posegsa.enable_fast_path()
 
 from posegsa import config  # noqa: E402  (after the fast path)
 from posegsa.judging.evaluation import TUNED  # noqa: E402  (after the fast path)
-from posegsa.judging.recorded import mean_errors  # noqa: E402  (after the fast path)
+from posegsa.judging.on_recordings import mean_errors  # noqa: E402  (after the fast path)
 from posegsa.recordings.recording import Recording  # noqa: E402  (after the fast path)
 from posegsa.words import text_table  # noqa: E402  (after the fast path)
 
@@ -62,7 +62,10 @@ def simulated(table: str, seed: int) -> tuple[float, float]:
     """Mean training and held-out costs."""
     experiment = posegsa.load_config("quick").replace(**SIMULATED, **{"fuzzy.rules": table})
     result = posegsa.tune(experiment, seed=seed)
-    return result.best_cost, result.evaluation.cost(TUNED).mean
+    judged = result.on_scenarios
+    assert result.best_cost is not None
+    assert judged is not None
+    return result.best_cost, judged.evaluation.cost(TUNED).mean
 
 
 def inertial(trials: dict[str, Recording]) -> Callable[[str, int], tuple[float, float]]:
@@ -73,7 +76,9 @@ def inertial(trials: dict[str, Recording]) -> Callable[[str, int], tuple[float, 
     def tuned(table: str, seed: int) -> tuple[float, float]:
         experiment = config.from_dict(INERTIAL).replace(**{"fuzzy.rules": table})
         result = posegsa.tune(experiment, seed=seed, recordings=training, held_out=held_out)
-        return mean_errors(result.training).total, mean_errors(result.held_out).total
+        on = result.on_recordings
+        assert on is not None
+        return mean_errors(on.training).total, mean_errors(on.held_out).total
 
     return tuned
 

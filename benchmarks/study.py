@@ -77,6 +77,7 @@ def judge(problem: TuningProblem, candidate: Candidate) -> tuple[float, float]:
     """Training and validation cost of a candidate."""
     experiment = problem.experiment
     chosen = scenario_keys(keys(experiment.run.seed).validation, VALIDATION_SCENARIOS)
+    assert problem.scenario is not None
     validation = scenario_batch(experiment, problem.scenario, chosen)
     return mean_cost(candidate, problem.training), mean_cost(candidate, validation)
 

@@ -16,10 +16,11 @@ def main(base="paper", gammas=(0.5, 1, 2, 5, 10, 20), seeds=range(5), out="gamma
 
     # Experiments that differ only in numbers run in one compiled search, each with all seeds.
     results = posegsa.tune_batch(experiments, seeds=seeds).results
+    judged = [result.on_scenarios.evaluation for result in results]
 
     # The cost of each seed's result on scenarios that it was not tuned on.
     costs = {
-        name: np.reshape([r.evaluation.cost(name).mean for r in results], (len(gammas), -1))
+        name: np.reshape([each.cost(name).mean for each in judged], (len(gammas), -1))
         for name in (TUNED, CONSTANT)
     }
     figure, axes = plt.subplots()

@@ -17,7 +17,7 @@ def main(experiment="quick", folder="tuned", scenarios=200):
     # Compares it on more scenarios with constant gains, a time switch, Kalman filters and others,
     # each searched with the same budget.
     result = posegsa.evaluate(result, scenarios=scenarios)
-    print(result.evaluation.table())
+    print(result.on_scenarios.evaluation.table())
 
     # The same folder that `posegsa tune` writes: report.html for people, result.json for programs.
     folder = posegsa.save(result, folder, overwrite=True)

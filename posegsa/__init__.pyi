@@ -5,6 +5,7 @@ from . import runtime as runtime
 from .comparing import compare as compare
 from .config import Experiment as Experiment
 from .config.files import load_config as load_config
+from .configuring import configured as configured
 from .errors import PosegsaError as PosegsaError
 from .errors import PosegsaWarning as PosegsaWarning
 from .errors import RecordingError as RecordingError
@@ -32,10 +33,8 @@ from .filters.rollout import step as step
 from .imu_tuning import tune_imu as tune_imu
 from .judging.comparison import OptimiserComparison as OptimiserComparison
 from .judging.imu import ImuResult as ImuResult
-from .judging.recorded import RecordingResult as RecordingResult
-from .judging.recorded import by_hand as by_hand
+from .judging.result import Result as Result
 from .judging.result import TuneBatch as TuneBatch
-from .judging.result import TuneResult as TuneResult
 from .judging.sweep import Sweep as Sweep
 from .model.estimate import FilterState as FilterState
 from .model.estimate import initial_state as initial_state
@@ -68,9 +67,8 @@ from .runtime import enable_fast_path as enable_fast_path
 from .saving.checkpoint import load_search as load_search
 from .saving.checkpoint import save_search as save_search
 from .saving.comparison import load_comparison as load_comparison
-from .saving.loading import load as load
-from .saving.loading import save as save
-from .saving.recorded import load_recorded as load_recorded
+from .saving.result import load as load
+from .saving.result import save as save
 from .saving.sweep import load_sweep as load_sweep
 from .saving.sweep import merge_sweeps as merge_sweeps
 from .search.build import filter_settings as filter_settings

@@ -8,9 +8,8 @@ from posegsa.arguments import check_type, refuse, several
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
 from posegsa.figures.choice import chosen_figures
 from posegsa.figures.replay import REPLAY_FIGURES
-from posegsa.judging.recorded import RecordingResult
 from posegsa.judging.replay import Replay, replayed_on
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.recordings.imu import ImuRecording, as_imu
 from posegsa.recordings.imu_filter import run_imu
 from posegsa.recordings.recording import Recording
@@ -18,7 +17,7 @@ from posegsa.saving.replay import write_replays
 
 
 def replay(
-    result: TuneResult | RecordingResult | ImuConfig | Literal["imu"],
+    result: Result | ImuConfig | Literal["imu"],
     recordings: Recording | Iterable[Recording],
     *,
     out: str | Path | None = None,
@@ -47,8 +46,8 @@ def replay(
             refuse(f"{name} without out", "both, or neither")
     if result == SHIPPED:
         result = load_imu()
-    allowed = 'a TuneResult, a RecordingResult, an ImuConfig or "imu"'
-    check_type("result", result, TuneResult, RecordingResult, ImuConfig, allowed=allowed)
+    allowed = 'a Result, an ImuConfig or "imu"'
+    check_type("result", result, Result, ImuConfig, allowed=allowed)
     given = [recordings] if isinstance(recordings, Recording) else recordings
     each = several("recordings", given, Recording, "recordings, or one")
     replays = [_replayed(result, one) for one in each]
@@ -57,7 +56,7 @@ def replay(
     return replays
 
 
-def _replayed(result: TuneResult | RecordingResult | ImuConfig, recording: Recording) -> Replay:
+def _replayed(result: Result | ImuConfig, recording: Recording) -> Replay:
     if not isinstance(result, ImuConfig):
         return replayed_on(recording, result.estimate(recording))
     if not isinstance(recording, ImuRecording):

@@ -15,9 +15,7 @@ from posegsa.errors import MeasurementError, PosegsaWarning
 from posegsa.filters.base import Filter, check_filter
 from posegsa.filters.observer import Observer
 from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
-from posegsa.judging.known_sensors import KnownSensors, of_scenario
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
@@ -44,7 +42,7 @@ class PoseFilter:
         pose_filter = posegsa.PoseFilter(result, rotation=R, position=P)
         pose = pose_filter.update(time_step=0.01, angular_velocity=w, velocity=v, vectors=seen)
 
-    It computes what `TuneResult.estimate` and `run_filter` compute from the same samples, to
+    It computes what `Result.estimate` and `run_filter` compute from the same samples, to
     rounding. Making one compiles the step, which takes a few seconds for the first filter of a
     structure; an update then takes about a tenth of a millisecond (docs/streaming.md), and three
     tenths for a Kalman filter of 18 states.
@@ -88,7 +86,7 @@ class PoseFilter:
 
     def __init__(
         self,
-        source: TuneResult | RecordingResult | Filter,
+        source: Result | Filter,
         *,
         rotation: ArrayLike,
         position: ArrayLike,
@@ -104,8 +102,8 @@ class PoseFilter:
         self._window = _duration("observable_window", observable_window)
         known = None
         stated = vector_references is not None and landmark_references is not None
-        if isinstance(source, TuneResult | RecordingResult) and not stated:
-            known = _known_sensors(source)
+        if isinstance(source, Result) and not stated:
+            known = source.known_sensors
             if vector_references is None:
                 vector_references = np.array(known.vectors)
             if landmark_references is None:
@@ -113,7 +111,7 @@ class PoseFilter:
         self._attitude_only = known is not None and known.attitude_only
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
-        if isinstance(source, TuneResult | RecordingResult):
+        if isinstance(source, Result):
             filter = _tuned(source, len(vectors), len(landmarks))
         else:
             filter = _by_hand(source)
@@ -429,16 +427,10 @@ class _Sensors:
         return limits.WEIGHT.checked(name, array)
 
 
-def _known_sensors(result: TuneResult | RecordingResult) -> KnownSensors:
-    """The sensors that a result was tuned with."""
-    if isinstance(result, RecordingResult):
-        return result.known_sensors
-    return of_scenario(result.experiment)
-
-
-def _tuned(result: TuneResult | RecordingResult, vectors: int, landmarks: int) -> Observer:
+def _tuned(result: Result, vectors: int, landmarks: int) -> Filter:
     """The filter of a result, for these numbers of vectors and landmarks."""
-    if result.tuned.gain.signal == "pose":
+    observer = result.experiment.filter.kind == "observer"
+    if observer and result.experiment.gain.signal == "pose":
         refuse(
             'source: a result tuned on the true errors (gain.signal = "pose"), which no vehicle '
             "knows",
@@ -452,7 +444,7 @@ def _tuned(result: TuneResult | RecordingResult, vectors: int, landmarks: int) -
 
 def _by_hand(source: Any) -> Filter:
     """A filter made by the user, with all its numbers in one floating-point type."""
-    check_filter("source", source, "a TuneResult or RecordingResult (posegsa.load reads one)")
+    check_filter("source", source, "a Result (posegsa.load reads one)")
     kinds = {leaf.dtype for leaf in jax.tree.leaves(source) if hasattr(leaf, "dtype")}
     if wrong := [kind for kind in kinds if kind.kind != "f"]:
         refuse(f"source: holds {wrong[0]}", "a filter of floating numbers")

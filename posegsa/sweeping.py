@@ -15,7 +15,7 @@ from posegsa import config, steps
 from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole, refuse, several
 from posegsa.defaults import TOGETHER
 from posegsa.errors import MemoryLimitError
-from posegsa.judging.baselines import describe, tuned_experiment
+from posegsa.judging.description import describe
 from posegsa.judging.sweep import SEED, Sweep, SweepRun, Values, run_name, with_values
 from posegsa.runtime import environment
 from posegsa.saving.folder import as_path
@@ -267,11 +267,9 @@ def _judged(
     """A finished run: the costs of its best candidate on training and held-out scenarios."""
     candidate = problem.space.candidate(found.search.best_position)
     alone = jax.tree.map(lambda a: a[None], candidate)
-    costs = np.asarray(costs_by_scenario(alone, problem.scenarios)[:, 0], np.float64)
+    costs = np.asarray(costs_by_scenario(alone, problem.simulated)[:, 0], np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     count = one.experiment.run.training_scenarios
-    space = problem.space.schedules
-    found_filter = describe(candidate, space, one.experiment.search.evaluations)
     return SweepRun(
         base=base,
         values=one.values,
@@ -280,13 +278,8 @@ def _judged(
         held_out_cost=float(np.mean(costs[count:])),
         held_out_worst=float(np.max(costs[count:])),
         diverged=int(np.count_nonzero(np.isinf(costs[count:]))),
-        parameters=found_filter.numbers["k"],
-        also=found_filter.also,
-        evaluations=found_filter.evaluations,
+        filter=describe(candidate, one.experiment, one.experiment.search.evaluations),
         search_seconds=found.search_seconds,
         environment=environment(),
         version=VERSION,
-        rules=[]
-        if space.rules
-        else plain(tuned_experiment(one.experiment, found_filter).fuzzy.rules),
     )

@@ -1,13 +1,13 @@
 """The limit: hand-vectorised C, compiled on the fly and called through ctypes.
 
-`pose_filter.c` is called here, `learning_filter.c` in `learning`.
+`pose_filter.c` is called here, `learning_filter.c` in `learning`, `kalman_filter.c` in `kalman`.
 """
 
 import ctypes
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,8 +61,13 @@ def compiler_version() -> str:
     return said.stdout.splitlines()[0]
 
 
-def build(folder: Path, isa: str = "native") -> Path:
-    """Compile the library into a folder, for one of `ISAS`.
+def build(
+    folder: Path,
+    isa: str = "native",
+    sources: Sequence[str] = SOURCES,
+    defined: Sequence[str] = (),
+) -> Path:
+    """Compile a library of sources into a folder, for one of `ISAS`, with some names -Ddefined.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
@@ -70,16 +75,18 @@ def build(folder: Path, isa: str = "native") -> Path:
     command = compiler()
     if command is None:
         raise RuntimeError("no C compiler (CC, gcc or cc) was found")
-    library = folder / f"pose_filter_{isa}.so"
+    suffix = "_".join([isa, *defined])
+    library = folder / f"{Path(sources[0]).stem}_{suffix}.so"
     optional = [*OPTIONAL_FLAGS, *ISAS[isa]]
     given = [*FLAGS, *(flag for flag in optional if _knows(command, flag, folder))]
-    compiled = [folder / f"{Path(name).stem}_{isa}.o" for name in SOURCES]
+    given += [f"-D{name}" for name in defined]
+    compiled = [folder / f"{Path(name).stem}_{suffix}.o" for name in sources]
     # Linked by itself, without -ffast-math: with it, gcc adds code that makes the whole process,
     # Python's and JAX's numbers included, round subnormal numbers to 0 when the library is loaded.
     linked = ["-shared", *(flag for flag in given if flag in ("-fPIC", "-fopenmp"))]
-    sources = (Path(__file__).with_name(name) for name in SOURCES)
+    paths = (Path(__file__).with_name(name) for name in sources)
     for step in (
-        *([*given, "-c", str(a), "-o", str(b)] for a, b in zip(sources, compiled, strict=True)),
+        *([*given, "-c", str(a), "-o", str(b)] for a, b in zip(paths, compiled, strict=True)),
         [*linked, *map(str, compiled), "-o", str(library), "-lm"],
     ):
         said = subprocess.run([command, *step], capture_output=True, text=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from contenders.c import FLOATS, in_body
 from contenders.scene import RULES
+from posegsa.config import ObserverConfig
 from posegsa.filters.observer import FilterSettings, Observer
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.signal import SignalSettings
@@ -56,7 +57,10 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
         ValueError: the experiment is not one that the C code computes.
     """
     e, training = task.experiment, task.training
-    if (e.filter.law, e.filter.gamma_law, e.filter.substeps) != ("gradient", "quadratic", 2):
+    section = e.filter
+    if not isinstance(section, ObserverConfig):
+        raise ValueError("the filter is not the observer")
+    if (section.law, section.gamma_law, section.substeps) != ("gradient", "quadratic", 2):
         raise ValueError("law, gamma's law or sub-steps are not those of configs/recommended.toml")
     if (e.gain.signal, e.fuzzy.centroid, e.fuzzy.no_rule) != ("measured", "exact", "hold"):
         raise ValueError("signal, centroid or no_rule are not those of configs/recommended.toml")
@@ -66,7 +70,7 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
     plain = settings.per_angular_bias_bound is None and settings.per_linear_bias_bound is None
     if learning is None or not isinstance(sensors, VectorSamples) or not (known and plain):
         raise ValueError("rules, bounds or the vectors' bias law are not the recommended ones")
-    if learning.law != "linear" or not e.filter.normalise_vectors or len(sensors.each) != 2:
+    if learning.law != "linear" or not section.normalise_vectors or len(sensors.each) != 2:
         raise ValueError("it knows two vectors, normalised, whose bias gain follows K")
     limits = (
         settings.gain_limit,

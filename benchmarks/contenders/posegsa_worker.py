@@ -94,7 +94,12 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
     """
     e = task.experiment
     one_landmark = len(e.scenario.landmarks) == 1 and e.gain.signal == "measured"
-    if e.filter.substeps != 1 or e.filter.law != "gradient" or not one_landmark:
+    section = e.filter
+    if not (
+        isinstance(section, config.ObserverConfig)
+        and (section.substeps, section.law) == (1, "gradient")
+        and one_landmark
+    ):
         raise ValueError("the other contenders know one landmark, one step and the gradient law")
     if task.space.schedules.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != (
         "exact",

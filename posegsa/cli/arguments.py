@@ -5,15 +5,21 @@ arguments appear at once.
 """
 
 import argparse
+import importlib
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
+from posegsa.config import shipped
 from posegsa.errors import ArgumentError
 from posegsa.recordings.frames import UP
 from posegsa.recordings.policies import LONGEST_GAP, Policy
 
 if TYPE_CHECKING:
+    from posegsa.judging.result import Result
     from posegsa.recordings.recording import Recording
+    from posegsa.search.build import OwnFilter
 
 RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
@@ -61,9 +67,66 @@ def add_figures(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-figures", action="store_const", const=[], dest="figures", help=words)
 
 
-def drawn(options: argparse.Namespace, files: str = "figures/") -> str:
-    """The end of a list of written files: the figures, if any were drawn."""
-    return "" if options.figures == [] else f", {files}"
+def add_filter(parser: argparse._ActionsContainer) -> None:
+    """--filter, for a command that runs a filter of the user's own."""
+    words = (
+        "your own filter, where filter.kind is own: its class in a module that Python finds from "
+        "here (docs/own_filter.md)"
+    )
+    parser.add_argument("--filter", metavar="MODULE:CLASS", help=words)
+
+
+def own_filter(options: argparse.Namespace) -> "OwnFilter | None":
+    """What --filter names, imported; None without it.
+
+    Raises:
+        ArgumentError: There is no such module, or nothing of that name in it.
+    """
+    if (given := options.filter) is None:
+        return None
+    module, _, name = given.partition(":")
+    if not (module and name):
+        raise ArgumentError(f"--filter {given}; allowed: MODULE:CLASS, such as my_filter:MyFilter")
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # as `python -m` has it: the folder of the command
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ArgumentError(f"--filter {given}: {error}") from None
+
+
+def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
+    """RUN, --filter and --edited, for a command that reads a tuned filter.
+
+    Args:
+        parser: The command's parser.
+        also: What else RUN may be, in words.
+    """
+    words = (
+        "folder of a finished run; or the name of a configuration (`posegsa configs`) or a TOML "
+        "file, for the filter with the numbers in it"
+    )
+    parser.add_argument("run", metavar="RUN", help="; ".join([words, *also]))
+    add_filter(parser)
+    words = "read a result.json that was changed after posegsa wrote it"
+    parser.add_argument("--edited", action="store_true", help=words)
+
+
+def result_of(options: argparse.Namespace) -> "Result":
+    """The tuned filter that RUN names: of a run's folder, or as configured."""
+    from posegsa.configuring import configured
+    from posegsa.saving.result import load
+
+    if is_configuration(options.run):
+        if options.edited:
+            raise ArgumentError(f"--edited; allowed: with the folder of a run, not {options.run}")
+        return configured(options.run, filter=own_filter(options))
+    return load(options.run, filter=own_filter(options), edited=options.edited)
+
+
+def is_configuration(run: str) -> bool:
+    """Whether RUN is a configuration and not a folder."""
+    return not Path(run).is_dir() and (run.endswith(".toml") or run in shipped.names())
 
 
 def _names(text: str) -> list[str]:

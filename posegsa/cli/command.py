@@ -96,13 +96,10 @@ _UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
 def _numbers(result) -> str:
     """The parameters that a search found, with all digits."""
     from posegsa.judging.imu import ImuResult  # slow, but already imported here
-    from posegsa.judging.recorded import RecordingResult
 
     if isinstance(result, ImuResult):
         return result.config.to_toml()
-    if isinstance(result, RecordingResult):
-        return str(result.filter)
-    return f"k = {result.parameters.tolist()}"
+    return str(result.filter)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -123,7 +120,8 @@ def _check_names(options: argparse.Namespace) -> None:
     if given.get("config") is not None:
         shipped.path_of(given["config"])
     run = given.get("run")
-    if run is not None and not shipped.there(run):
+    configured = run is not None and (run in shipped.names() or run.endswith(".toml"))
+    if run is not None and not configured and not shipped.there(run):
         raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from posegsa import config
-from posegsa.cli.arguments import add_count, add_figures, add_search_arguments, drawn
+from posegsa.cli.arguments import add_count, add_figures, add_search_arguments
 from posegsa.cli.progress import Display
 from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.saving.interrupt import resumable
@@ -104,5 +104,6 @@ def run(options: argparse.Namespace) -> int:
         )
     print(comparison.table(options.levels))
     if options.out is not None:
-        print(f"\nWritten to {options.out}: {DATA}, {TABLE}{drawn(options, FIGURE)}")
+        files = [DATA, TABLE] if options.figures == [] else [DATA, TABLE, FIGURE]
+        print(f"\nWritten to {options.out}: {', '.join(files)}")
     return 0

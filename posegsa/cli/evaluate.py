@@ -1,7 +1,6 @@
 """`posegsa evaluate`."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posegsa.cli.arguments import (
@@ -9,9 +8,11 @@ from posegsa.cli.arguments import (
     add_bridge,
     add_figures,
     add_quiet,
+    add_run,
     add_window,
-    drawn,
+    is_configuration,
     read,
+    result_of,
     whole_number,
     window,
 )
@@ -21,8 +22,7 @@ from posegsa.errors import ArgumentError
 from posegsa.saving.interrupt import resumable
 
 if TYPE_CHECKING:
-    from posegsa.judging.recorded import RecordingResult
-    from posegsa.judging.result import TuneResult
+    from posegsa.judging.result import Result
 
 
 def add(commands) -> None:
@@ -36,7 +36,7 @@ def add(commands) -> None:
         "folder, and the held-out means to its result.json. With --recording it compares the run "
         "on recordings instead, with the best constant gains and a Kalman filter.",
     )
-    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
+    add_run(parser)
     scenarios = f"number of held-out scenarios (default: {SCENARIOS})"
     parser.add_argument("--scenarios", type=whole_number(2), metavar="S", help=scenarios)
     seed = "use another held-out set than the run's own; any whole number from 0"
@@ -60,70 +60,61 @@ def add(commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Judge a finished run again."""
     from posegsa.saving.folder import locked_folder
-    from posegsa.saving.loading import load
+    from posegsa.saving.result import run_figures, write_result, written
 
-    judge = _on_scenarios if options.recording is None else _on_recordings
-    _check(options, load(options.run))  # before `locked_folder`, which would make a missing folder
+    _check(options)
+    run_figures(options.figures)
+    result = result_of(options)  # before `locked_folder`, which would make a missing folder
+    if is_configuration(options.run):
+        judged = _judged(options, result)
+        print(f"\nNothing was written: {options.run} is a configuration, not the folder of a run.")
+        return 0
     with (
         locked_folder(options.run, overwrite=True) as folder,  # before the long evaluation
         resumable(lambda: "interrupted; the run is unchanged"),
     ):
         # Load again: another process may have replaced the run before the lock.
-        return judge(options, load(folder), folder)
+        judged = _judged(options, result_of(options))
+        write_result(judged, folder, options.figures, own_checkpoints=True)
+    print(f"\nWritten to {options.run}: {', '.join(written(judged, options.figures))}")
+    return 0
 
 
-def _check(options: argparse.Namespace, result: "TuneResult | RecordingResult") -> None:
-    """Refuse options that contradict each other or do not apply to this run."""
-    from posegsa.judging.recorded import RecordingResult
-    from posegsa.saving.run import run_figures
-
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
     on_recordings = options.recording is not None
     others = ("window", "bridge", "longest_gap", "training", "training_window")
     if on_recordings:
-        others = ("scenarios", "seed", "figures")
+        others = ("scenarios", "seed")
     for name in (name for name in others if getattr(options, name) not in (None, [])):
         allowed = "without --recording" if on_recordings else "with --recording"
         raise ArgumentError(f"--{name.replace('_', '-')}; allowed: {allowed}")
     if options.training_window is not None and options.training is None:
         raise ArgumentError("--training-window; allowed: with --training")
-    if isinstance(result, RecordingResult) and not on_recordings:
-        raise ArgumentError(
-            f"{options.run}: was not tuned on scenarios; allowed: with --recording, which judges it"
-        )
-    run_figures(options.figures)
 
 
-def _on_scenarios(options: argparse.Namespace, result, folder: Path) -> int:
+def _judged(options: argparse.Namespace, result: "Result") -> "Result":
+    """The result with what the command asks for; prints it."""
     from posegsa import evaluating
-    from posegsa.judging.evaluation import CONSTANT
-    from posegsa.saving.run import EVALUATION, REPORT, RESULT, TABLE, write_run
 
-    scenarios = SCENARIOS if options.scenarios is None else options.scenarios
-    with Display(quiet=options.quiet):
-        result = evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
-        write_run(result, folder, options.figures, same_run=True)
-    print(result.evaluation.table())
-    long = result.experiment.run.endurance_scenarios
-    print(f"\n{result.endurance.table(CONSTANT, long)}")
-    for warning in result.warnings():
-        print(f"  warning: {warning}")
-    print(f"\nWritten to {options.run}: {REPORT}, {EVALUATION}, {TABLE}{drawn(options)}")
-    print(f"The held-out means in {RESULT} are now those of these scenarios.")
-    return 0
-
-
-def _on_recordings(options: argparse.Namespace, result, folder: Path) -> int:
-    from posegsa import evaluating
-    from posegsa.saving.recorded import FILES, write_recorded
-
+    if options.recording is None:
+        scenarios = SCENARIOS if options.scenarios is None else options.scenarios
+        with Display(quiet=options.quiet):
+            found = evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
+        judged = found.on_scenarios
+        assert judged is not None
+        print(judged.evaluation.table())
+        long = found.experiment.run.endurance_scenarios
+        print(f"\n{judged.endurance.table(judged.beside, long)}")
+        for warning in found.warnings():
+            print(f"  warning: {warning}")
+        return found
     bridge = options.bridge, options.longest_gap
     recordings = read(options.recording, options.window, *bridge)
     training = read(options.training or [], options.training_window, *bridge)
     for one in (*training, *recordings):
         print(one.describe())
     with Display(quiet=options.quiet):
-        judged = evaluating.evaluate(result, recordings=recordings, training=training)
-    write_recorded(judged, folder, same_run=True)
-    print(f"\n{judged.summary()}")
-    print(f"\nWritten to {options.run}: {', '.join(FILES)}")
-    return 0
+        found = evaluating.evaluate(result, recordings=recordings, training=training)
+    print(f"\n{found.summary()}")
+    return found

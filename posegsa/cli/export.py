@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from posegsa.cli.arguments import add_run, result_of
 from posegsa.errors import PosegsaError
 from posegsa.export.formats import FORMATS, export
 
@@ -17,7 +18,7 @@ def add(commands) -> None:
         + "\n".join(f"  {name:7}{format.about}" for name, format in FORMATS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("run", metavar="RUN", help="folder of a finished run")
+    add_run(parser)
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -27,9 +28,7 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
-    from posegsa.saving.loading import load
-
-    text = export(load(options.run), options.format, options.name)
+    text = export(result_of(options), options.format, options.name)
     if options.out is None:
         sys.stdout.write(text)
         return 0

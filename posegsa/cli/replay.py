@@ -7,9 +7,11 @@ from posegsa.cli.arguments import (
     add_bridge,
     add_figures,
     add_imu,
+    add_run,
     add_window,
     read,
     refuse_imu_options,
+    result_of,
 )
 from posegsa.errors import ArgumentError
 
@@ -23,12 +25,7 @@ def add(commands) -> None:
         "reference, shows root mean square errors by phase: total, heading, inclination and "
         "position. Writes the table, trajectories (TUM) and figures to a folder.",
     )
-    parser.add_argument(
-        "filter",
-        metavar="RUN",
-        help='folder of a finished run; or "imu", the attitude filter for inertial sensors; or a '
-        ".toml file with its settings",
-    )
+    add_run(parser, '"imu" for the attitude filter for inertial sensors, or its own TOML file')
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
@@ -44,17 +41,15 @@ def add(commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
     from posegsa import replaying
-    from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
+    from posegsa.config.imu import ImuConfig, load_imu, names_imu
     from posegsa.judging.replay import replay_table
     from posegsa.recordings.imu import as_imu
-    from posegsa.saving.loading import load
 
     for name in ("overwrite", "figures"):
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
-    given = options.filter
-    result = load_imu(given) if given == SHIPPED or given.endswith(".toml") else load(given)
+    result = load_imu(options.run) if names_imu(options.run) else result_of(options)
     if isinstance(result, ImuConfig):
         recordings = [
             as_imu(each, frame=options.frame, rest=options.rest, settings=result.vectors)

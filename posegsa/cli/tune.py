@@ -4,17 +4,18 @@ import argparse
 import shlex
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any
 
 from posegsa import config
 from posegsa.cli.arguments import (
     RECORDING,
     add_bridge,
     add_figures,
+    add_filter,
     add_imu,
     add_search_arguments,
     add_window,
-    drawn,
+    own_filter,
     read,
     refuse_imu_options,
     window,
@@ -22,7 +23,6 @@ from posegsa.cli.arguments import (
 from posegsa.cli.progress import Display
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.saving.interrupt import resumable
-from posegsa.search.recorded_schedules import RecordedSchedule
 
 if TYPE_CHECKING:
     from posegsa.saving.checkpointing import CheckpointedRun
@@ -35,10 +35,12 @@ def add(commands) -> None:
     """Add the command to the others."""
     parser = commands.add_parser(
         "tune",
-        help="tune a gain schedule and judge it on unseen scenarios",
-        description="Tunes a gain schedule and judges it on scenarios it was not tuned on. "
-        "Writes the result, tables, figures and report.html to a folder. With --recording it "
-        "tunes on recordings, and writes only result and table.",
+        help="tune a filter and judge it on unseen scenarios or recordings",
+        description="Tunes a filter and judges it on scenarios that it was not tuned on, or, with "
+        "--recording, on recordings. Writes the result, tables, figures and report.html to a "
+        "folder; on recordings the result and tables. The filter is that of CONFIG: the observer "
+        "with a fuzzy gain, another one by --set filter.schedule=constant (or smooth) or --set "
+        "filter.kind=kalman, or your own with --filter.",
     )
     add_search_arguments(
         parser,
@@ -48,6 +50,7 @@ def add(commands) -> None:
         replaced="the run in the folder",
     )
     add_figures(parser)
+    add_filter(parser)
     resume = (
         "resume the run in this folder; CONFIG, settings and recordings must be those of the run, "
         "except that there may be more iterations"
@@ -70,11 +73,6 @@ def add(commands) -> None:
     )
     add_bridge(group)
     add_imu(group)
-    group.add_argument(
-        "--schedule",
-        choices=get_args(RecordedSchedule),
-        help="what is searched: k1 to k22 (default), one gain, or K(e) with three parameters",
-    )
     together = parser.add_argument_group(
         "several processes",
         "Start the same command in each process, on one machine or several; the first process "
@@ -94,76 +92,67 @@ def run(options: argparse.Namespace) -> int:
     """Tune, judge and print the result."""
     from posegsa import tuning
     from posegsa.config.imu import names_imu
-    from posegsa.saving.run import FILES
+    from posegsa.saving.result import written
 
     first = _join(options)
     if names_imu(options.config):
         return _tune_imu(options)
     refuse_imu_options(options)
-    if options.recording is not None:
-        return _tune_on_recordings(options)
-    for name in (
-        *("held_out", "window", "held_out_window", "schedule"),
-        *("bridge", "longest_gap"),
-    ):
-        if getattr(options, name) is not None:
-            raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
-    experiment = _experiment(options)
+    if options.figures and options.recording is not None:
+        words = "without --recording, as a search on recordings draws none"
+        raise ArgumentError(f"--figures; allowed: {words}")
+    experiment, recorded = _experiment(options), _recordings(options)
+    for one in (each for several in recorded.values() for each in several):
+        print(one.describe())
     out = OUT if options.out is None and options.resume is None else options.out
     # If more than the schedule is tuned, judging searches the best constant gains too.
-    judging = f"then {'about as long' if experiment.also else 'seconds'} to judge what it finds"
+    long = experiment.also and not recorded and experiment.filter.kind == "observer"
+    judging = f"then {'about as long' if long else 'seconds'} to judge what it finds"
     with Display(quiet=options.quiet or not first, after_search=judging) as show:
-        where = {"out": out, "overwrite": options.overwrite, "resume": options.resume}
-        where["figures"] = options.figures
-        result = tuning.tune(experiment, **where)
-    _say_if_finished(options, show)
-    if first:
-        print(result.summary())
-        print(f"\nWritten to {out or options.resume}: {', '.join(FILES)}{drawn(options)}")
-    return 0
-
-
-def _tune_on_recordings(options: argparse.Namespace) -> int:
-    from posegsa import tuning
-    from posegsa.saving.recorded import FILES
-
-    if options.distributed:
-        raise ArgumentError("--recording with --distributed; allowed: one of them")
-    _refuse_held_out_window(options)
-    _refuse_figures(options)
-    experiment, schedule = _experiment(options), options.schedule
-    out = OUT if options.out is None and options.resume is None else options.out
-    if schedule is None and options.resume is not None:
-        task = _run_to_resume(options).recorded
-        schedule = None if task is None else task.schedule
-    bridge = options.bridge, options.longest_gap
-    recordings = read(options.recording, options.window, *bridge)
-    held_out = read(options.held_out or [], options.held_out_window, *bridge)
-    for one in (*recordings, *held_out):
-        print(one.describe())
-    with Display(quiet=options.quiet, after_search="then seconds to judge what it finds") as show:
         result = tuning.tune(
             experiment,
-            recordings=recordings,
-            held_out=held_out,
-            schedule=schedule or "fuzzy",
+            **recorded,
+            filter=own_filter(options),
             out=out,
             overwrite=options.overwrite,
             resume=options.resume,
+            figures=options.figures,
         )
-    _say_if_finished(options, show)
-    print(f"\n{result.summary()}")
-    print(f"\nWritten to {out or options.resume}: {', '.join(FILES)}")
-    print(f"\n{_how_to_compare(options, str(out or options.resume))}")
+    if options.resume is not None and not show.started_any:
+        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
+    if first:
+        folder = out or options.resume
+        print(("\n" if recorded else "") + result.summary())
+        print(f"\nWritten to {folder}: {', '.join(written(result, options.figures))}")
+        if recorded:
+            print(f"\n{_how_to_compare(options, str(folder))}")
     return 0
+
+
+def _recordings(options: argparse.Namespace) -> "dict[str, Any]":
+    """The recordings to tune on and those held out, as `tune` takes them; {} on scenarios."""
+    if options.held_out_window is not None and options.held_out is None:
+        raise ArgumentError("--held-out-window; allowed: with --held-out")
+    if options.recording is None:
+        for name in ("held_out", "window", "held_out_window", "bridge", "longest_gap"):
+            if getattr(options, name) is not None:
+                raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
+        return {}
+    if options.distributed:
+        raise ArgumentError("--recording with --distributed; allowed: one of them")
+    bridge = options.bridge, options.longest_gap
+    return {
+        "recordings": read(options.recording, options.window, *bridge),
+        "held_out": read(options.held_out or [], options.held_out_window, *bridge),
+    }
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
     """The command that compares a run on recordings with other filters, or what it needs."""
     if options.held_out is None:
         return (
-            "To compare the schedule with constant gains and a Kalman filter, hold out a recording "
-            "with --held-out FILE; it may be another part of the same file (--held-out-window)."
+            "Whether the filter is better than constant gains and a Kalman filter, a recording "
+            "that was held out says: --held-out FILE, which may be the same with --held-out-window."
         )
     files = {"recording": options.held_out, "training": options.recording}
     parts = {"window": options.held_out_window, "training-window": options.window}
@@ -185,26 +174,24 @@ def _tune_imu(options: argparse.Namespace) -> int:
         raise ArgumentError(
             f"{options.config}: is tuned only on recordings; allowed: with --recording FILE"
         )
-    if options.resume is not None or options.distributed or options.schedule is not None:
-        raise ArgumentError(
-            f"--resume, --distributed, --schedule; allowed: without {options.config}, whose gain "
-            "is constant, and which is searched in one process"
-        )
-    _refuse_figures(options)
-    _refuse_held_out_window(options)
+    for name in ("resume", "distributed", "filter"):
+        if getattr(options, name):
+            raise ArgumentError(
+                f"--{name}; allowed: without {options.config}, which is searched in one process"
+            )
+    if options.figures:
+        raise ArgumentError(f"--figures; allowed: without {options.config}, which draws none")
     given = [] if options.iterations is None else [f"search.iterations={options.iterations}"]
     filter = config.override_imu(config.load_imu(options.config), [*options.set, *given])
-    bridge, out = (options.bridge, options.longest_gap), options.out or OUT
-    recordings = read(options.recording, options.window, *bridge)
-    held_out = read(options.held_out or [], options.held_out_window, *bridge)
+    out = options.out or OUT
+    recorded = _recordings(options)
     with (
         resumable(lambda: "interrupted; nothing is kept"),
         Display(quiet=options.quiet, after_search="then seconds to judge what it finds"),
     ):
         result = imu_tuning.tune_imu(
             filter,
-            recordings=recordings,
-            held_out=held_out,
+            **recorded,
             frame=options.frame,
             rest=options.rest,
             seed=options.seed or 0,
@@ -214,27 +201,6 @@ def _tune_imu(options: argparse.Namespace) -> int:
     print(result.summary())
     print(f"\nWritten to {out}: {', '.join(FILES)}")
     return 0
-
-
-def _say_if_finished(options: argparse.Namespace, show: Display) -> None:
-    if options.resume is not None and not show.started_any:
-        print(
-            f"{options.resume} is finished already: nothing was searched. "
-            "For more iterations use --iterations."
-        )
-
-
-def _refuse_held_out_window(options: argparse.Namespace) -> None:
-    if options.held_out_window is not None and options.held_out is None:
-        raise ArgumentError("--held-out-window; allowed: with --held-out")
-
-
-def _refuse_figures(options: argparse.Namespace) -> None:
-    if options.figures:
-        raise ArgumentError(
-            "--figures; allowed: without --recording, as a search on recordings draws none "
-            "(`posegsa replay RUN FILE --out DIR` does)"
-        )
 
 
 def _join(options: argparse.Namespace) -> bool:

@@ -3,9 +3,9 @@
 from .experiment import CheckpointConfig as CheckpointConfig
 from .experiment import CostConfig as CostConfig
 from .experiment import Experiment as Experiment
-from .experiment import FilterConfig as FilterConfig
 from .experiment import ObjectiveConfig as ObjectiveConfig
 from .experiment import RunConfig as RunConfig
+from .experiment import TunedConfig as TunedConfig
 from .family import FamilyConfig as FamilyConfig
 from .family import Occasions as Occasions
 from .files import as_experiment as as_experiment
@@ -16,6 +16,12 @@ from .files import override_imu as override_imu
 from .files import to_toml as to_toml
 from .files import values_of as values_of
 from .files import with_tuned as with_tuned
+from .filters import KALMAN_ALSO as KALMAN_ALSO
+from .filters import FilterConfig as FilterConfig
+from .filters import KalmanConfig as KalmanConfig
+from .filters import ObserverConfig as ObserverConfig
+from .filters import OwnConfig as OwnConfig
+from .filters import ScheduleKind as ScheduleKind
 from .imu import ImuConfig as ImuConfig
 from .imu import ImuObserverConfig as ImuObserverConfig
 from .imu import ImuParametersConfig as ImuParametersConfig

@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from posegsa.config.filters import ALSO_OF_KIND
 from posegsa.config.schedule import fitted_bounds
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation
@@ -22,6 +23,7 @@ def with_values(
             section, each with its value.
     """
     range_before = data["parameters"].get("gain_range")
+    filter_before = dict(data.get("filter", {}))
     data["search"], named, violations = {}, [], []
     for path, value in values:
         named.append(path)
@@ -31,26 +33,43 @@ def with_values(
     if isinstance(data["search"], dict):
         data["search"] = _search(before, data["search"])
     parameters = data["parameters"]
+    filter_ = data.get("filter")
+    if isinstance(filter_, dict) and filter_.get("kind") != filter_before.get("kind"):
+        # Another filter: none of the first one's numbers mean anything for it.
+        _leave_named(data, "filter", named)
+        _leave_named(data, "tuned", named)
+        if not _named("parameters.also", named):
+            # Here all values are there, so that one does not see which of them a user has set.
+            also = ALSO_OF_KIND.get(str(filter_.get("kind")), ())
+            parameters["also"] = [one.model_dump(mode="json") for one in also]
+    elif isinstance(filter_, dict) and filter_.get("schedule") != filter_before.get("schedule"):
+        _leave_named(data, "tuned", named)
+        if filter_.get("schedule") == "constant" and not _named("parameters.also", named):
+            parameters["also"] = [
+                one for one in parameters["also"] if not one["key"].startswith("gain.")
+            ]
     if range_before and "parameters.gain_range" in named and isinstance(parameters, dict):
         for key, fitted in fitted_bounds(*range_before).items():
             # Refit bounds that were fitted to the old range and are not set by the user.
-            stated = any(_overlap(path, f"parameters.{key}") for path in named)
+            stated = _named(f"parameters.{key}", named)
             if not stated and tuple(parameters[key]) == fitted:
                 del parameters[key]
-    if not any(_overlap(path, "parameters.also") for path in named):
+    if not _named("parameters.also", named):
         # A number that is set is no longer tuned.
-        parameters["also"] = [
-            one
-            for one in parameters["also"]
-            if not any(_overlap(path, one["key"]) for path in named)
-        ]
+        parameters["also"] = [one for one in parameters["also"] if not _named(one["key"], named)]
     return data, violations
 
 
-def _overlap(one: str, other: str) -> bool:
-    """Whether one of two keys equals the other or is inside it."""
-    one, other = f"{one}.", f"{other}."
-    return one.startswith(other) or other.startswith(one)
+def _leave_named(data: dict[str, Any], section: str, named: list[str]) -> None:
+    """Leave in a section only what the changes name, so that the rest has its default."""
+    if isinstance(table := data.get(section), dict):
+        kept = {key: value for key, value in table.items() if _named(f"{section}.{key}", named)}
+        data[section] = kept
+
+
+def _named(key: str, named: Iterable[str]) -> bool:
+    """Whether the changes name a key, what it is inside of, or something inside it."""
+    return any(f"{one}.".startswith(f"{key}.") or f"{key}.".startswith(f"{one}.") for one in named)
 
 
 def _search(before: Optimiser, named: dict[str, Any]) -> dict[str, Any]:

@@ -7,27 +7,40 @@ from pydantic import Field, ValidationError, model_validator
 
 from posegsa.config.changes import with_values
 from posegsa.config.family import FamilyConfig
+from posegsa.config.filters import (
+    ALSO_OF_KIND,
+    KALMAN_ALSO,
+    ONE_FILTER,
+    FilterConfig,
+    ObserverConfig,
+)
 from posegsa.config.scenario import ScenarioConfig
 from posegsa.config.schedule import (
     DEFAULT_ALSO,
+    PARAMETERS,
     SEARCHED,
     FuzzyConfig,
     GainConfig,
     ParametersConfig,
 )
-from posegsa.config.tunable import AlsoTuned, also_conflicts, is_stated, with_effect, with_numbers
-from posegsa.filters.observer import GainLaw, Law
+from posegsa.config.tunable import (
+    AlsoTuned,
+    Places,
+    also_conflicts,
+    is_stated,
+    tunable,
+    with_effect,
+    with_numbers,
+)
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import (
     Ascending,
     Count,
-    Flag,
     Index,
     NonNegative,
-    Positive,
+    Number,
     Section,
-    Tunable,
 )
 from posegsa.settings.violations import (
     Violation,
@@ -38,9 +51,16 @@ from posegsa.settings.violations import (
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
+_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO)
+"""Tuned by default: where one of these has no effect, it is left out without an error."""
+SCHEDULE_NUMBERS: dict[str | None, tuple[str, ...]] = {
+    "fuzzy": PARAMETERS,
+    "constant": ("gain",),
+    "smooth": ("low", "high", "half"),
+}
+"""The names of each schedule's own numbers."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """The optimisers that [search] can select."""
-_OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
 
 
 class RunConfig(Section):
@@ -58,58 +78,6 @@ class RunConfig(Section):
     """Number of further scenarios, longer than those that the filter was tuned on."""
     endurance_times: Annotated[int, Field(strict=True, ge=1, le=1000)] = 8
     """Their length as a multiple of the others; 1 means that they are not longer."""
-
-
-class FilterConfig(Section):
-    """[filter]: the observer."""
-
-    law: Law = "gradient"
-    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed" as
-    in the paper, which can diverge."""
-    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
-    """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
-    substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
-    """Number of inner steps per sample; the measurement is constant over them."""
-    gamma_law: GainLaw = "quadratic"
-    """How gamma depends on the gain K after its limit: constant, or proportional to K or K^2.
-    `gamma` is its value at K = 10/s."""
-    bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
-    """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], for
-    example from data sheets; "off" means none. They limit the estimate if measurements stop before
-    it has converged; an estimate far beyond its bound is reset to 0."""
-    length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
-    """Unit of length [m], which weighs attitude against position in the gain. About the distance of
-    the landmarks from the origin lets both converge equally fast."""
-    gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
-    """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
-    steps above 2 are unstable. "off" means no limit."""
-    normalise_vectors: Flag = True
-    """Whether all vectors, measured (less their estimated biases) and known, are normalised to
-    length one."""
-    cross_vector: Flag = True
-    """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
-    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
-    """Weight s^R of that vector, no unit."""
-    vector_bias: Literal["off", "estimated"] = "estimated"
-    """Whether the constant biases of the vectors are estimated."""
-    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.2
-    """Gain gamma_c of their bias law [1/s]."""
-    vector_bias_law: GainLaw = "linear"
-    """How gamma_c depends on the gain K after its limit; vector_bias_gain is its value at K =
-    10/s."""
-    vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
-    """Rate at which an estimate decays [1/s]."""
-    vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
-    """Maximum length of an estimated bias, in the vector's unit."""
-    excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.3
-    """Angular velocity [rad/s] above which all of vector_bias_gain is used. Below it the gain falls
-    with the fourth power, because at rest a bias is indistinguishable from an attitude error."""
-    excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
-    """Time constant of the low-pass filter of that angular velocity [s]."""
-
-    def _conflicts(self) -> Iterator[Violation]:
-        if self.law == "printed" and self.length != 1.0:
-            yield Violation("length", 'allowed: 1.0, because law = "printed"', self.length)
 
 
 class CostConfig(Section):
@@ -143,6 +111,21 @@ class ObjectiveConfig(Section):
     simulates none; 0.5 weighs both groups equally, whatever their sizes."""
 
 
+class TunedConfig(Section):
+    """[tuned]: the numbers of the last tuning. The filter has them where it is not searched.
+
+    A search does not start from them, and replaces them in its result.
+    """
+
+    numbers: tuple[Number, ...] = ()
+    """The schedule's own numbers: k1..k22; the gain; or low, high and half of a smooth gain."""
+    also: dict[str, Number] = Field(default_factory=dict)
+    """The further numbers, by the keys of parameters.also."""
+
+    def __hash__(self) -> int:
+        return hash((self.numbers, *sorted(self.also.items())))
+
+
 class CheckpointConfig(Section):
     """[checkpoint]: when a search with a folder saves its state; this does not change results.
 
@@ -166,8 +149,8 @@ class Experiment(Section):
     """True motion, sensors and initial estimate."""
     family: FamilyConfig = FamilyConfig()
     """What differs from scenario to scenario, besides the noise."""
-    filter: FilterConfig = FilterConfig()
-    """The observer."""
+    filter: Annotated[FilterConfig, ONE_FILTER] = ObserverConfig()
+    """The filter, selected by `filter.kind`, with its settings."""
     gain: GainConfig = GainConfig()
     """The error signal, the input of the gain schedule."""
     fuzzy: FuzzyConfig = FuzzyConfig()
@@ -182,13 +165,28 @@ class Experiment(Section):
         agents=96, iterations=90, strategy="best/1/bin", factor=0.6
     )
     """The optimiser, selected by `search.optimiser`, with its settings."""
+    tuned: TunedConfig = TunedConfig()
+    """The numbers of the last tuning."""
     checkpoint: CheckpointConfig = CheckpointConfig()
     """When a search saves its state."""
 
     @property
     def also(self) -> tuple[AlsoTuned, ...]:
         """The further numbers that are tuned, without defaults that have no effect here."""
-        return with_effect(self, self.parameters.also, needless=DEFAULT_ALSO)
+        return with_effect(self._places(), self.parameters.also, needless=_BY_DEFAULT)
+
+    @property
+    def default_also(self) -> tuple[AlsoTuned, ...]:
+        """What is tuned where [parameters] does not say it, for this kind of filter."""
+        return ALSO_OF_KIND.get(self.filter.kind, ())
+
+    def _places(self) -> Places:
+        """The numbers that a search may tune and that have an effect, by key."""
+        if not isinstance(self.filter, ObserverConfig):
+            without = ("gain.", "scenario.")
+        else:
+            without = ("gain.",) if self.filter.schedule == "constant" else ()
+        return {key: at for key, at in tunable(self).items() if not key.startswith(without)}
 
     def replace(self, **values: object) -> Self:
         """A checked copy with other values: `replace(**{"filter.gamma": 2.0})`.
@@ -214,20 +212,36 @@ class Experiment(Section):
         for name in ("lower", "upper") if self.also else ():
             values = {one.key: getattr(one, name) for one in self.also}
             data = with_numbers(self.model_dump(mode="json"), values)
-            data["parameters"]["also"] = []
+            data["parameters"]["also"], data["tuned"] = [], {}
             try:
                 type(self).model_validate(data)
             except ValidationError as error:
                 for violation in violations_of(error, type(self)):
-                    reason = f"with each of these numbers at its {name} bound: {violation}"
+                    reason = f"with all these numbers at their {name} bounds: {violation}"
                     yield Violation("parameters.also", reason)
+
+    def _conflicts_of_numbers(self) -> Iterator[Violation]:
+        """Numbers of a schedule that are not those of the filter's schedule."""
+        schedule = self.filter.schedule if isinstance(self.filter, ObserverConfig) else None
+        needed, given = len(SCHEDULE_NUMBERS.get(schedule, ())), len(self.tuned.numbers)
+        if given and given != needed:
+            names = SCHEDULE_NUMBERS.get(schedule, ())
+            words = f"{needed} of a {schedule} gain ({names[0]}, ...)" if names else "none"
+            yield Violation("tuned.numbers", f"allowed: {words}, or none", given)
+        places = self._places()
+        for key, value in self.tuned.also.items():
+            if key not in places:
+                reason = f"has no effect here; allowed: {', '.join(places)}"
+                yield Violation(f"tuned.also.{key}", reason, value)
+            elif refusal := places[key].refusal(value):
+                yield Violation(f"tuned.also.{key}", refusal, value)
 
     @model_validator(mode="after")
     def _leave_what_is_stated(self) -> Self:
         """Remove from the default list those numbers that the user has set."""
         given = self.parameters
         if "also" not in given.model_fields_set:
-            kept = tuple(one for one in given.also if not is_stated(self, one.key))
+            kept = tuple(one for one in self.default_also if not is_stated(self, one.key))
             # The section is frozen; this is part of its construction.
             object.__setattr__(self, "parameters", given.model_copy(update={"also": kept}))
         return self
@@ -243,16 +257,18 @@ class Experiment(Section):
                     f"{self.scenario.sampling_time} make {samples}",
                     window,
                 )
-        if self.filter.cross_vector and not self.scenario.cross_vector:
+        crossed = isinstance(self.filter, ObserverConfig) and self.filter.cross_vector
+        if crossed and not self.scenario.cross_vector:
             yield Violation(
                 "filter.cross_vector",
                 "allowed: false, or first two vectors that are not collinear",
                 True,
             )
-        weight = self.filter.cross_vector_weight if self.filter.cross_vector else 0.0
+        weight = getattr(self.filter, "cross_vector_weight", 0.0) if crossed else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        wrong = list(also_conflicts(self, self.parameters.also, needless=DEFAULT_ALSO))
+        wrong = list(also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT))
         yield from wrong or self._conflicts_of_bounds()
+        yield from self._conflicts_of_numbers()
         if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
             reason = (
                 f"allowed: a table, because search.optimiser = {self.search.optimiser!r} only "

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from posegsa.config.experiment import ONE_OPTIMISER
 from posegsa.config.reading import read_toml
-from posegsa.config.tunable import AlsoTuned, also_conflicts, with_effect, with_numbers
+from posegsa.config.tunable import AlsoTuned, also_conflicts, tunable, with_effect, with_numbers
 from posegsa.optimisers import DifferentialEvolution, Optimiser
 from posegsa.settings.fields import NonNegative, Positive, Section, Tunable
 from posegsa.settings.violations import Violation, config_error
@@ -78,12 +78,12 @@ class ImuConfig(Section):
     def _conflicts(self) -> Iterator[Violation]:
         # By default, a number that is "off" is not tuned.
         needless = ImuParametersConfig().also
-        yield from also_conflicts(self, self.parameters.also, needless=needless)
+        yield from also_conflicts(tunable(self), self.parameters.also, needless=needless)
 
     @property
     def also(self) -> tuple[AlsoTuned, ...]:
         """The numbers that are tuned."""
-        return with_effect(self, self.parameters.also, needless=ImuParametersConfig().also)
+        return with_effect(tunable(self), self.parameters.also, needless=ImuParametersConfig().also)
 
     def with_numbers(self, values: Mapping[str, float]) -> Self:
         """The filter with some numbers replaced, by keys such as "vectors.low_pass".

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -130,6 +130,11 @@ class ScenarioConfig(Section):
     landmark_period: Count = 1
     """Samples from one measurement of the landmarks to the next."""
 
+    start: Literal["given", "sensors", "rest"] = "given"
+    """Where the estimate starts: "given", at the initial estimate below, or the wrong one that the
+    family draws; "sensors", at the pose that fits the first sample whose vectors and landmarks fix
+    one; "rest", there too, with the velocities' means over the following second as their biases.
+    Before that sample nothing is estimated and nothing counts."""
     initial_rotation: Matrix3 = _IDENTITY
     """True attitude R(0), body to inertial frame, by rows, no unit."""
     initial_position: Vector3 = (0.0, 0.0, 0.0)

@@ -184,8 +184,8 @@ class ParametersConfig(Section):
     """Universe of the output k_op; the gain is K = fuzzy.offset + its centroid [1/s]. If it is
     given without bounds, those of k12..k22 are the paper's, shifted and scaled to it."""
     also: tuple[AlsoTuned, ...] = DEFAULT_ALSO
-    """Further numbers that are searched together with k1..k22. Of the defaults, those are left out
-    that are set in the configuration or have no effect."""
+    """Further numbers that are searched together with k1..k22; the noises of a Kalman filter. Of
+    the defaults, those are left out that are set in the configuration or have no effect."""
 
     @model_validator(mode="before")
     @classmethod

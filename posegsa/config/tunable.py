@@ -50,6 +50,10 @@ class _Place(NamedTuple):
         return None
 
 
+Places = Mapping[str, _Place]
+"""Where the numbers of a configuration that can be tuned are, by key."""
+
+
 def tunable(experiment: Section) -> dict[str, _Place]:
     """The numbers of an experiment that a search may tune and that have an effect, by key."""
     return dict(_places(experiment, ""))
@@ -74,13 +78,14 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
                     yield f"{key}.{i}", _Place(value, name, i)
             elif not isinstance(inner, str):  # "off" is no number
                 yield key, _Place(value, name, None)
+    for name in value.__pydantic_extra__ or {}:  # the numbers of a user's own filter
+        yield f"{path}.{name}", _Place(value, name, None)
 
 
 def with_effect(
-    experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
+    places: Places, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> tuple[AlsoTuned, ...]:
     """The numbers to tune, without those in `needless` that have no effect."""
-    places = tunable(experiment)
     return tuple(one for one in also if one.key in places or one not in needless)
 
 
@@ -110,13 +115,13 @@ def with_numbers(data: dict[str, Any], values: Mapping[str, float]) -> dict[str,
 
 
 def also_conflicts(
-    experiment: Section, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
+    places: Places, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> Iterator[Violation]:
     """The errors in the list of further numbers to tune.
 
     Those in `needless`, the defaults, may have no effect.
     """
-    places, seen = tunable(experiment), set()
+    seen = set()
     for i, one in enumerate(also):
         if one.key not in places and one in needless:
             continue

@@ -10,7 +10,9 @@ and the controller is written by hand with its tables (`controller.c`). Checks o
 measurements and return codes are written by hand too (`filter.h`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,6 +20,7 @@ from jax.typing import ArrayLike
 
 from posegsa import config
 from posegsa.arguments import check_type, fitting, refuse
+from posegsa.export.c_any import any_filter
 from posegsa.export.c_gain import controller_values
 from posegsa.export.c_step import References, Step, constants, numbers, references
 from posegsa.export.c_text import (
@@ -31,20 +34,17 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
-from posegsa.filters.observer import FilterSettings
-from posegsa.judging.known_sensors import of_scenario
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.filters.base import Filter, check_filter
+from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.judging.result import Result
 from posegsa.model import limits
-from posegsa.model.schedules import FuzzyGain, GainSchedule, KnotGain, check_schedule
+from posegsa.model.schedules import FuzzyGain, KnotGain, check_schedule
 from posegsa.model.signal import SignalSettings
-from posegsa.search.build import filter_settings, signal_settings
-from posegsa.search.recorded import settings_on
 from posegsa.version import VERSION
 from posegsa.words import counted
 
 
-def export_c(result: TuneResult | RecordingResult, name: str = NAME) -> str:
+def export_c(result: Result, name: str = NAME) -> str:
     """C99 header with the whole filter: state, `posegsa_init`, `posegsa_step`.
 
     It includes only `<math.h>`, allocates nothing, and computes in `POSEGSA_REAL`, which is double
@@ -60,34 +60,29 @@ def export_c(result: TuneResult | RecordingResult, name: str = NAME) -> str:
         ArgumentError: Not a result, a name that is invalid in C, a result tuned on the true errors,
             which are unknown outside a simulation, or on recordings with different references.
     """
-    check_type("result", result, TuneResult, RecordingResult)
+    check_type("result", result, Result)
     check_name(name)
-    experiment = config.override(result.tuned, ["run.dtype=float64"])
-    with jax.enable_x64(True):
-        if isinstance(result, RecordingResult):
-            known = result.known_sensors
-            settings = settings_on(experiment, len(known.vectors), len(known.landmarks))
-            settings = known.weighted(settings)
-        else:
-            known, settings = of_scenario(experiment), filter_settings(experiment)
-        signal = signal_settings(experiment.gain, np.dtype("float64"))
+    known = result.known_sensors
+    double = replace(result, experiment=config.override(result.experiment, ["run.dtype=float64"]))
+    filter = double.filter_for(len(known.vectors), len(known.landmarks))
+    details = settings_of(result.tuned.filter)
+    if isinstance(filter, Observer):
+        if (schedule := result.candidate.schedule) is not None:  # as it was tuned, to the bit
+            filter = replace(filter, schedule=schedule)
+        details += settings_of(result.tuned.gain)
     return filter_to_c(
-        result.schedule,
-        settings,
-        signal,
+        filter,
         vectors=np.reshape(known.vectors, (-1, 3)),
         landmarks=np.reshape(known.landmarks, (-1, 3)),
         name=name,
         about=origin(result),
         worth=worth(result),
-        details=settings_of(experiment.filter) + settings_of(experiment.gain),
+        details=details,
     )
 
 
 def filter_to_c(
-    schedule: GainSchedule,
-    settings: FilterSettings,
-    signal: SignalSettings,
+    filter: Filter,
     *,
     vectors: ArrayLike | None = None,
     landmarks: ArrayLike | None = None,
@@ -96,15 +91,15 @@ def filter_to_c(
     worth: Iterable[str] = ("Unknown: a filter made by hand.",),
     details: Iterable[str] = (),
 ) -> str:
-    """C99 header of a filter with any schedule; `export_c` writes that of a result.
+    """C99 header of any filter; `export_c` writes that of a result.
 
-    Without landmarks the filter estimates the attitude only.
+    An observer without landmarks estimates the attitude only, and its measurements have no
+    velocity. Any other filter estimates a pose, also without landmarks.
 
     Args:
-        schedule: The gain schedule: one of `posegsa.model.schedules`, or your own if its step is
-            scalar arithmetic.
-        settings: Settings of the filter.
-        signal: Settings of the error signal; it must be "measured".
+        filter: An `Observer` with a schedule of `posegsa.model.schedules`, or one of your own; a
+            `KalmanFilter`; or a filter of your own. The steps of a filter or of a schedule of your
+            own must be arithmetic of scalars.
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
         name: Prefix of all names in the file.
@@ -113,15 +108,38 @@ def filter_to_c(
         details: Lines on its settings.
 
     Raises:
-        ArgumentError: An argument has the wrong type, arguments do not fit together, or the
-            schedule can't be written as scalar arithmetic.
+        ArgumentError: An argument has the wrong type, arguments do not fit together, or the filter
+            can't be written as scalar arithmetic.
         MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
     """
+    check_filter("filter", filter)
+    check_name(name)
+    if isinstance(filter, Observer):
+        template, values = "observer.h", _observer(filter, vectors, landmarks)
+    else:
+        template, values = "any_filter.h", any_filter(filter, vectors, landmarks)
+    values |= {
+        "file": f"{name}.h",
+        "origin": comment([*about] or [f"Written by posegsa {VERSION}."]),
+        "worth": comment(worth),
+        "settings": comment(details),
+        "limits": _limits(values),
+        "unit_tolerance": repr(limits.UNIT_TOLERANCE),
+    }
+    return renamed(templates().get_template(template).render(values), name)
+
+
+def _observer(
+    filter: Observer, vectors: ArrayLike | None, landmarks: ArrayLike | None
+) -> dict[str, Any]:
+    """The values of `observer.h`."""
+    schedule, settings, signal = filter.schedule, filter.settings, filter.signal
+    if schedule is None:
+        refuse("filter.schedule: None", "a gain schedule")
     with jax.enable_x64(True):
         check_schedule(schedule)
-    check_type("settings", settings, FilterSettings)
-    check_type("signal", signal, SignalSettings)
-    check_name(name)
+    check_type("filter.settings", settings, FilterSettings)
+    check_type("filter.signal", signal, SignalSettings)
     if signal.signal == "pose":
         refuse(
             'signal = "pose": the gain uses the true errors, which no vehicle knows, so the '
@@ -134,26 +152,23 @@ def filter_to_c(
     step = Step(known, settings, signal, schedule)
     uses_time = any(piece.code.mentions("now->time") for piece in step.pieces.values())
     functions = {"sqrt"}.union(*(piece.code.functions for piece in step.pieces.values()))
-    values = {
-        "file": f"{name}.h",
+    kind = "an attitude" if step.attitude_only else "a pose"
+    values: dict[str, Any] = {
+        "title": f"{kind} filter with a scheduled gain",
         "attitude_only": step.attitude_only,
-        "origin": comment([*about] or [f"Written by posegsa {VERSION}."]),
         "purpose": comment(_purpose(known, settings, step)),
-        "worth": comment(worth),
-        "settings": comment(details),
         "vectors": len(known.vectors),
         "landmarks": len(known.landmarks),
         "substeps": settings.substeps,
         "learns": step.learns,
+        "turning": step.learns,
         "uses_time": uses_time or isinstance(schedule, KnotGain),
         "fuzzy": isinstance(schedule, FuzzyGain),
-        "constants": constants(step, known),
+        "constants": constants(step.pieces.values(), step.numbers, known),
         "functions": sorted(functions | ({"exp"} if isinstance(schedule, KnotGain) else set())),
         "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
         "calls": {key: piece.call for key, piece in step.pieces.items()},
         "initial_gain": repr(initial_gain),
-        "limits": _limits(step),
-        "unit_tolerance": repr(limits.UNIT_TOLERANCE),
         "controller": "",
         "knots": "",
     }
@@ -163,19 +178,19 @@ def filter_to_c(
         controller = controller_values(schedule.controller)
         template = templates().get_template("controller.c")
         values["controller"] = template.render(linkage="static inline ", **controller)
-    return renamed(templates().get_template("filter.h").render(values), name)
+    return values
 
 
-def _limits(step: Step) -> list[dict[str, str]]:
+def _limits(values: Mapping[str, Any]) -> list[dict[str, str]]:
     """The limits that apply to a filter, as C macros."""
     found = [
         ("MIN_TIME_STEP", limits.TIME_STEP.low, "[s]"),
         ("MAX_TIME_STEP", limits.TIME_STEP.high, "[s]; after a longer pause start a new filter"),
         ("MAX_ANGULAR_VELOCITY", limits.ANGULAR_VELOCITY.high, "[rad/s]"),
     ]
-    if step.vectors:
+    if values["vectors"]:
         found += [("MAX_VECTOR", limits.VECTOR.high, "in the unit of the sensor")]
-    if not step.attitude_only:
+    if not values["attitude_only"]:
         found += [
             ("MAX_VELOCITY", limits.VELOCITY.high, "[m/s]"),
             ("MAX_LANDMARK", limits.LANDMARK.high, "relative to the body [m]"),

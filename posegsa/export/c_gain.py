@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from posegsa.arguments import check_type
-from posegsa.config import PARAMETERS, TERMS, Experiment
+from posegsa.config import PARAMETERS, TERMS, Experiment, ObserverConfig
 from posegsa.errors import ArgumentError
 from posegsa.export.c_text import (
     NAME,
@@ -26,10 +26,9 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
-from posegsa.export.recorded import INFERENCE
-from posegsa.judging.known_sensors import KnownSensors, of_scenario
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.export.tables import INFERENCE
+from posegsa.judging.known_sensors import KnownSensors
+from posegsa.judging.result import Result
 from posegsa.model.fuzzy import FuzzyController
 
 _NO_RULE = {"hold": "last_gain", "midrange": "posegsa_initial_gain()"}
@@ -55,7 +54,7 @@ _SYMBOLS = {
 }
 
 
-def export_c_gain(result: TuneResult | RecordingResult, name: str = NAME) -> str:
+def export_c_gain(result: Result, name: str = NAME) -> str:
     """C99 file with the controller alone, `posegsa_gain`, for your own filter.
 
     It computes in `POSEGSA_REAL`, which is double unless the compiler defines it as float. The
@@ -69,11 +68,10 @@ def export_c_gain(result: TuneResult | RecordingResult, name: str = NAME) -> str
     Raises:
         ArgumentError: Not a result, a result without a fuzzy gain, or a name that is invalid in C.
     """
-    check_type("result", result, TuneResult, RecordingResult)
+    check_type("result", result, Result)
     check_name(name)
     experiment, controller = result.tuned, result.controller
-    found = result.filter.numbers["k"] if isinstance(result, RecordingResult) else result.parameters
-    parameters = zip(PARAMETERS, np.asarray(found).tolist(), strict=True)
+    parameters = zip(PARAMETERS, result.parameters.tolist(), strict=True)
     text = (
         templates()
         .get_template("gain.c")
@@ -126,7 +124,7 @@ def _rows(rows: Sequence[Iterable[str]], of: str = "") -> str:
     return "\n".join(f"    {text}" for text in texts)
 
 
-def signal_in_words(result: TuneResult | RecordingResult) -> list[str]:
+def signal_in_words(result: Result) -> list[str]:
     """How the inputs are computed from measurements, with the run's constants."""
     gain = result.tuned.gain
     smoothed = (
@@ -147,15 +145,15 @@ def signal_in_words(result: TuneResult | RecordingResult) -> list[str]:
     ]
 
 
-def _known(result: TuneResult | RecordingResult) -> list[str]:
+def _known(result: Result) -> list[str]:
     """The vectors and landmarks of the run, with their weights."""
     experiment = result.tuned
-    used, sensors = experiment.filter, of_scenario(experiment)
-    if isinstance(result, RecordingResult):
-        try:
-            sensors = result.known_sensors
-        except ArgumentError:
-            return ["  vectors and landmarks that differ between the training recordings"]
+    used = experiment.filter
+    assert isinstance(used, ObserverConfig)  # it has a controller
+    try:
+        sensors = result.known_sensors
+    except ArgumentError:
+        return ["  vectors and landmarks that differ between the training recordings"]
     vector_weights, cross_weight, landmark_weights = _weights(experiment, sensors)
     rows = [
         f"  v_{i}^I = {tuple(vector)}, weight {weight!r}"
@@ -195,6 +193,6 @@ def _weights(
     both = min(sensors.vector_weights[:2], default=1.0)
     return (
         of(experiment.scenario.vectors, sensors.vector_weights),
-        experiment.filter.cross_vector_weight * both,
+        getattr(experiment.filter, "cross_vector_weight", 0.0) * both,
         of(experiment.scenario.landmarks, sensors.landmark_weights),
     )

@@ -79,12 +79,7 @@ def references(
     vectors: ArrayLike | None, landmarks: ArrayLike | None, settings: FilterSettings
 ) -> References:
     """References as the model prepares them."""
-    v, p = (
-        np.zeros((0, 3)) if a is None else limit.checked(name, finite_array(name, a, (None, 3)))
-        for name, a, limit in (("vectors", vectors, VECTOR), ("landmarks", landmarks, POSITION))
-    )
-    if not len(v) + len(p):
-        refuse("vectors and landmarks: none", "at least one of either")
+    v, p = known_places(vectors, landmarks)
     for what, weights, count in (
         ("vectors.weights", settings.vectors.weights, len(v)),
         ("landmark_weights", settings.landmark_weights, len(p)),
@@ -92,22 +87,44 @@ def references(
         if weights is not None and len(weights) != count:
             refuse(f"settings.{what}: {len(weights)} of them", f"{count}, one for each, or None")
     with jax.enable_x64(True):
-        still = np.zeros((1, 3))
-        measurement = Measurements.from_arrays(
-            time_step=1.0,
-            angular_velocity=still,
-            velocity=still,
-            vectors=v[None],
-            vector_references=v,
-            landmarks=p[None],
-            landmark_references=p,
-            dtype=np.float64,
-        ).at(0)
         in_loop = replace(settings.vectors, each_agent=True)
-        prepared = prepare(measurement, in_loop).vectors
+        prepared = prepare(one_measurement(v, p), in_loop).vectors
         assert isinstance(prepared, VectorSamples)
-        used = [vector.reference for vector in prepared.each] + [prepared.cross_reference]
-        return References(vectors=v, directions=np.array(used, np.float64), landmarks=p)
+        return References(vectors=v, directions=directions_of(prepared), landmarks=p)
+
+
+def known_places(
+    vectors: ArrayLike | None, landmarks: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The references of vectors (n, 3) and of landmarks (m, 3), checked."""
+    v, p = (
+        np.zeros((0, 3)) if a is None else limit.checked(name, finite_array(name, a, (None, 3)))
+        for name, a, limit in (("vectors", vectors, VECTOR), ("landmarks", landmarks, POSITION))
+    )
+    if not len(v) + len(p):
+        refuse("vectors and landmarks: none", "at least one of either")
+    return v, p
+
+
+def one_measurement(vectors: np.ndarray, landmarks: np.ndarray) -> Measurements:
+    """What a body at rest, upright, at the origin, measures at one sample, in float64."""
+    still = np.zeros((1, 3))
+    return Measurements.from_arrays(
+        time_step=1.0,
+        angular_velocity=still,
+        velocity=still,
+        vectors=vectors[None],
+        vector_references=vectors,
+        landmarks=landmarks[None],
+        landmark_references=landmarks,
+        dtype=np.float64,
+    ).at(0)
+
+
+def directions_of(samples: VectorSamples) -> np.ndarray:
+    """(n + 1, 3) the references of vectors as an innovation uses them, and their cross product."""
+    used = [vector.reference for vector in samples.each] + [samples.cross_reference]
+    return np.array(used, np.float64)
 
 
 @dataclass(frozen=True)
@@ -119,12 +136,19 @@ class Piece:
     code: Code
     body: str
 
+    @classmethod
+    def of(cls, name: str, about: str, code: Code) -> "Piece":
+        """The function of these statements."""
+        about = f"{about[0].upper()}{about[1:]}."
+        return cls(name=name, about=about, code=code, body=code.text(4))
+
     @property
     def _parameters(self) -> dict[str, str]:
         kinds = {
             "now": "const posegsa_state *now",
             "seen": "const posegsa_measurement *seen",
             "dt": "posegsa_real dt",
+            "farthest": "posegsa_real farthest",
             "h": "posegsa_real h",
             "moving": "posegsa_real moving",
             "w": "posegsa_work *w",
@@ -206,18 +230,18 @@ class Step:
                 (named, inputs),
                 ("w->gain", "w->learning", *([] if gamma is None else [gamma])),
             )
-        moved = None if self.attitude_only else _vec3("w->v")
+        moved = None if self.attitude_only else vec3("w->v")
         self._piece(
             *("correct", "the innovation U, its gain after the limit, and the bias laws"),
             _correct,
             (following, sample, seen, "w->gain", gamma, "h", "moving", settings),
             (
                 "w->used",
-                (_vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
+                (vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
                 (following.bias_angular, _wanted(following.bias_linear)),
             ),
         )
-        coefficients = _numbered("w->exponential", 4)
+        coefficients = numbered("w->exponential", 4)
         both = [
             written(se3.exp_coefficients, ("w->angle_squared",), coefficients, dtype)
             for dtype in (np.float32, np.float64)
@@ -231,7 +255,7 @@ class Step:
             body="    if (sizeof(posegsa_real) < sizeof(double)) {\n"
             f"{both[0].text(8)}\n    }} else {{\n{both[1].text(8)}\n    }}",
         )
-        omega, v = _vec3("w->omega"), _NOTHING if self.attitude_only else _vec3("w->v")
+        omega, v = vec3("w->omega"), _NOTHING if self.attitude_only else vec3("w->v")
         self._piece(
             *("move", "moves the estimate by w->omega and w->v"),
             se3.displaced,
@@ -246,15 +270,12 @@ class Step:
                 (now, sample, seen, learning, "w->used", settings),
                 (following.vector_biases, following.turning),
             )
-        rotation = tuple(_vec3(f"rotation[{i}]") for i in range(3))
-        self._piece("rows", "the attitude as a matrix", se3.rows, (now.attitude,), rotation)
+        self.pieces["rows"] = rotation_matrix()
 
     def _piece(
         self, name: str, about: str, function: Callable[..., Any], arguments: Any, results: Any
     ) -> None:
-        code = written(function, arguments, results)
-        about = f"{about[0].upper()}{about[1:]}."
-        self.pieces[name] = Piece(name=name, about=about, code=code, body=code.text(4))
+        self.pieces[name] = Piece.of(name, about, written(function, arguments, results))
 
     def _named(self, settings: Any, prefix: str = "") -> Any:
         """The settings with a C name in place of each number."""
@@ -275,59 +296,37 @@ class Step:
     def _state(self, pointer: str) -> FilterState:
         alone = self.attitude_only
         return FilterState(
-            attitude=_numbered(f"{pointer}->attitude", 4),
-            place=_NOTHING if alone else _vec3(f"{pointer}->position"),
-            bias_angular=_vec3(f"{pointer}->bias_angular"),
-            bias_linear=_NOTHING if alone else _vec3(f"{pointer}->bias_linear"),
+            attitude=numbered(f"{pointer}->attitude", 4),
+            place=_NOTHING if alone else vec3(f"{pointer}->position"),
+            bias_angular=vec3(f"{pointer}->bias_angular"),
+            bias_linear=_NOTHING if alone else vec3(f"{pointer}->bias_linear"),
             vector_biases=self._each_vector(f"{pointer}->vector_bias") if self.learns else (),
-            turning=_vec3(f"{pointer}->turning") if self.learns else (),
+            turning=vec3(f"{pointer}->turning") if self.learns else (),
         )
 
     def _each_vector(self, array: str) -> tuple[Any, ...]:
-        return tuple(_vec3(f"{array}[{i}]") for i in range(self.vectors))
+        return tuple(vec3(f"{array}[{i}]") for i in range(self.vectors))
 
     def _sample(self) -> Sample:
-        n, m = self.vectors, self._landmarks
-        vectors = tuple(
-            VectorSample(
-                measured=_vec3(f"seen->vectors[{i}]"),
-                known=_vec3(f"posegsa_vectors[{i}]"),
-                reference=_vec3(f"posegsa_directions[{i}]"),
-                factor=_scalar(f"seen->vector_weights[{i}]"),
-            )
-            for i in range(n)
-        )
-        landmarks = tuple(
-            LandmarkSample(
-                body=_vec3(f"seen->landmarks[{i}]"),
-                inertial=_vec3(f"posegsa_landmarks[{i}]"),
-                factor=_scalar(f"seen->landmark_weights[{i}]"),
-            )
-            for i in range(m)
-        )
-        crossed = self._settings.vectors.cross and n >= 2
-        return Sample(
-            time_step=_scalar("dt"),
-            angular_velocity=_vec3("seen->angular_velocity"),
-            velocity=_NOTHING if self.attitude_only else _vec3("seen->velocity"),
-            vectors=VectorSamples(
-                vectors, _vec3(f"posegsa_directions[{n}]") if crossed else _NOTHING
-            ),
-            landmarks=landmarks,
-            reach=_scalar("w->reach" if m else 0.0),
+        return sample_of(
+            self.vectors,
+            self._landmarks,
+            crossed=self._settings.vectors.cross and self.vectors >= 2,
+            velocity=_NOTHING if self.attitude_only else vec3("seen->velocity"),
+            farthest="w->reach",
         )
 
     def _seen(self) -> Seen:
         some = self.vectors > 0
         return Seen(
             wahba=Wahba(
-                profile=tuple(_vec3(f"w->profile[{i}]") if some else _NOTHING for i in range(3)),
+                profile=tuple(vec3(f"w->profile[{i}]") if some else _NOTHING for i in range(3)),
                 power=_scalar("w->power" if some else 0.0),
                 curvature=_scalar("w->curvature" if some else 0.0),
                 scale=_scalar("w->scale" if some else 0.0),
             ),
             freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self.vectors,
-            landmark_weights=_numbered("w->landmark_weights", self._landmarks),
+            landmark_weights=numbered("w->landmark_weights", self._landmarks),
         )
 
     def _memory(self, pointer: str) -> SignalMemory:
@@ -338,6 +337,53 @@ class Step:
             gain=_scalar(f"{pointer}->gain"),
             time_step=_scalar(f"{pointer}->since_last"),
         )
+
+
+def sample_of(
+    vectors: int, landmarks: int, *, crossed: bool, velocity: Any, farthest: str
+) -> Sample:
+    """A sample whose numbers are C's: of the measurement `seen`, of the tables of references.
+
+    Args:
+        vectors: How many are measured.
+        landmarks: Likewise.
+        crossed: Whether the cross product of two vectors is used.
+        velocity: As C has it.
+        farthest: The variable with the square of the distance to the farthest landmark [m^2].
+    """
+    return Sample(
+        time_step=_scalar("dt"),
+        angular_velocity=vec3("seen->angular_velocity"),
+        velocity=velocity,
+        vectors=VectorSamples(
+            tuple(
+                VectorSample(
+                    measured=vec3(f"seen->vectors[{i}]"),
+                    known=vec3(f"posegsa_vectors[{i}]"),
+                    reference=vec3(f"posegsa_directions[{i}]"),
+                    factor=_scalar(f"seen->vector_weights[{i}]"),
+                )
+                for i in range(vectors)
+            ),
+            vec3(f"posegsa_directions[{vectors}]") if crossed else _NOTHING,
+        ),
+        landmarks=tuple(
+            LandmarkSample(
+                body=vec3(f"seen->landmarks[{i}]"),
+                inertial=vec3(f"posegsa_landmarks[{i}]"),
+                factor=_scalar(f"seen->landmark_weights[{i}]"),
+            )
+            for i in range(landmarks)
+        ),
+        reach=_scalar(farthest if landmarks else 0.0),
+    )
+
+
+def rotation_matrix() -> Piece:
+    """The function that makes a matrix of the attitude."""
+    rotation = tuple(vec3(f"rotation[{i}]") for i in range(3))
+    code = written(se3.rows, (numbered("now->attitude", 4),), rotation)
+    return Piece.of("rows", "the attitude as a matrix", code)
 
 
 def _signal(
@@ -373,11 +419,13 @@ def _scalar(argument: str | float) -> Any:
     return argument
 
 
-def _numbered(array: str, count: int) -> Any:
+def numbered(array: str, count: int) -> Any:
+    """So many numbers of an array of C."""
     return tuple(f"{array}[{i}]" for i in range(count))
 
 
-def _vec3(array: str) -> Any:
+def vec3(array: str) -> Any:
+    """The three numbers of an array of C."""
     return f"{array}[0]", f"{array}[1]", f"{array}[2]"
 
 
@@ -386,11 +434,20 @@ def _wanted(record: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else None, record)
 
 
-def constants(step: Step, known: References) -> str:
-    """The constants that the step uses, as `static const`."""
+def constants(
+    pieces: Iterable[Piece], named: Iterable[tuple[Known, str]], known: References
+) -> str:
+    """The constants that a step uses, as `static const`.
+
+    Args:
+        pieces: Its functions.
+        named: Its numbers with their comments.
+        known: Its references.
+    """
+    codes = [piece.code for piece in pieces]
 
     def used(name: str) -> bool:
-        return any(piece.code.mentions(name) for piece in step.pieces.values())
+        return any(code.mentions(name) for code in codes)
 
     lines: list[str] = []
 
@@ -400,7 +457,7 @@ def constants(step: Step, known: References) -> str:
             lines.append(f"static const posegsa_real {name}{size} = {value};")
 
     arrays: dict[str, list[float]] = {}
-    for number, about in step.numbers:
+    for number, about in named:
         name, bracket, _ = number.text.partition("[")
         if bracket:
             arrays.setdefault(name, []).append(number.value)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from posegsa.arguments import refuse
 from posegsa.export.tables import costs
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.judging.evaluation import TUNED
+from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.result import Result
 from posegsa.settings.fields import Section
 from posegsa.version import VERSION
 from posegsa.words import counted, text_table, toml
@@ -22,7 +23,7 @@ wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyph
 
 NAME = "posegsa"
 """Prefix of the names in the templates, and in a file by default."""
-_KEYWORDS = frozenset(
+KEYWORDS = frozenset(
     [
         "auto",
         "break",
@@ -87,7 +88,7 @@ def check_name(name: object) -> None:
         ArgumentError: It is not an identifier, a keyword, or longer than 32 characters.
     """
     fits = isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name)
-    if not fits or name in _KEYWORDS:
+    if not fits or name in KEYWORDS:
         refuse(
             f"name = {name!r}",
             "a letter, then letters, digits and underscores, at most 32 in all; no keyword of C",
@@ -121,13 +122,13 @@ def comment(lines: Iterable[str]) -> str:
     return "\n".join(f" * {line}".rstrip() for line in safe)
 
 
-def origin(result: TuneResult | RecordingResult) -> list[str]:
+def origin(result: Result) -> list[str]:
     """The version and the search that a file comes from."""
     run, search = result.tuned.run, result.tuned.search
-    if isinstance(result, RecordingResult) and result.best_cost is None:
+    if result.search is None:
         return wrapped(
-            f"Written by posegsa {VERSION}. A {result.filter.kind} gain made by hand with posegsa "
-            f"{result.version}."
+            f"Written by posegsa {VERSION}. A {result.filter.title} that was not searched, made "
+            f"with posegsa {result.version}."
         )
     return wrapped(
         f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
@@ -135,45 +136,41 @@ def origin(result: TuneResult | RecordingResult) -> list[str]:
     )
 
 
-def worth(result: TuneResult | RecordingResult) -> list[str]:
-    """Costs of a tuned filter and of the best constant gain, and the result's warnings.
+def worth(result: Result) -> list[str]:
+    """What a filter is worth: its costs on scenarios, its errors on recordings, its warnings."""
+    lines = []
+    if result.on_scenarios is not None:
+        lines += _on_scenarios(result, result.on_scenarios)
+    if (on := result.on_recordings) is not None and (on.training or on.held_out):
+        lines += ["Root mean square errors on recordings:", *on.table().splitlines(), ""]
+        if not on.held_out:
+            lines += wrapped("WARNING: no recording was held out.")
+    lines = lines or ["Unknown: it was not judged."]
+    lines += _warnings(result)
+    origins = [] if on is None else on.origins().splitlines()
+    return lines + [part for line in origins for part in wrapped(line)]
 
-    For a result on recordings, its errors on them, and which data are measured or synthetic.
-    """
-    if isinstance(result, RecordingResult):
-        return _on_recordings(result)
-    names = {
-        "tuned": "  this schedule",
-        "constant": f"  best constant gain {result.constant_gain:.4g}/s",
-    }
-    found, rows = costs(result), [["Cost", "training", "held out", "95 % interval", "worst"]]
-    for key, name in names.items():
-        numbers = (found[key][of] for of in ("training_mean", "held_out_mean", "held_out_worst"))
-        training, held_out, worst = (f"{number:.5g}" for number in numbers)
-        interval = "[{:.5g}, {:.5g}]".format(*found[key]["held_out_interval"])
-        rows.append([name, training, held_out, interval, worst])
+
+def _on_scenarios(result: Result, judged: OnScenarios) -> list[str]:
+    rows = [["Cost", "training", "held out", "95 % interval", "worst"]]
+    for name, found in costs(result).items():
+        gain = found["numbers"].get("gain", [])
+        label = f"  {name} {gain[0]:.4g}/s" if gain else f"  {name}"
+        keys = ("training_mean", "held_out_mean", "held_out_worst")
+        training, held_out, worst = (f"{found[key]:.5g}" for key in keys)
+        interval = "[{:.5g}, {:.5g}]".format(*found["held_out_interval"])
+        rows.append([label, training, held_out, interval, worst])
     lines = text_table(rows).splitlines()
-    lines += wrapped(
-        f"Means over {counted(len(result.training_costs), 'training scenario')} and over "
-        f"{result.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
+    scenarios = len(judged.training[TUNED])
+    return lines + wrapped(
+        f"Means over {counted(scenarios, 'training scenario')} and over "
+        f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
         "over the held-out ones."
     )
-    return lines + _warnings(result)
 
 
-def _warnings(result: TuneResult | RecordingResult) -> list[str]:
+def _warnings(result: Result) -> list[str]:
     return [line for one in result.warnings() for line in wrapped(f"WARNING: {one}.")]
-
-
-def _on_recordings(result: RecordingResult) -> list[str]:
-    """The errors of a filter on recordings, and which data are measured or synthetic."""
-    if not (result.training or result.held_out):
-        return ["Unknown: it was not evaluated on any recording.", *_warnings(result)]
-    lines = ["Root mean square errors on recordings:", *result.table().splitlines(), ""]
-    if not result.held_out:
-        lines += wrapped("WARNING: no recording was held out.")
-    lines += _warnings(result)
-    return lines + [part for line in result.origins().splitlines() for part in wrapped(line)]
 
 
 def settings_of(section: Section, without: Collection[str] = ()) -> list[str]:

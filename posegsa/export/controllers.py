@@ -11,12 +11,11 @@ from posegsa.exchange.fis import to_fis
 from posegsa.exchange.fll import to_fll
 from posegsa.export.c_gain import signal_in_words
 from posegsa.export.c_text import origin, worth
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.model.fuzzy import FuzzyController
 
 
-def export_fis(source: TuneResult | RecordingResult | FuzzyController) -> str:
+def export_fis(source: Result | FuzzyController) -> str:
     """The gain's controller for MATLAB's Fuzzy Logic Toolbox.
 
     Args:
@@ -28,21 +27,19 @@ def export_fis(source: TuneResult | RecordingResult | FuzzyController) -> str:
     return _written(source, to_fis)
 
 
-def export_fll(source: TuneResult | RecordingResult | FuzzyController) -> str:
+def export_fll(source: Result | FuzzyController) -> str:
     """The gain's controller for fuzzylite; arguments as `export_fis`."""
     return _written(source, to_fll)
 
 
-def _written(
-    source: TuneResult | RecordingResult | FuzzyController, write: Callable[..., str]
-) -> str:
-    check_type("source", source, TuneResult, RecordingResult, FuzzyController)
+def _written(source: Result | FuzzyController, write: Callable[..., str]) -> str:
+    check_type("source", source, Result, FuzzyController)
     if isinstance(source, FuzzyController):
         return write(source)
     return write(source.controller, _about(source))
 
 
-def _about(result: TuneResult | RecordingResult) -> list[str]:
+def _about(result: Result) -> list[str]:
     """Where a schedule comes from, how good it is and how its inputs are computed."""
     return [
         "Gain controller of a pose filter.",

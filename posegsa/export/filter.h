@@ -1,8 +1,8 @@
 /*
- * {{ file }}: {{ "an attitude" if attitude_only else "a pose" }} filter with a scheduled gain, as C99; also valid C++17.
+ * {{ file }}: {{ title }}, as C99; also valid C++17.
 {{ origin }}
  *
- * DESCRIPTION
+ * WHAT IT DOES
 {{ purpose }}
  *
  * USE
@@ -33,20 +33,22 @@
  * y, z (Hamilton) of length 1. A state holds the estimate at the time of the next sample:
  * posegsa_step(state, measurement, dt) processes that sample and propagates the estimate by dt.
  *
- * MISSING AND INVALID INPUT
- * A vector or a landmark with weight 0 was not measured: its numbers are ignored and may be NaN.
- * A vector of length 0 is ignored too. A part of the error that is not measured keeps its last
- * value. Any other number that is NaN or outside the limits below is refused with
- * POSEGSA_INVALID_INPUT. An estimate that would not be finite, or whose quaternion would not have
- * length 1, is refused with POSEGSA_NOT_FINITE. A refused sample does not change the state; the
- * next dt should include its time. Pointers must be valid.
+ * WHAT IS MISSING AND WHAT IS WRONG
+{% block missing %}
+ * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
+ * at, and may be NaN. So does a vector of length 0. Any other number that is NaN, or beyond the
+ * limits below, is refused with POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would
+ * not be finite, or whose quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A
+ * refused sample leaves the state as it was: let the next dt cover its time too. Pointers must be
+ * valid.
+{% endblock %}
  *
  * PRECISION, MEMORY, THREADS
  * posegsa_real is double; compile with -DPOSEGSA_REAL=float for single precision. No heap, no
  * global state, no header except <math.h>: filters with different states are independent and may
  * run in any thread or interrupt. Do not use -ffast-math, which removes the checks for NaN.
  *
- * ACCURACY
+ * WHAT IT IS WORTH
 {{ worth }}
 {% if settings %}
  *
@@ -85,7 +87,8 @@ enum {
 {% if landmarks %}
     POSEGSA_LANDMARKS = {{ landmarks }},
 {% endif %}
-    POSEGSA_SUBSTEPS = {{ substeps }}
+{% block more_counts %}
+{% endblock %}
 };
 
 /* What posegsa_init and posegsa_step return. */
@@ -123,28 +126,20 @@ typedef struct posegsa_state {
 {% endif %}
 {% if learns %}
     posegsa_real vector_bias[POSEGSA_VECTORS][3]; /* c_i, body frame, the vectors' units */
+{% endif %}
+{% if turning %}
     posegsa_real turning[3];      /* low-passed angular velocity [rad/s], body frame */
 {% endif %}
-    /* The memory of the gain schedule, and its gain at the last sample. */
-{% if vectors %}
-    posegsa_real attitude_error;  /* the last measured one, 0 to 1 */
-{% endif %}
-{% if landmarks %}
-    posegsa_real position_error;  /* the last measured one [m] */
-{% endif %}
-    posegsa_real error;           /* the schedule's input, smoothed, before it is scaled */
-    posegsa_real since_last;      /* dt of the last sample [s]; infinite before the first */
-{% if uses_time %}
-    posegsa_real time;            /* since the first sample [s] */
-{% endif %}
-    posegsa_real gain;            /* K from the schedule [1/s] */
-    posegsa_real gain_used;       /* K after the gain limit [1/s] */
+{% block memory %}
+{% endblock %}
 } posegsa_state;
 
 /* ---- Functions ----------------------------------------------------------------------------- */
 
-/* Starts a filter. attitude: quaternion of any length but 0{{ "" if attitude_only else "; position [m], inertial frame" }}. Biases
- * start at 0. Returns POSEGSA_OK, or POSEGSA_INVALID_INPUT and does not change the state. */
+{% block init_about %}
+/* Begins a filter. attitude: quaternion of any length but 0; position [m], inertial frame. Returns
+ * POSEGSA_OK, or why the state is as it was. */
+{% endblock %}
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
                                const posegsa_real position[3]" }});
 
@@ -160,13 +155,10 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
 
 {{ constants }}
 
-{% if fuzzy %}
-/* ---- The gain: a fuzzy controller ------------------------------------------------------------ */
+{% block parts_about %}
+/* ---- The step, generated from the filter's own functions ------------------------------------- */
 
-{{ controller }}
-{% endif %}
-/* ---- The step's parts, generated from the functions of posegsa.filters and model ------------- */
-
+{% endblock %}
 {% for function in functions %}
 static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 {
@@ -176,36 +168,8 @@ static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 }
 
 {% endfor %}
-{% if knots %}
-{{ knots }}
-{% endif %}
-/* Intermediate results of one step. */
-typedef struct posegsa_work {
-{% if vectors %}
-    posegsa_real profile[3][3]; /* B = sum_i s_i u_i v_i^T */
-    posegsa_real power;         /* sum_i s_i (|u_i|^2 + |v_i|^2) */
-    posegsa_real curvature;     /* the part of L from the vectors */
-    posegsa_real scale;         /* 3 / (8 sum_i s_i), 0 without vectors */
-{% endif %}
-{% if learns %}
-    posegsa_real freed[POSEGSA_VECTORS][3]; /* d_i = v_i - c_i */
-{% endif %}
-{% if landmarks %}
-    posegsa_real landmark_weights[POSEGSA_LANDMARKS]; /* s_i, 0 where one is missing */
-{% endif %}
-    posegsa_real reach;          /* square of the distance to the farthest landmark [m^2] */
-    posegsa_real error;          /* scaled, 0 to 1 */
-    posegsa_real rate;           /* scaled, 0 to 1 */
-    posegsa_real gain;           /* K [1/s] */
-    posegsa_real learning;       /* factor on the gain of the vectors' bias law */
-    posegsa_real gamma;          /* factor on gamma */
-    posegsa_real used;           /* K after the gain limit [1/s] */
-    posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
-    posegsa_real v[3];           /* a sub-step's displacement [m], body frame */
-    posegsa_real angle_squared;  /* |omega|^2 [rad^2] */
-    posegsa_real exponential[4]; /* coefficients of the exponential of SE(3) */
-} posegsa_work;
-
+{% block work %}
+{% endblock %}
 {% for piece in pieces %}
 /* {{ piece.about }} */
 static inline void posegsa_{{ piece.name }}({{ piece.signature }})
@@ -285,18 +249,18 @@ static inline int posegsa_is_estimate(const posegsa_state *state)
 {% if not attitude_only %}
            posegsa_are_finite(state->position, 3) && posegsa_are_finite(state->bias_linear, 3) &&
 {% endif %}
-{% if learns %}
+{% if turning %}
            posegsa_are_finite(state->turning, 3) &&
 {% endif %}
-           state->error - state->error == 0 && state->gain_used - state->gain_used == 0;
+{% block memory_is_fine %}
+{% endblock %}
 }
 
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
                                const posegsa_real position[3]" }})
 {
-    posegsa_state first;
-    posegsa_real largest = 0, square = 0;
-    int i{{ ", k" if learns }};
+{% block init_variables %}
+{% endblock %}
 {% if not attitude_only %}
     if (!posegsa_are_within(position, 3, POSEGSA_C(POSEGSA_MAX_POSITION))) {
         return POSEGSA_INVALID_INPUT;
@@ -320,33 +284,8 @@ static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude
     for (i = 0; i < 4; ++i) {
         first.attitude[i] /= posegsa_sqrt(square);
     }
-    for (i = 0; i < 3; ++i) {
-        first.bias_angular[i] = 0;
-{% if not attitude_only %}
-        first.position[i] = position[i];
-        first.bias_linear[i] = 0;
-{% endif %}
-{% if learns %}
-        first.turning[i] = 0;
-        for (k = 0; k < POSEGSA_VECTORS; ++k) {
-            first.vector_bias[k][i] = 0;
-        }
-{% endif %}
-    }
-{% if vectors %}
-    first.attitude_error = 0;
-{% endif %}
-{% if landmarks %}
-    first.position_error = 0;
-{% endif %}
-    first.error = 0;
-    first.since_last = POSEGSA_C(INFINITY);
-{% if uses_time %}
-    first.time = 0;
-{% endif %}
-    first.gain = POSEGSA_C({{ initial_gain }});
-    first.gain_used = 0;
-    *state = first;
+{% block init_state %}
+{% endblock %}
     return POSEGSA_OK;
 }
 
@@ -356,9 +295,9 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
     const posegsa_state *const now = state; /* the estimate at the sample */
     posegsa_state after = *state, *const next = &after;
     posegsa_measurement taken, *const seen = &taken; /* 0 where something is missing */
-    posegsa_work work, *const w = &work;
-    posegsa_real used = 0;
+{% block step_variables %}
     int i;
+{% endblock %}
 
     if (!(dt >= POSEGSA_C(POSEGSA_MIN_TIME_STEP) && dt <= POSEGSA_C(POSEGSA_MAX_TIME_STEP)) ||
 {% if not attitude_only %}
@@ -384,48 +323,8 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
         seen->velocity[i] = measurement->velocity[i];
 {% endif %}
     }
-    w->reach = 0;
-{% if landmarks %}
-    for (i = 0; i < POSEGSA_LANDMARKS; ++i) {
-        const posegsa_real *const y = seen->landmarks[i];
-        w->reach = posegsa_max(w->reach, y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
-    }
-{% endif %}
-
-    {{ calls.see }}
-    {{ calls.signal }}
-{% if fuzzy %}
-    w->gain = posegsa_gain(w->error, w->rate, now->gain);
-    w->learning = 1;
-{% elif knots %}
-    w->gain = posegsa_gain_at(now->time);
-    w->learning = 1;
-{% else %}
-    {{ calls.schedule }}
-{% endif %}
-    next->gain = w->gain;
-    if (!(w->gain >= 0)) {
-        return POSEGSA_NOT_FINITE;
-    }
-
-    /* All sub-steps use the same measurement; the last one adds the motion of the whole dt. */
-    for (i = 0; i < POSEGSA_SUBSTEPS; ++i) {
-        const posegsa_real h = dt / POSEGSA_C(POSEGSA_SUBSTEPS);
-        const posegsa_real moving = i == POSEGSA_SUBSTEPS - 1 ? dt : 0;
-        {{ calls.correct }}
-        {{ calls.exponential }}
-        {{ calls.move }}
-        used += w->used;
-    }
-    w->used = used / POSEGSA_C(POSEGSA_SUBSTEPS);
-    next->gain_used = w->used;
-{% if learns %}
-    {{ calls.learn }}
-{% endif %}
-{% if uses_time %}
-    next->time = now->time + dt;
-{% endif %}
-
+{% block advance %}
+{% endblock %}
     if (!posegsa_is_estimate(next)) {
         return POSEGSA_NOT_FINITE;
     }
@@ -438,5 +337,7 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
     const posegsa_state *const now = state;
     {{ calls.rows }}
 }
+{% block more_functions %}
+{% endblock %}
 
 #endif /* POSEGSA_H */

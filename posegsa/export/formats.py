@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from posegsa.errors import PosegsaError
 
 if TYPE_CHECKING:
-    from posegsa.judging.recorded import RecordingResult
-    from posegsa.judging.result import TuneResult
+    from posegsa.judging.result import Result
 
 
 class Format(NamedTuple):
@@ -60,7 +59,7 @@ FORMATS = {
 """The formats of `export`, by name."""
 
 
-def export(result: "TuneResult | RecordingResult", format: str, name: str | None = None) -> str:
+def export(result: "Result", format: str, name: str | None = None) -> str:
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
@@ -72,20 +71,16 @@ def export(result: "TuneResult | RecordingResult", format: str, name: str | None
         PosegsaError: The format is unknown, takes no name, or needs a fuzzy gain that the result
             does not have.
     """
-    from posegsa.judging.recorded import RecordingResult
-
     if not isinstance(format, str) or format not in FORMATS:
         raise PosegsaError(f"format: must be one of {', '.join(FORMATS)}, got {format!r}")
     if name is not None and not FORMATS[format].named:
         named = (other for other, about in FORMATS.items() if about.named)
         raise PosegsaError(f"name = {name!r}; allowed: only with {' or '.join(named)}")
-    if isinstance(result, RecordingResult) and FORMATS[format].controller:
-        kind = result.filter.kind
-        if kind != "fuzzy":
-            others = (other for other, about in FORMATS.items() if not about.controller)
-            raise PosegsaError(
-                f"format = {format!r} of a {kind} gain; allowed: {', '.join(others)}, or a fuzzy "
-                "gain"
-            )
+    if FORMATS[format].controller and result.filter.kind != "fuzzy":
+        others = (other for other, about in FORMATS.items() if not about.controller)
+        raise PosegsaError(
+            f"format = {format!r} of a {result.filter.title}; allowed: {', '.join(others)}, or a "
+            "fuzzy gain"
+        )
     write = resolve_name(FORMATS[format].writer)
     return write(result) if name is None else write(result, name=name)

@@ -6,16 +6,20 @@ becomes a C expression. If its value is used several times, it becomes a local c
 the function of the model that it comes from; if it is used once, it is written in place. Operations
 on numbers that are known at export (0, 1, an infinite limit) are computed here. Operations that no
 result needs are omitted.
+
+A `lax.scan` over stacked scalars, such as one over the landmarks, becomes a `for` loop, which is
+written once for any number of them.
 """
 
 import math
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core, source_info_util
 
@@ -41,24 +45,48 @@ Argument = str | float | Known
 
 
 @dataclass(frozen=True)
-class _Operation:
+class Operation:
     """An operation and its operands."""
 
     name: str
-    of: tuple["_Value", ...]
-    origin: str
+    of: tuple["Value", ...]
+    origin: str = ""
     """The function of the model that it comes from."""
+    loop: "Loop | None" = None
+    """Of an operation "loop"."""
+    place: int = 0
+    """Of an operation "carried": which of the values that the loop carries."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Value:
+class Value:
     """A value: an operation, or a leaf with a text or a number. Equality is identity."""
 
-    operation: _Operation | None = None
+    operation: Operation | None = None
     text: str = ""
     number: float | bool | None = None
     named: bool = False
     """Whether the code has the number's name, not its value."""
+    truth: bool = False
+    """Whether an input of a loop's body is a truth, no real number."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A `lax.scan` that stores nothing. Its operation is of one operand for each input."""
+
+    turns: int
+    inputs: tuple[Value, ...]
+    """What the body is made of: values that stay the same, carried ones, one's of each turn."""
+    first: int
+    """Index of the first carried input. Those before it stay the same."""
+    results: tuple[Value, ...]
+    """What the body hands on to the next turn, one for each carried input."""
+
+    @property
+    def last(self) -> int:
+        """Index after the last carried input. Those from it on have a value for each turn."""
+        return self.first + len(self.results)
 
 
 _INFIX = {
@@ -76,6 +104,12 @@ FUNCTIONS = {
     **{"abs": "fabs", "floor": "floor", "round": "rint"},
 }
 """Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
+_ALLOWED = (
+    "arithmetic, comparisons, choices (jnp.where, not lax.cond) and functions of <math.h>, of "
+    "scalars that are real numbers or truths (a counter is a real number), and lax.scan over "
+    "stacked scalars that stores nothing"
+)
+"""What can be written."""
 _AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
 
 
@@ -84,50 +118,97 @@ class _Trace:
 
     def __init__(self, dtype: Any) -> None:
         self._dtype = dtype
-        self._made: dict[tuple[Any, ...], _Value] = {}
+        self._made: dict[tuple[Any, ...], Value] = {}
 
-    def argument(self, leaf: Argument) -> _Value:
+    def argument(self, leaf: Argument) -> Value:
         if isinstance(leaf, Known):
             return self._once(("known", leaf.text), text=leaf.text, number=leaf.value, named=True)
         if isinstance(leaf, str):
             return self._once(("variable", leaf), text=leaf)
         return self.number(leaf)
 
-    def number(self, value: float | bool) -> _Value:
+    def number(self, value: float | bool) -> Value:
         if isinstance(value, bool | np.bool_):
             return self._once(("truth", bool(value)), number=bool(value))
         # The shortest decimal that rounds to this number in that type.
         exact = float(str(self._dtype(value)))
         return self._once(("number", exact), number=exact)
 
-    def run(self, jaxpr: core.Jaxpr, values: list[_Value]) -> list[_Value]:
-        """The results of a jaxpr for these arguments."""
-        at = dict(zip(jaxpr.invars, values, strict=True))
+    def constants(self, values: Iterable[Any]) -> list[Value]:
+        """What a function has closed over, as numbers.
 
-        def read(var: Any) -> _Value:
+        Raises:
+            ArgumentError: An array, an integer, or no number at all.
+        """
+        found = []
+        for value in values:
+            if np.ndim(value):
+                refuse(f"a step that looks up an array of shape {np.shape(value)}", _ALLOWED)
+            if not _is_real(value) and not _is_truth(value):
+                refuse(f"a step with a constant of type {jnp.result_type(value)}", _ALLOWED)
+            found.append(self.number(np.asarray(value).item()))
+        return found
+
+    def run(
+        self, jaxpr: core.Jaxpr, values: Sequence[Value], constants: Sequence[Value] = ()
+    ) -> list[Value]:
+        """The results of a jaxpr for these arguments and for what it has closed over."""
+        at = dict(zip(jaxpr.constvars, constants, strict=True))
+        at.update(zip(jaxpr.invars, values, strict=True))
+
+        def read(var: Any) -> Value:
             return self.number(var.val) if isinstance(var, core.Literal) else at[var]
 
         for equation in jaxpr.eqns:
-            given = [read(var) for var in equation.invars]
+            given, name = [read(var) for var in equation.invars], equation.primitive.name
             inner = equation.params.get("jaxpr") or equation.params.get("call_jaxpr")
-            if inner is not None and equation.primitive.name not in ("scan", "while", "cond"):
+            if name == "scan":
+                made = self._loop(equation, given)
+            elif inner is not None and name not in ("while", "cond"):
                 closed = isinstance(inner, core.ClosedJaxpr)
-                constants = (
-                    [self.number(np.asarray(c).item()) for c in inner.consts] if closed else []
+                made = self.run(
+                    inner.jaxpr if closed else inner,
+                    given,
+                    self.constants(inner.consts) if closed else (),
                 )
-                made = self.run(inner.jaxpr if closed else inner, constants + given)
             else:
-                made = [self._applied(equation, given)]
+                made = [_row(equation, given) or self._applied(equation, given)]
             at.update(zip(equation.outvars, made, strict=True))
         return [read(var) for var in jaxpr.outvars]
 
-    def _applied(self, equation: core.JaxprEqn, given: list[_Value]) -> _Value:
+    def _loop(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
+        """What comes out of a scan over rows of scalars."""
+        params = equation.params
+        first, carried = params["num_consts"], params["num_carry"]
+        if len(equation.outvars) > carried or params["reverse"]:
+            refuse("a step with a scan that stores something, or runs backwards", _ALLOWED)
+        closed = params["jaxpr"]
+        inputs = []
+        for i, (var, operand) in enumerate(zip(closed.jaxpr.invars, given, strict=True)):
+            if getattr(var.aval, "shape", ()) or _is_row(operand) != (i >= first + carried):
+                refuse("a step with a scan over arrays", _ALLOWED)
+            _check_kind("scan", var)
+            plain = i < first and operand.number is not None and not operand.named
+            inputs.append(operand if plain else Value(truth=_is_truth(var)))
+        # Of its own: nothing in it is computed before the loop.
+        trace = _Trace(self._dtype)
+        results = trace.run(closed.jaxpr, inputs, trace.constants(closed.consts))
+        loop = Loop(params["length"], tuple(inputs), first, tuple(results))
+        whole = Value(operation=Operation("loop", tuple(given), loop=loop))
+        return [
+            Value(operation=Operation("carried", (whole,), place=place)) for place in range(carried)
+        ]
+
+    def _applied(self, equation: core.JaxprEqn, given: list[Value]) -> Value:
         name, params = equation.primitive.name, equation.params
+        if len(equation.outvars) != 1:
+            refuse(f"a step with the operation {name!r}", _ALLOWED)
+        if any(map(_is_row, given)):
+            refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
         for var in equation.outvars:
             if getattr(var.aval, "shape", ()):
-                refuse(f"a step with the operation {name!r} on arrays", "operations on scalars")
-            if not _is_real(var) and not _is_truth(var):
-                refuse(f"a step with the operation {name!r} on integers", "real numbers and truths")
+                refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
+            _check_kind(name, var)
         if name == "convert_element_type":
             before, after = map(_is_truth, (equation.invars[0], equation.outvars[0]))
             if before and not after:
@@ -143,7 +224,7 @@ class _Trace:
             return self._power(given[0], 2)
         return self.made(name, *given, origin=_function_of(equation))
 
-    def _power(self, value: _Value, exponent: int) -> _Value:
+    def _power(self, value: Value, exponent: int) -> Value:
         """A value to a whole power >= 0, by repeated squaring."""
         if exponent < 2:
             return value if exponent else self.number(1.0)
@@ -151,7 +232,7 @@ class _Trace:
         square = self.made("mul", half, half)
         return self.made("mul", square, value) if exponent % 2 else square
 
-    def made(self, name: str, *of: _Value, origin: str = "") -> _Value:
+    def made(self, name: str, *of: Value, origin: str = "") -> Value:
         """The value of an operation, simplified where possible."""
         if name == "rsqrt":
             return self.made("div", self.number(1.0), self.made("sqrt", *of, origin=origin))
@@ -167,13 +248,12 @@ class _Trace:
         if name in ("min", "max"):
             of = of[-2:] if len(of) == 2 else (of[2], of[1])
         elif name not in (*_INFIX, *FUNCTIONS, "select_n", "neg", "not"):
-            allowed = "arithmetic, comparisons, choices and functions of <math.h>"
-            refuse(f"a step with the operation {name!r}", allowed)
+            refuse(f"a step with the operation {name!r}", _ALLOWED)
         return self._once(
-            (name, *map(id, of)), operation=_Operation(name=name, of=of, origin=origin)
+            (name, *map(id, of)), operation=Operation(name=name, of=of, origin=origin)
         )
 
-    def _simplified(self, name: str, *of: _Value) -> _Value | None:
+    def _simplified(self, name: str, *of: Value) -> Value | None:
         """The value of an operation that needs no code, or None."""
         numbers = [value.number for value in of]
         if name == "is_finite" and numbers[0] is not None:
@@ -202,11 +282,11 @@ class _Trace:
                 return self.made("neg", of[1])
         return None
 
-    def _once(self, key: tuple[Any, ...], **fields: Any) -> _Value:
-        return self._made.setdefault(key, _Value(**fields))
+    def _once(self, key: tuple[Any, ...], **fields: Any) -> Value:
+        return self._made.setdefault(key, Value(**fields))
 
 
-def _within(value: _Value, condition: _Value, holds: bool) -> _Value:
+def _within(value: Value, condition: Value, holds: bool) -> Value:
     """A value, given that a condition holds or not: choices by that condition are resolved."""
     chosen = value.operation
     while chosen is not None and chosen.name == "select_n" and chosen.of[0] is condition:
@@ -215,12 +295,43 @@ def _within(value: _Value, condition: _Value, holds: bool) -> _Value:
     return value
 
 
+def _row(equation: core.JaxprEqn, given: list[Value]) -> Value | None:
+    """Scalars in a row, as `jnp.stack` puts them for a scan; None for any other operation."""
+    name, aval = equation.primitive.name, equation.outvars[0].aval
+    shape = getattr(aval, "shape", ())
+    if len(shape) != 1:
+        return None
+    if name == "stack" and not any(map(_is_row, given)):
+        return Value(operation=Operation("row", tuple(given)))
+    if name == "concatenate" and all(map(_is_row, given)):  # as older versions of JAX stack
+        parts = [value.operation.of for value in given if value.operation]
+        return Value(operation=Operation("row", tuple(v for part in parts for v in part)))
+    one = name in ("broadcast_in_dim", "reshape") and shape == (1,) and not _is_row(given[0])
+    return Value(operation=Operation("row", (given[0],))) if one else None
+
+
+def _is_row(value: Value) -> bool:
+    return value.operation is not None and value.operation.name == "row"
+
+
+def _type_of(var: Any) -> Any:
+    return getattr(var, "aval", var)
+
+
 def _is_truth(var: Any) -> bool:
-    return var.aval.dtype == bool
+    """Whether a variable of a jaxpr, or a number, is true or false."""
+    return jnp.issubdtype(jnp.result_type(_type_of(var)), jnp.bool_)
 
 
 def _is_real(var: Any) -> bool:
-    return np.issubdtype(var.aval.dtype, np.floating)
+    """Likewise a real number."""
+    return jnp.issubdtype(jnp.result_type(_type_of(var)), jnp.floating)
+
+
+def _check_kind(name: str, var: Any) -> None:
+    """Refuse integers and the like, in or out of the operation of that name."""
+    if not _is_real(var) and not _is_truth(var):
+        refuse(f"a step with the operation {name!r} on integers", _ALLOWED)
 
 
 def _function_of(equation: core.JaxprEqn) -> str:
@@ -237,6 +348,11 @@ _NUMPY = {
 }
 
 
+def margin(statement: str) -> int:
+    """How far a statement is indented within others."""
+    return len(statement) - len(statement.lstrip())
+
+
 @dataclass(frozen=True)
 class Code:
     """C statements and the functions that they call."""
@@ -249,10 +365,10 @@ class Code:
         """The statements as lines."""
         return "\n".join(
             textwrap.fill(
-                statement,
+                statement.lstrip(),
                 width=WIDTH,
-                initial_indent=indent * " ",
-                subsequent_indent=(indent + 4) * " ",
+                initial_indent=(indent + margin(statement)) * " ",
+                subsequent_indent=(indent + 4 + margin(statement)) * " ",
                 break_long_words=False,
                 break_on_hyphens=False,
             )
@@ -265,7 +381,10 @@ class Code:
 
 
 def written(
-    function: Callable[..., Any], arguments: tuple[Any, ...], results: Any, dtype: Any = np.float64
+    function: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    results: Any,
+    dtype: Any = np.float64,
 ) -> Code:
     """C code that sets variables to the results of a function.
 
@@ -282,6 +401,42 @@ def written(
     Raises:
         ArgumentError: The function has an operation that can't be written in C.
     """
+    values, shape = traced(function, arguments, dtype)
+    return Writer(wanted_of(results, values, shape)).code()
+
+
+def wanted_of(results: Any, values: list[Value], shape: Any) -> list[tuple[str, Value]]:
+    """The variables to set, and to which values.
+
+    Args:
+        results: As for `written`.
+        values: The results of the function.
+        shape: The records that they stand in.
+    """
+    # None marks a result that is not wanted; it counts as a leaf here, so that the pairs match.
+    wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
+    assert len(wanted) == len(jax.tree.leaves(shape)), "a variable, or None, for each result"
+    return [(name, v) for name, v in zip(wanted, values, strict=True) if name is not None]
+
+
+def passed_on(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[str | None]:
+    """Which variable each result of a function is, unchanged; None of what it computes.
+
+    Args:
+        function: as for `written`.
+        arguments: as for `written`.
+
+    Raises:
+        ArgumentError: As `written` does.
+    """
+    values, _ = traced(function, arguments, np.float64)
+    return [value.text or None for value in values]
+
+
+def traced(
+    function: Callable[..., Any], arguments: tuple[Any, ...], dtype: Any
+) -> tuple[list[Value], Any]:
+    """The results of a function as values, and the records that it returns them in."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = [jax.ShapeDtypeStruct((), dtype)] * len(leaves)
     with jax.enable_x64(dtype == np.float64):
@@ -291,35 +446,43 @@ def written(
             )(*shapes)
         except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
             raise ArgumentError(f"the filter's step can't be written in C: {error}") from error
-    trace = _Trace(dtype)
-    constants = []
-    for constant in closed.consts:
-        if np.ndim(constant):
-            refuse("a step that looks up arrays", "arithmetic of scalars")
-        constants.append(trace.number(np.asarray(constant).item()))
-    values = trace.run(closed.jaxpr, constants + [trace.argument(leaf) for leaf in leaves])
-    # None marks a result that is not wanted; it counts as a leaf here, so that the pairs match.
-    wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
-    assert len(wanted) == len(jax.tree.leaves(shape)), "a variable, or None, for each result"
-    pairs = [(name, v) for name, v in zip(wanted, values, strict=True) if name is not None]
-    return _Writer(pairs).code()
+        trace = _Trace(dtype)
+        given = [trace.argument(leaf) for leaf in leaves]
+        values = trace.run(closed.jaxpr, given, trace.constants(closed.consts))
+    return values, shape
 
 
-class _Writer:
+class Writer:
     """Writes values as statements; a value that is used several times gets a name."""
 
-    def __init__(self, results: list[tuple[str, _Value]]) -> None:
-        self._results = results
+    def __init__(
+        self,
+        results: list[tuple[str, Value]],
+        *,
+        single: dict[int, float] | None = None,
+        names: dict[int, str] | None = None,
+        count: dict[str, int] | None = None,
+    ) -> None:
+        """Finds what the results need.
+
+        Args:
+            results: What is to be set, and to which values.
+            single: Numbers in float32, by the identity of that in float64, where they differ.
+            names: Of the inputs, where this is the body of a loop.
+            count: How often a name was given already, in what this stands within.
+        """
+        self._results, self._single = results, single or {}
         self._uses: dict[int, int] = {}
-        self._order: list[_Value] = []
-        self._leaves: list[_Value] = []
-        self._names: dict[int, str] = {}
-        self._count: dict[str, int] = {}
+        self._order: list[Value] = []
+        self._leaves: list[Value] = []
+        self._names = {} if names is None else names
+        self._count = {} if count is None else count
         self._functions: set[str] = set()
+        self._needed = needed_inputs([value for _, value in results])
         for _, value in results:
             self._visit(value)
 
-    def _visit(self, value: _Value) -> None:
+    def _visit(self, value: Value) -> None:
         """Order operands before their results; without recursion, because chains are long."""
         todo = [(value, False)]
         while todo:
@@ -333,41 +496,145 @@ class _Writer:
             if current.operation is None:
                 self._leaves.append(current)
             else:
+                of = current.operation.of
+                if current.operation.loop:
+                    of = tuple(of[i] for i in sorted(self._needed[id(current)]))
                 todo.append((current, True))
-                todo += [(operand, False) for operand in reversed(current.operation.of)]
+                todo += [(operand, False) for operand in reversed(of)]
 
     def code(self) -> Code:
+        """The statements."""
         statements: list[str] = []
         results = {id(value) for _, value in self._results}
+        texts = [self._text(leaf)[0] for leaf in self._leaves]
         # If a result is also an argument, all results are computed before any is set.
-        before = any(value.text in dict(self._results) for value in self._leaves)
+        before = any(text in dict(self._results) for text in texts)
         for value in self._order:
+            assert value.operation is not None
+            if value.operation.name == "loop":
+                statements += self._loop(value, value.operation)
+                continue
+            if value.operation.name in ("row", "carried"):
+                continue
             text, _ = self._text(value)
             result = id(value) in results
             if self._uses[id(value)] > 1 or (before if result else len(text) > _LONGEST):
-                name = self._fresh(value)
-                kind = "int" if _is_predicate(value) else "posegsa_real"
-                statements.append(f"const {kind} {name} = {text};")
-                self._names[id(value)] = name
+                statements.append(self._constant(self._fresh(value), value))
+        statements += self._kept()
         for name, value in self._results:
             text, _ = self._text(value)
             if text != name:
                 statements.append(f"{name} = {text};")
         return Code(tuple(statements), frozenset(self._functions))
 
-    def _fresh(self, value: _Value) -> str:
+    def _kept(self) -> list[str]:
+        """Copies of the arguments that a result is set to after they have got another value."""
+        statements, set_already = [], set[str]()
+        for name, value in self._results:
+            text, _ = self._text(value)
+            if text in set_already and text != name:
+                statements.append(self._constant(self._numbered("kept"), value))
+            set_already.add(name)
+        return statements
+
+    def _constant(self, name: str, value: Value) -> str:
+        """The statement that gives a value a name."""
+        kind = "int" if _is_predicate(value) else "posegsa_real"
+        statement = f"const {kind} {name} = {self._text(value)[0]};"
+        self._names[id(value)] = name
+        return statement
+
+    def _fresh(self, value: Value) -> str:
         assert value.operation is not None
-        base = value.operation.origin or value.operation.name
+        return self._numbered(value.operation.origin or value.operation.name)
+
+    def _numbered(self, base: str) -> str:
         self._count[base] = self._count.get(base, 0) + 1
         return f"{base}_{self._count[base]}"
 
-    def _text(self, value: _Value) -> tuple[str, int]:
+    def _loop(self, value: Value, operation: Operation) -> list[str]:
+        """The statements of a loop, after which its variables hold what it has carried."""
+        loop, of = operation.loop, operation.of
+        assert loop is not None
+        needed, index, statements = self._needed[id(value)], self._numbered("turn"), list[str]()
+        for i in sorted(needed):
+            inside, operand = loop.inputs[i], of[i]
+            kind = "int" if inside.truth else "posegsa_real"
+            if i >= loop.last:
+                text = self._by_turn(operand, index)
+                if not text:
+                    text = self._numbered("each")
+                    row = operand.operation.of if operand.operation else ()
+                    each = ", ".join(self._text(one)[0] for one in row)
+                    statements.append(f"const {kind} {text}[{loop.turns}] = {{{each}}};")
+                    text = f"{text}[{index}]"
+            elif i >= loop.first:
+                continue
+            else:
+                made = operand.operation
+                if made and made.name != "carried" and id(operand) not in self._names:
+                    statements.append(self._constant(self._numbered("constant"), operand))
+                text = self._text(operand)[0]
+            self._names[id(inside)] = text
+        places = [i for i in sorted(needed) if loop.first <= i < loop.last]
+        statements += self._carry(loop, of, places)
+        results = [(self._names[id(loop.inputs[i])], loop.results[i - loop.first]) for i in places]
+        writer = type(self)(results, single=self._single, names=self._names, count=self._count)
+        body = writer.code()
+        self._functions |= body.functions
+        statements.append(f"for (int {index} = 0; {index} < {loop.turns}; ++{index}) {{")
+        statements += [f"    {statement}" for statement in body.statements]
+        statements.append("}")
+        return statements
+
+    def _carry(self, loop: Loop, of: tuple[Value, ...], places: list[int]) -> list[str]:
+        """Variables for what a loop carries, with their first values.
+
+        Args:
+            loop: The loop.
+            of: Its operands.
+            places: Which of its inputs are carried, and needed.
+        """
+        statements = []
+        for i in places:
+            text, taken = self._text(of[i])[0], of[i].operation
+            # The variable of the loop before goes on where no one else needs it.
+            if not (taken and taken.name == "carried" and self._uses[id(of[i])] == 1):
+                kind = "int" if loop.inputs[i].truth else "posegsa_real"
+                name = self._numbered("carried")
+                statements.append(f"{kind} {name} = {text};")
+                text = name
+            self._names[id(loop.inputs[i])] = text
+        return statements
+
+    def _by_turn(self, row: Value, index: str) -> str:
+        """A row's element of a turn, if its elements are those of an array of C; "" otherwise."""
+        assert row.operation is not None
+        texts = [self._text(one)[0] for one in row.operation.of]
+        if any(one.operation for one in row.operation.of):
+            return ""
+        if len(set(texts)) == 1:
+            return texts[0]
+        for match in re.finditer(r"\[0\]", texts[0]):
+            head, tail = texts[0][: match.start()], texts[0][match.end() :]
+            if texts == [f"{head}[{i}]{tail}" for i in range(len(texts))]:
+                return f"{head}[{index}]{tail}"
+        return ""
+
+    def _text(self, value: Value) -> tuple[str, int]:
         """An expression and the precedence of its last operation."""
         if id(value) in self._names:
             return self._names[id(value)], 9
+        if value.operation is None and id(value) in self._single:
+            one, two = literal(self._single[id(value)]), literal(value.number)
+            return f"(sizeof(posegsa_real) < sizeof(double) ? {one} : {two})", 9
         if value.operation is None:
             return (value.text, 9) if value.text else (literal(value.number), 9)
         name, of = value.operation.name, value.operation.of
+        if name == "carried":
+            loop = of[0].operation.loop if of[0].operation else None
+            assert loop is not None
+            return self._names[id(loop.inputs[loop.first + value.operation.place])], 9
         if name in _INFIX:
             sign, strength = _INFIX[name]
             # C's operators are left-associative: the right operand needs a higher precedence.
@@ -386,9 +653,50 @@ class _Writer:
             self._functions.add(call)
         return f"posegsa_{call}({', '.join(self._text(operand)[0] for operand in of)})", 9
 
-    def _bound(self, value: _Value, strength: int) -> str:
+    def _bound(self, value: Value, strength: int) -> str:
         text, own = self._text(value)
         return text if own >= strength else f"({text})"
+
+
+def needed_inputs(results: list[Value]) -> dict[int, set[int]]:
+    """Which inputs of each loop the results depend on, by the identity of the loop's value.
+
+    A loop may carry what no one wants after it, and what it carries may need some of its inputs.
+    """
+    needed: dict[int, set[int]] = {}
+    todo, done = list(results), set[int]()
+    within: dict[int, tuple[Value, int]] = {}
+    while todo:
+        value = todo.pop()
+        if id(value) in done:
+            continue
+        done.add(id(value))
+        if id(value) in within:  # an input of a loop's body
+            whole, i = within[id(value)]
+            operation = whole.operation
+            assert operation is not None
+            assert operation.loop is not None
+            if i not in needed[id(whole)]:
+                needed[id(whole)].add(i)
+                todo.append(operation.of[i])
+                if operation.loop.first <= i < operation.loop.last:
+                    todo.append(operation.loop.results[i - operation.loop.first])
+        elif value.operation is not None and value.operation.name == "carried":
+            (whole,) = value.operation.of
+            assert whole.operation is not None
+            assert whole.operation.loop is not None
+            loop = whole.operation.loop
+            needed.setdefault(id(whole), set())
+            within |= {
+                id(one): (whole, i)
+                for i, one in enumerate(loop.inputs)
+                if one.text == "" and one.number is None
+            }
+            # What is carried there is an input too, also where no turn reads it.
+            todo.append(loop.inputs[loop.first + value.operation.place])
+        elif value.operation is not None:
+            todo += value.operation.of
+    return needed
 
 
 def literal(number: float | bool | None) -> str:
@@ -404,10 +712,13 @@ def literal(number: float | bool | None) -> str:
     return f"POSEGSA_C({number!r})"
 
 
-def _is_predicate(value: _Value) -> bool:
+def _is_predicate(value: Value) -> bool:
     operation = value.operation
     if operation is None:
-        return isinstance(value.number, bool)
+        return value.truth or isinstance(value.number, bool)
+    if operation.name == "carried":
+        loop = operation.of[0].operation.loop if operation.of[0].operation else None
+        return loop is not None and loop.inputs[loop.first + operation.place].truth
     if operation.name == "select_n":
         return _is_predicate(operation.of[1])
     return operation.name in _PREDICATES

@@ -10,49 +10,84 @@ import numpy as np
 
 from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
-from posegsa.export.recorded import INFERENCE, recorded_json
-from posegsa.judging.evaluation import CONSTANT, TUNED
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.judging.evaluation import TUNED
+from posegsa.judging.result import Result
 from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
 
-SCHEMA = 1
+INFERENCE = (
+    "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
+    "aggregation."
+)
+FORMULAS = {
+    "fuzzy": INFERENCE,
+    "constant": "K = gain [1/s]",
+    "smooth": "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e: the scaled error in [0, 1]",
+    "switch": "K = before [1/s] until time [s], then K = after [1/s]",
+    "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
+    "kalman": "Invariant extended Kalman filter; its numbers stand in filter.",
+    "own": "A filter of the user's own; its numbers stand in filter.",
+}
+"""What each kind of filter is: of a schedule its formula, with the names of its numbers."""
+
+SCHEMA = 2
 """Version of the layout of the JSON; it changes when a key changes its meaning."""
 
 RESOLUTION = 101
 """Points along each input of the control surface."""
 
-_ABOUT = (
-    f"Gain schedule of a pose filter on SE(3). {INFERENCE} Terms are [left foot, peak, right "
-    "foot], shared by both inputs. Rows of rules and of the control surface are the rate, columns "
-    "the error, both ascending. Inputs are clipped to [0, 1]. Where no rule fires, 'hold' keeps "
-    "the last gain; the control surface shows initial_gain_1_s there."
+_OF_A_CONTROLLER = (
+    "Terms are [left foot, peak, right foot], shared by both inputs. Rows of rules and of the "
+    "control surface are the rate, columns the error, both ascending. Inputs are clipped to "
+    "[0, 1]. Where no rule fires, 'hold' keeps the last gain; the control surface shows "
+    "initial_gain_1_s there."
 )
 
 
-def export_json(result: TuneResult | RecordingResult) -> str:
-    """The schedule, its costs and its control surface as JSON.
+def export_json(result: Result) -> str:
+    """The filter with its numbers, what it is worth, and its control surface if it has one.
 
-    Reading a number at the run's dtype gives it exactly. A cost that is not finite is a string, as
-    in result.json. A result on recordings may have any gain: its JSON has the gain's formula and
-    no control surface; `export_csv` writes that.
+    Reading a number at the run's dtype gives it exactly. A number that is not finite is a string,
+    as in result.json.
     """
-    check_type("result", result, TuneResult, RecordingResult)
-    if isinstance(result, RecordingResult):
-        return recorded_json(result)
-    experiment = result.tuned
-    with jax.enable_x64(experiment.run.dtype == "float64"):
-        controller = result.controller
-        initial_gain = float(controller.initial_gain())
-    error, rate, gains = _surface(result, RESOLUTION)
+    check_type("result", result, Result)
+    tuned, found = result.tuned, result.filter
+    observer = found.kind not in ("kalman", "own")
+    about = f"Pose filter on SE(3). {FORMULAS[found.kind]}"
+    numbers = {name: each for name, each in found.numbers.items() if name != "rules"}
+    if "k" in numbers:
+        numbers = dict(zip(PARAMETERS, ([k] for k in numbers["k"]), strict=True))
+    on = result.on_recordings
     data = {
         "schema": SCHEMA,
-        "about": _ABOUT,
+        "about": f"{about} {_OF_A_CONTROLLER}" if found.kind == "fuzzy" else about,
         "version": VERSION,
         "tuned_with": result.version,
-        "dtype": experiment.run.dtype,
-        "controller": {
+        "dtype": tuned.run.dtype,
+        "kind": found.kind,
+        "numbers": numbers,
+        "tuned_too": result.also,
+        "controller": _controller(result) if found.kind == "fuzzy" else None,
+        "gain": tuned.gain if observer else None,
+        "filter": tuned.filter,
+        "vector_weights": [one.weight for one in tuned.scenario.vectors],
+        "landmark_weights": [one.weight for one in tuned.scenario.landmarks],
+        "sensors": None if on is None or on.sensors is None else on.sensors._asdict(),
+        "costs": costs(result),
+        "training_recordings": [] if on is None else on.training,
+        "held_out_recordings": [] if on is None else on.held_out,
+        "warnings": result.warnings(),
+    }
+    if found.kind == "fuzzy":
+        error, rate, gains = _surface(result, RESOLUTION)
+        data["control_surface"] = {"error": error, "rate": rate, "gain_1_s": gains}
+    return json_text(plain(data)) + "\n"
+
+
+def _controller(result: Result) -> dict[str, Any]:
+    with jax.enable_x64(result.experiment.run.dtype == "float64"):
+        controller = result.controller
+        return {
             "input_terms": dict(zip(TERMS, np.asarray(controller.input_terms), strict=True)),
             "output_terms_1_s": dict(zip(TERMS, np.asarray(controller.output_terms), strict=True)),
             "rules": [[TERMS[output] for output in row] for row in controller.rules],
@@ -63,21 +98,11 @@ def export_json(result: TuneResult | RecordingResult) -> str:
             "sampled_rule": controller.sampled_rule,
             "no_rule": controller.no_rule,
             "offset_1_s": controller.offset,
-            "initial_gain_1_s": initial_gain,
-        },
-        "gain": experiment.gain,
-        "filter": experiment.filter,
-        "tuned_too": result.also,
-        "parameters": dict(zip(PARAMETERS, result.parameters, strict=True)),
-        "costs": {**costs(result), "constant_gain_1_s": result.constant_gain},
-        "sensitive": result.trust.sensitive,
-        "warnings": result.warnings(),
-        "control_surface": {"error": error, "rate": rate, "gain_1_s": gains},
-    }
-    return json_text(plain(data)) + "\n"
+            "initial_gain_1_s": float(controller.initial_gain()),
+        }
 
 
-def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTION) -> str:
+def export_csv(result: Result, resolution: int = RESOLUTION) -> str:
     """The control surface as CSV, one row for each point: error, rate (both 0 to 1), gain.
 
     Each input has `resolution` points. Where no rule fires and the filter would hold the last gain,
@@ -87,7 +112,7 @@ def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTIO
         ArgumentError: Not a result, a result without a fuzzy gain, or a resolution that is not a
             whole number from 2 to 10000.
     """
-    check_type("result", result, TuneResult, RecordingResult)
+    check_type("result", result, Result)
     check_whole("resolution", resolution, 2, 10_000)
     errors, rates, gains = (decimal(a).tolist() for a in _surface(result, resolution))
     lines = ["error,rate,gain_1_s"]
@@ -96,28 +121,31 @@ def export_csv(result: TuneResult | RecordingResult, resolution: int = RESOLUTIO
     return "\n".join(lines) + "\n"
 
 
-def _surface(
-    result: TuneResult | RecordingResult, resolution: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _surface(result: Result, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors, rates and gains (rate, error) at the run's precision."""
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         error, rate, gains = result.controller.surface(resolution)
         return np.asarray(error), np.asarray(rate), np.asarray(gains)
 
 
-def costs(result: TuneResult) -> dict[str, dict[str, Any]]:
-    """Costs of the schedule and of the best constant gain, with 95 % intervals of the means."""
-    training = {TUNED: result.training_costs, CONSTANT: result.constant_training_costs}
+def costs(result: Result) -> dict[str, dict[str, Any]]:
+    """Costs of the tuned filter and of the one beside it, with 95 % intervals of the means.
+
+    By name; empty where the filter was not run on scenarios.
+    """
+    if (judged := result.on_scenarios) is None:
+        return {}
     found = {}
-    for key, name in (("tuned", TUNED), ("constant", CONSTANT)):
-        mean, *ends = result.evaluation.cost(name)
-        held_out = result.evaluation.contenders[name].metrics.cost
-        found[key] = {
-            "training_scenarios": len(training[name]),
-            "training_mean": float(np.mean(training[name])),
-            "held_out_scenarios": len(held_out),
+    for name, training in judged.training.items():
+        mean, *ends = judged.evaluation.cost(name)
+        contender = judged.evaluation.contenders[name]
+        found[name] = {
+            "numbers": contender.filter.numbers if name != TUNED else {},
+            "training_scenarios": len(training),
+            "training_mean": float(np.mean(training)),
+            "held_out_scenarios": len(contender.metrics.cost),
             "held_out_mean": mean,
             "held_out_interval": ends,
-            "held_out_worst": float(np.max(held_out)),
+            "held_out_worst": float(np.max(contender.metrics.cost)),
         }
     return found

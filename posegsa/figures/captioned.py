@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from posegsa.figures.style import styled
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,18 +26,31 @@ class ResultFigure:
     caption: str
     """How to read it."""
     plot: Callable[[Any], Figure | None]
-    """Draws the attribute of a `TuneResult` with the name of its argument; returns None if there is
-    nothing to show."""
+    """Draws the part of a `Result` with the name of its argument (`_parts`); returns None if there
+    is nothing to show."""
 
-    def draw(self, result: TuneResult) -> Figure | None:
-        """The figure of a result."""
+    def draw(self, result: Result) -> Figure | None:
+        """The figure of a result; None if it has nothing to show."""
         (shown,) = inspect.signature(self.plot).parameters
-        return self.plot(getattr(result, shown))
+        part = _parts(result).get(shown)
+        return None if part is None else self.plot(part)
 
     @property
     def alternative(self) -> str:
         """A description for readers who cannot see the figure."""
         return (self.plot.__doc__ or self.title).partition("\n")[0]
+
+
+def _parts(result: Result) -> dict[str, Any]:
+    """What figures show of a result, by the name of their argument."""
+    judged = result.on_scenarios
+    parts: dict[str, Any] = {"history": None if result.search is None else result.search.history}
+    if judged is not None:
+        parts |= {"evaluation": judged.evaluation, "trajectory": judged.trajectory}
+    if result.filter.kind == "fuzzy":
+        parts |= {"controller": result.controller}
+        parts |= {"trust": None if judged is None else judged.trust}
+    return parts
 
 
 def captioned(figures: list[ResultFigure], **words: str) -> Callable[[Plot], Plot]:

@@ -11,9 +11,11 @@ from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
     CONSTANT,
     CONTENDERS,
     EKF_VECTORS,
+    SMOOTH,
     SWITCH,
     TUNED,
     Evaluation,
@@ -31,9 +33,16 @@ ANGLE_SPREAD = 1.0
 
 _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
 """Colour and line style of each contender, the same in all figures."""
-_MARKERS = {TUNED: "o", CONSTANT: "s", SWITCH: "D", EKF_VECTORS: "P"}
+_MARKERS = {
+    TUNED: "o",
+    AS_CONFIGURED: "s",
+    CONSTANT: "s",
+    SWITCH: "D",
+    SMOOTH: "v",
+    EKF_VECTORS: "P",
+}
 """The contenders that are drawn as curves, with their markers; more would hide each other."""
-_BANDS = (TUNED, CONSTANT)
+_BANDS = (TUNED, CONSTANT, AS_CONFIGURED)
 """The contenders whose spread is drawn as a band; more would blend into one colour."""
 _APART = 10.0
 """The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
@@ -130,6 +139,8 @@ def plot_bands(evaluation: Evaluation) -> Figure:
         values = {name: np.asarray(getattr(band, field)) for name, band in bands.items()}
         for ax, part in zip(row, parts, strict=True):
             for name, band in values.items():
+                if not np.isfinite(band).any():  # the gain of a filter without one
+                    continue
                 look = _STYLES[name]
                 if name in _BANDS:
                     style.plot_band(ax, time[part], band[:, part], name, look)
@@ -192,7 +203,8 @@ def _metrics(evaluation: Evaluation, name: str) -> Metrics:
 
 def _drawn(evaluation: Evaluation) -> list[str]:
     """The contenders that are drawn as curves."""
-    return [name for name in _MARKERS if name in evaluation.contenders]
+    there = [name for name in _MARKERS if name in evaluation.contenders]
+    return [name for name in there if name != SMOOTH or CONSTANT not in there]
 
 
 def _name_rows(ax: Axes, names: list[str], notes: dict[str, str]) -> None:

@@ -10,7 +10,7 @@ import jax
 from posegsa.arguments import check_type
 from posegsa.figures import evaluation, schedule, search, trajectory
 from posegsa.figures.choice import chosen_figures
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ FIGURES = (*evaluation.FIGURES, *schedule.FIGURES, *trajectory.FIGURES, *search.
 NAMES = tuple(each.name for each in FIGURES)
 
 
-def draw(result: TuneResult, figures: Iterable[str] | None = None) -> dict[str, Figure]:
+def draw(result: Result, figures: Iterable[str] | None = None) -> dict[str, Figure]:
     """The figures of a result by name, without those that have nothing to show.
 
     Args:
@@ -29,7 +29,7 @@ def draw(result: TuneResult, figures: Iterable[str] | None = None) -> dict[str, 
     Raises:
         ArgumentError: The result has the wrong type, or there is no figure with such a name.
     """
-    check_type("result", result, TuneResult)
+    check_type("result", result, Result)
     names = chosen_figures(figures, NAMES)
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         drawn = {each.name: each.draw(result) for each in FIGURES if each.name in names}

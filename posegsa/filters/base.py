@@ -69,7 +69,9 @@ class Filter(Protocol):
     """A filter: a registered pytree (`jax.tree_util.register_dataclass`) with these functions."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same filter with some of its numbers replaced, by key (pure).
+        """The same filter with some of its numbers replaced, by name (pure).
+
+        The name is the key in a configuration without `filter.`: "gamma", or "gain.smoothing".
 
         Raises:
             ArgumentError: The filter has no number with this key.

@@ -57,7 +57,7 @@ and 634, with the sensors' true noise 188 and 629.
 """
 
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -74,6 +74,7 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
 from posegsa.model.se3 import (
+    Matrix3,
     Quaternion,
     Vec3,
     add,
@@ -260,20 +261,22 @@ def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanStat
         known = unrotate(R, seen.known)
         expected = known if bias is None else add(known, bias)
         variance = _variance(noise.vector, seen.factor)
-        for axis, per_theta in enumerate(_cross_rows(known)):
-            h: Row = per_theta | ({VECTORS + axis: 1.0} if learnt else {})
-            residual = seen.measured[axis] - expected[axis]
-            found = _by_scalar(found, h, residual, variance, seen.factor)
+        each: list[Row] = [
+            per_theta | ({VECTORS + axis: 1.0} if learnt else {})
+            for axis, per_theta in enumerate(_cross_rows(known))
+        ]
+        residual = subtract(seen.measured, expected)
+        found = _by_components(found, each, residual, variance, seen.factor)
         return _next_vector_first(found) if learnt else found, None
 
     def by_landmark(found: Found, landmark: LandmarkSample) -> tuple[Found, None]:
         expected = unrotate(R, subtract(landmark.inertial, estimate.place))
         variance = _variance(noise.landmark, landmark.factor)
-        for axis, per_theta in enumerate(_cross_rows(expected)):
-            h = per_theta | {3 + axis: -1.0}
-            residual = landmark.body[axis] - expected[axis]
-            found = _by_scalar(found, h, residual, variance, landmark.factor)
-        return found, None
+        each: list[Row] = [
+            per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
+        ]
+        residual = subtract(landmark.body, expected)
+        return _by_components(found, each, residual, variance, landmark.factor), None
 
     if vectors:
         biases = estimate.vector_biases if learnt else (None,) * len(vectors)
@@ -307,7 +310,7 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
         *(noise.linear_walk,) * 3,
         *(noise.vector_walk,) * (3 * len(estimate.vector_biases)),
     ]
-    moved = _congruent(state.covariance, _transition(omega, v, dt))
+    moved = _transported(state.covariance, omega, v, dt)
     covariance = tuple(
         (row[0] + dt * density * density, *row[1:])
         for row, density in zip(moved, densities, strict=True)
@@ -362,34 +365,53 @@ class Found(NamedTuple):
     """x, the estimated errors of all states; applied to the estimate after the last measurement."""
 
 
-def _by_scalar(found: Found, h: Row, residual: Array, variance: Array, factor: Array) -> Found:
-    """Covariance and correction x of the states after a measurement h x = residual + noise.
+def _by_components(
+    found: Found, each: Sequence[Row], residual: Vec3, variance: Array, factor: Array
+) -> Found:
+    """Covariance and correction x of the states after a sensor's scalars h x = residual + noise.
 
-    The outer product of one vector with itself is subtracted, so the covariance stays symmetric.
+    Each scalar is a measurement of its own, after those before it. What these took off the
+    covariance is taken off the next one's gain; off the covariance itself only once, for all
+    together, so that its many numbers are read and written once a sensor. Outer products of one
+    vector with itself are subtracted, so the covariance stays symmetric.
 
     Args:
-        found: the result before it.
-        h: derivatives of the measurement.
+        found: before it.
+        each: the derivatives h of each scalar.
         residual: measured minus predicted with x = 0.
-        variance: variance of the noise.
-        factor: 0 if the measurement is missing.
+        variance: of each component's noise.
+        factor: 0 where the measurement is missing.
     """
     covariance, correction = found
     every = range(len(covariance))
-    # Sigma h^T: the Kalman gain times `total`.
-    gain = [_product(h, lambda j, i=i: _entry(covariance, i, j)) for i in every]
-    own = _product(h, gain.__getitem__)
-    smallest = SMALLEST_CUT * float(jnp.finfo(own.dtype).eps)
-    total = own + maximum(variance, smallest * own)
-    used = (factor > 0) & (total > 0)
-    per_total = choose(used, 1 / choose(used, total, 1.0), 0.0)
-    surprise = per_total * (residual - _product(h, correction.__getitem__))
-    part = [per_total * g for g in gain]
-    cut = tuple(
-        tuple(entry - part[i] * gain[j] for j, entry in enumerate(row, start=i))
+    gains: list[list[Array]] = []
+    parts: list[list[Array]] = []
+    for h, off in zip(each, residual, strict=True):
+        # Sigma h^T: the Kalman gain times `total`.
+        gain = [_product(h, lambda j, i=i, h=h: _entry(covariance, i, j)) for i in every]
+        for earlier, part in zip(gains, parts, strict=True):
+            taken = _product(h, part.__getitem__)
+            gain = [g - taken * e for g, e in zip(gain, earlier, strict=True)]
+        own = _product(h, gain.__getitem__)
+        smallest = SMALLEST_CUT * float(jnp.finfo(own.dtype).eps)
+        total = own + maximum(variance, smallest * own)
+        used = (factor > 0) & (total > 0)
+        per_total = choose(used, 1 / choose(used, total, 1.0), 0.0)
+        surprise = per_total * (off - _product(h, correction.__getitem__))
+        correction = tuple(x + surprise * g for x, g in zip(correction, gain, strict=True))
+        gains.append(gain)
+        parts.append([per_total * g for g in gain])
+
+    def cut(entry: Array, i: int, j: int) -> Array:
+        for part, gain in zip(parts, gains, strict=True):
+            entry = entry - part[i] * gain[j]
+        return entry
+
+    covariance = tuple(
+        tuple(cut(entry, i, j) for j, entry in enumerate(row, start=i))
         for i, row in enumerate(covariance)
     )
-    return Found(cut, tuple(x + surprise * g for x, g in zip(correction, gain, strict=True)))
+    return Found(covariance, correction)
 
 
 def _next_vector_first(found: Found) -> Found:
@@ -408,39 +430,48 @@ def _next_vector_first(found: Found) -> Found:
     return Found(covariance, tuple(found.correction[i] for i in order))
 
 
-def _congruent(covariance: Covariance, F: dict[int, Row]) -> Covariance:
-    """F Sigma F^T, where F is the identity except for the given rows."""
-    every = range(len(covariance))
+def _transported(covariance: Covariance, omega: Vec3, v: Vec3, dt: Array) -> Covariance:
+    """The covariance after xi <- A xi - 1/2 (I + A) dt b, with A = Ad(exp(-[omega; v]^)) (rad, m).
 
-    def of_left(i: int, j: int) -> Array:
-        return (
-            _product(F[i], lambda k: _entry(covariance, k, j))
-            if i in F
-            else (_entry(covariance, i, j))
-        )
+    In three steps, which take half the products of one: xi <- xi - dt/2 b, A xi, xi - dt/2 b.
+    """
+    zero, one = jnp.zeros_like(dt), jnp.ones_like(dt)
+    q, P = move((one, zero, zero, zero), (zero, zero, zero), omega, v)
+    R, every, half = rows(q), range(len(covariance)), 0.5 * dt
+    before = _less_bias(covariance, half)
+    left = [_adjoint(R, P, [_entry(before, i, j) for i in range(ANGULAR)]) for j in every]
+    pose = [_adjoint(R, P, [left[j][i] for j in range(ANGULAR)]) for i in range(ANGULAR)]
+    after = tuple(
+        tuple(pose[i][j] if j < ANGULAR else left[j][i] for j in every[i:])
+        if i < ANGULAR
+        else before[i]
+        for i in every
+    )
+    return _less_bias(after, half)
 
-    left = [[of_left(i, j) for j in every] for i in every]
+
+def _less_bias(covariance: Covariance, factor: Array) -> Covariance:
+    """The covariance after xi <- xi - factor b."""
+    every, pose = range(len(covariance)), range(ANGULAR)
+    beside = [
+        [_entry(covariance, i, j) - factor * _entry(covariance, ANGULAR + i, j) for j in every]
+        for i in pose
+    ]  # the biases' columns are final, those of xi lack their own share
     return tuple(
-        tuple(_product(F[j], left[i].__getitem__) if j in F else left[i][j] for j in every[i:])
+        tuple(
+            beside[i][j] - factor * beside[i][ANGULAR + j] if j < ANGULAR else beside[i][j]
+            for j in every[i:]
+        )
+        if i < ANGULAR
+        else covariance[i]
         for i in every
     )
 
 
-def _transition(omega: Vec3, v: Vec3, dt: Array) -> dict[int, Row]:
-    """The rows of xi, [A, -1/2 (I + A) dt] with A = Ad(exp(-[omega; v]^)) (rad, m)."""
-    zero, one = jnp.zeros_like(dt), jnp.ones_like(dt)
-    q, P = move((one, zero, zero, zero), (zero, zero, zero), omega, v)
-    columns = tuple(zip(*rows(q), strict=True))  # rows of R^T
-    half = 0.5 * dt
-    F: dict[int, Row] = {i: {} for i in range(6)}
-    for i in range(3):
-        e: Vec3 = (columns[i][0], columns[i][1], columns[i][2])
-        below = cross(P, e)  # of -R^T [P]x
-        for k in range(3):
-            mean = half * e[k] + half if k == i else half * e[k]
-            F[i] |= {k: e[k], ANGULAR + k: -mean}
-            F[3 + i] |= {k: below[k], 3 + k: e[k], ANGULAR + k: -half * below[k], LINEAR + k: -mean}
-    return F
+def _adjoint(R: Matrix3, P: Vec3, xi: Sequence[Array]) -> tuple[Array, ...]:
+    """[R^T theta; R^T (rho - P x theta)] of xi = [theta; rho], the inverse adjoint of (R, P)."""
+    theta, rho = (xi[0], xi[1], xi[2]), (xi[3], xi[4], xi[5])
+    return unrotate(R, theta) + unrotate(R, subtract(rho, cross(P, theta)))
 
 
 def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:

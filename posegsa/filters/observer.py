@@ -75,8 +75,8 @@ of either sign. That the pose and all biases converge without noise is shown by 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Self
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, Literal, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -474,15 +474,20 @@ class Observer:
     """Settings of the error signal, the input of the schedule."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same observer with some numbers replaced, by their keys in a configuration.
+        """The same with some numbers replaced, by their keys in a configuration without `filter.`.
+
+        A number of the schedule goes by the name of its field.
 
         Raises:
             ArgumentError: The observer has no number with this key.
         """
-        settings, signal = self.settings, self.signal
+        settings, signal, schedule = self.settings, self.signal, self.schedule
         for key, value in values.items():
-            settings, signal = _with_value(settings, signal, key, value)
-        return replace(self, settings=settings, signal=signal)
+            if is_dataclass(schedule) and key in (each.name for each in fields(schedule)):
+                schedule = replace(cast(Any, schedule), **{key: value})
+            else:
+                settings, signal = _with_value(settings, signal, key, value)
+        return replace(self, schedule=schedule, settings=settings, signal=signal)
 
     def prepare(self, measurements: Measurements) -> Sample:
         """Landmarks, and vectors normalised, crossed and summed as the settings say.
@@ -539,21 +544,21 @@ def _with_value(
     match key.split("."):
         case ["gain", "position_weight" | "smoothing" | "error_scale" | "rate_scale" as name]:
             return settings, replace(signal, **{name: value})
-        case ["filter", "gamma"]:
+        case ["gamma"]:
             return replace(settings, gamma_angular=value, gamma_linear=value), signal
-        case ["filter", "gamma", "0"]:
+        case ["gamma", "0"]:
             return replace(settings, gamma_angular=value), signal
-        case ["filter", "gamma", "1"]:
+        case ["gamma", "1"]:
             return replace(settings, gamma_linear=value), signal
-        case ["filter", "bias_bound", "0"]:
+        case ["bias_bound", "0"]:
             return replace(settings, per_angular_bias_bound=1 / value**2), signal
-        case ["filter", "bias_bound", "1"]:
+        case ["bias_bound", "1"]:
             return replace(settings, per_linear_bias_bound=1 / value**2), signal
-        case ["filter", "length"]:
+        case ["length"]:
             return replace(settings, length=value), signal
-        case ["filter", "gain_limit"]:
+        case ["gain_limit"]:
             return replace(settings, gain_limit=value), signal
-        case ["filter", "cross_vector_weight"]:
+        case ["cross_vector_weight"]:
             return replace(settings, vectors=replace(settings.vectors, cross_weight=value)), signal
         case ["scenario", "vectors", index, "weight"]:
             weights = _with_weight(key, settings.vectors.weights, index, value)
@@ -561,13 +566,13 @@ def _with_value(
         case ["scenario", "landmarks", index, "weight"]:
             weights = _with_weight(key, settings.landmark_weights, index, value)
             return replace(settings, landmark_weights=weights), signal
-        case ["filter", name] if settings.vector_bias is not None and name in _OF_VECTOR_BIAS:
+        case [name] if settings.vector_bias is not None and name in _OF_VECTOR_BIAS:
             number, made = _OF_VECTOR_BIAS[name]
             learning = replace(settings.vector_bias, **{number: made(value)})
             return replace(settings, vector_bias=learning), signal
     refuse(
         f"{key}: not a number of this filter",
-        "a key of [filter] or [gain] that can be tuned, or a weight",
+        "a key of [filter] without `filter.`, or of [gain], that can be tuned, or a weight",
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from posegsa import config
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.metrics import POSITION_WORDS, error_tracks
-from posegsa.search.build import scenario, scenario_batch
+from posegsa.search.build import TuningProblem, filter_of, scenario, scenario_batch
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys
 from posegsa.settings.arrays import Numbers
@@ -33,26 +33,26 @@ class Endurance(NamedTuple):
     """Its position error as in the cost, |P_est - R_err P| [m]."""
     distance: PerWindow
     """Distance of its position from the true one, |P_est - P| [m]."""
-    constant_attitude: PerWindow
-    """The same errors with the best constant gain [deg]."""
-    constant_position: PerWindow
+    other_attitude: PerWindow
+    """The same errors of the filter beside it [deg]."""
+    other_position: PerWindow
     """[m]"""
-    constant_distance: PerWindow
+    other_distance: PerWindow
     """[m]"""
 
     def rows(self) -> list[tuple[float, ...]]:
         """The windows one by one, in the order of the fields."""
         return list(zip(*(each.tolist() for each in self), strict=True))
 
-    def table(self, constant: str, scenarios: int) -> str:
+    def table(self, other: str, scenarios: int) -> str:
         """The windows as text.
 
         Args:
-            constant: Name of the other filter.
+            other: Name of the other filter.
             scenarios: Number of scenarios.
         """
         heads = ["attitude", "P_err", "distance"]
-        rows = [["RMS error", "tuned", "", "", constant, "", ""], ["", *heads, *heads]]
+        rows = [["RMS error", "tuned", "", "", other, "", ""], ["", *heads, *heads]]
         for begin, end, *errors in self.rows():
             both = errors[:3], errors[3:]
             rows.append(
@@ -76,9 +76,9 @@ class Endurance(NamedTuple):
         """Errors and windows after the first in which the tuned filter is worse, as text."""
         found = []
         for name, own, other in (
-            ("attitude", self.attitude, self.constant_attitude),
-            ("P_err", self.position, self.constant_position),
-            ("distance", self.distance, self.constant_distance),
+            ("attitude", self.attitude, self.other_attitude),
+            ("P_err", self.position, self.other_position),
+            ("distance", self.distance, self.other_distance),
         ):
             # `not <=` instead of `>`: NaN counts as worse.
             windows = [i for i in range(1, len(own)) if not own[i] <= other[i]]
@@ -86,11 +86,12 @@ class Endurance(NamedTuple):
         return found
 
 
-def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candidate) -> Endurance:
-    """Run both filters on unseen scenarios `run.endurance_times` as long as the experiment's.
+def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> Endurance:
+    """Run two candidates on unseen scenarios `run.endurance_times` as long as the experiment's.
 
     The windows double in length: with scenarios of 15 s, 0 to 15, 15 to 30, 30 to 60, 60 to 120 s.
     """
+    experiment = problem.experiment
     run, duration = experiment.run, experiment.scenario.duration
     last = min(run.endurance_times * duration, MAX_SAMPLES * experiment.scenario.sampling_time)
     edges = [0.0, duration]
@@ -101,7 +102,8 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # the experiment has warned already
         one = scenario(longer)
-    batch = scenario_batch(longer, one, endurance_keys(run.seed, run.endurance_scenarios))
+    unseen = endurance_keys(run.seed, run.endurance_scenarios)
+    batch = scenario_batch(longer, one, unseen, filter_of(longer, problem.own))
     # Shifted by half a sample, so that rounding puts no sample into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
 
@@ -123,5 +125,5 @@ def endurance(experiment: config.Experiment, tuned: Candidate, constant: Candida
             for name, error in each.items()
         }
 
-    others = {f"constant_{name}": error for name, error in errors(constant).items()}
+    others = {f"other_{name}": error for name, error in errors(other).items()}
     return Endurance(begin=np.array(edges[:-1]), end=np.array(edges[1:]), **errors(tuned), **others)

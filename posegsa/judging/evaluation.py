@@ -1,36 +1,44 @@
 """Comparison of filters on held-out scenarios."""
 
 import math
-import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
 from posegsa.arguments import MAX_INTEGER
-from posegsa.config import PARAMETERS
-from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.rollout import ErrorTrack
+from posegsa.judging.description import Description, StoredFilter
 from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
-from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
-from posegsa.settings.fields import Number
 from posegsa.words import counted, text_table
 
-CONTENDERS = TUNED, CONSTANT, SWITCH, REPLAYED, RANDOM, SMOOTH, OPEN_LOOP, EKF, EKF_VECTORS = (
-    "tuned fuzzy gain",
+CONTENDERS = (
+    TUNED,
+    CONSTANT,
+    SWITCH,
+    REPLAYED,
+    RANDOM,
+    SMOOTH,
+    OPEN_LOOP,
+    EKF,
+    EKF_VECTORS,
+    AS_CONFIGURED,
+) = (
+    "tuned filter",
     "best constant gains",
     "best time switch",
     "tuned gains replayed",
-    "fuzzy gain, random search",
+    "random search",
     "smooth gain K(e)",
     "best open-loop gains",
     "invariant EKF",
     "invariant EKF, vector biases",
+    "as configured",
 )
 """Names of the filters that can be compared, in the order of the tables."""
 BAND_POINTS = 300
@@ -50,55 +58,6 @@ class Interval(NamedTuple):
     def ends(self) -> tuple[float, ...]:
         """Both ends; a single NaN if there is no interval."""
         return (math.nan,) if math.isnan(self.low) else (self.low, self.high)
-
-
-Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "Kalman"]
-SCHEDULES: dict[Kind, type] = {
-    "constant": ConstantGain,
-    "switch": SwitchGain,
-    "smooth": SmoothGain,
-    "open loop": KnotGain,
-}
-"""Types of the schedules without a controller, by the kind of their `Description`."""
-
-
-class Description(NamedTuple):
-    """A filter as it is stored: its kind and its numbers."""
-
-    kind: Kind
-    numbers: dict[str, list[Number]]
-    """Numbers of the schedule, or noises of a Kalman filter, by name; a scalar is a list of one."""
-    also: dict[str, Number]
-    """Other tuned numbers of the filter and its signal, by key."""
-    evaluations: Annotated[int, Field(ge=0)]
-    """Evaluations of the search that found it; 0 without a search."""
-
-
-def _fits_its_kind(found: Description) -> Description:
-    """Check that a description has the numbers of its kind, and return it."""
-    lengths = {name: len(values) for name, values in found.numbers.items()}
-    match found.kind:
-        case "fuzzy":
-            # `candidate_of` checks the rule table: only it knows whether the table was searched.
-            own = {name: length for name, length in lengths.items() if name != "rules"}
-            fits, allowed = own == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
-        case "open loop":
-            time = found.numbers.get("time", [])
-            same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))
-            fits, allowed = same and bool(np.all(np.diff(time) > 0)), "ascending time, and log_gain"
-        case "Kalman":
-            fits = bool(lengths) and lengths.keys() <= set(KalmanNoise._fields)
-            fits, allowed = fits and set(lengths.values()) == {1}, "noises, one number each"
-        case kind:
-            names = [field.name for field in fields(SCHEDULES[kind])]
-            fits, allowed = lengths == dict.fromkeys(names, 1), f"{', '.join(names)}, one each"
-    if not fits:
-        raise ValueError(f"its numbers are {reprlib.repr(lengths)} by length; allowed: {allowed}")
-    return found
-
-
-StoredFilter = Annotated[Description, AfterValidator(_fits_its_kind)]
-"""A description with the numbers of its kind."""
 
 
 class Contender(NamedTuple):
@@ -121,6 +80,11 @@ class Summary(NamedTuple):
     """Share of scenarios on which the filter diverged."""
     tuned_minus_this: Interval | None
     """Mean paired difference; below 0 the tuned filter is better. None for the tuned filter."""
+
+
+def called(name: str) -> str:
+    """A contender's name within a sentence."""
+    return "the filter as configured" if name == AS_CONFIGURED else f"the {name}"
 
 
 def _contender_name(name: str) -> str:
@@ -221,6 +185,12 @@ class Evaluation:
         which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
         title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
+        waited = self.contenders[TUNED].metrics.waited
+        if np.any(waited > 0):
+            parts.append(
+                f"The sensors fixed a pose to start from after {np.median(waited):.3g} s (median), "
+                f"{np.max(waited):.3g} s at most; before that nothing counts."
+            )
         return "\n\n".join(parts)
 
 

@@ -1,81 +1,196 @@
-"""Turn what a search found into a result: judge it on held-out scenarios and check it."""
+"""Turn what a search found into a result: judge it on what it has not seen, and check it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from posegsa import steps
+from posegsa.config import ObserverConfig
 from posegsa.judging import trust
-from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, describe, search_baseline
+from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
+from posegsa.judging.description import describe
 from posegsa.judging.endurance import endurance
-from posegsa.judging.evaluation import CONSTANT, TUNED, contender, evaluation
+from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
+    CONSTANT,
+    SMOOTH,
+    TUNED,
+    contender,
+    evaluation,
+)
+from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
-from posegsa.judging.result import TuneResult
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, SimulatedScore, score
+from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import trajectory_on
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
-from posegsa.search.population import cost_name
+from posegsa.search.candidates import Candidate
+from posegsa.search.population import cost_name, costs_by_scenario
 from posegsa.search.run import Found
 from posegsa.version import VERSION
 
-_PARTS = ("best constant gains", "unseen scenarios", "one run", "long after", "trust")
+_PARTS = ("the filter beside it", "unseen scenarios", "one run", "long after", "trust")
 
 
-def judge(problem: TuningProblem, found: Found) -> TuneResult:
-    """Judge the best candidate of a search, and the best constant gain beside it."""
-    experiment, search, space = problem.experiment, found.search, problem.space
-    tuned = space.candidate(search.best_position)
-    _begin("best constant gains")
-    # The gain alone is found on a grid. With further tuned numbers it needs a search of its own.
-    constant = search_baseline(problem, "constant") if tuned.keys else best_constant(problem)
-    candidates = {TUNED: tuned, CONSTANT: constant}
-    evaluations = experiment.search.evaluations
-    spent = {TUNED: evaluations, CONSTANT: evaluations if tuned.keys else CONSTANT_GAINS}
-    descriptions = {
-        name: describe(each, space.schedules, spent[name]) for name, each in candidates.items()
-    }
+class Recorded(NamedTuple):
+    """Recordings to tune and to judge on."""
 
+    training: Sequence[Recording]
+    held_out: Sequence[Recording]
+    position_weight: float
+    """Of the position's RMSE in the cost [deg/m]."""
+
+
+def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None) -> Result:
+    """Judge the best candidate of a search.
+
+    Args:
+        problem: What was searched.
+        found: What the search found.
+        recorded: The recordings that it was tuned on, if it was, and those held out.
+    """
+    search = found.search
+    tuned = problem.space.candidate(search.best_position)
+    if recorded is None:
+        tuned_on, own_cost, weight = "scenarios", cost_name(problem.cost), 0.0
+    else:
+        beside = problem.beside is not None
+        tuned_on = "recordings and scenarios" if beside else "recordings"
+        own_cost, weight = cost_name(None), recorded.position_weight
+    result = Result(
+        experiment=problem.experiment,
+        filter=describe(tuned, problem.experiment, problem.experiment.search.evaluations),
+        search=FoundBy(
+            tuned_on=tuned_on,
+            cost=own_cost,
+            position_weight=weight,
+            best_cost=float(search.best_cost),
+            non_finite=int(search.non_finite),
+            compile_seconds=found.compile_seconds,
+            search_seconds=found.search_seconds,
+            history=jax.tree.map(_stored, search.history),
+        ),
+        on_scenarios=on_scenarios(problem, tuned) if recorded is None else None,
+        environment=environment(),
+        version=VERSION,
+        own=problem.own,
+    )
+    if recorded is None:
+        return result
+    simulated = None if problem.beside is None else _on_simulated(problem, tuned)
+    return on_recordings(result, recorded.training, recorded.held_out, simulated)
+
+
+def _stored(column: jax.Array) -> np.ndarray:
+    """A column of a history as it is stored: in double precision."""
+    a = np.asarray(column)
+    return a.astype(np.float64) if a.dtype.kind == "f" else a.astype(np.int64)
+
+
+def on_scenarios(problem: TuningProblem, tuned: Candidate) -> OnScenarios:
+    """What a candidate is worth on drawn scenarios, beside the filter that always stands there."""
+    experiment, scenarios = problem.experiment, problem.simulated
+    _begin("the filter beside it")
+    name, other, evaluations = _beside(problem, tuned)
+    candidates = {TUNED: tuned, name: other}
+    spent = {TUNED: experiment.search.evaluations, name: evaluations}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
     count = experiment.run.training_scenarios
-    tracks = {name: error_tracks(each, problem.scenarios) for name, each in candidates.items()}
+    tracks = {name: error_tracks(each, scenarios) for name, each in candidates.items()}
     training = {
         name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
         for name, each in tracks.items()
     }
     contenders = {
         name: contender(
-            each.select(slice(count, None)), problem.held_out, descriptions[name], problem.cost
+            each.select(slice(count, None)),
+            problem.held_out,
+            describe(candidates[name], experiment, spent[name]),
+            problem.cost,
         )
         for name, each in tracks.items()
     }
     _begin("one run")
-    trajectory = trajectory_on(tuned, problem.scenarios, count)  # the first held-out one
+    trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out one
     _begin("long after")
-    long_after = endurance(experiment, tuned, constant)
+    long_after = endurance(problem, tuned, other)
     _begin("trust")
-    trusted = trust.check(problem, tuned, tracks[TUNED], trajectory)
-    return TuneResult(
-        experiment=experiment,
-        cost=cost_name(problem.cost),
-        best_cost=float(search.best_cost),
-        parameters=np.array(descriptions[TUNED].numbers["k"]),
-        also=descriptions[TUNED].also,
-        training_costs=training[TUNED],
-        constant_gain=descriptions[CONSTANT].numbers["gain"][0],
-        constant_training_costs=training[CONSTANT],
+    return OnScenarios(
+        training=training,
         evaluation=evaluation(contenders, problem.held_out),
         endurance=long_after,
-        trust=trusted,
-        evaluations=evaluations,
-        non_finite=int(search.non_finite),
-        compile_seconds=found.compile_seconds,
-        search_seconds=found.search_seconds,
-        history=jax.tree.map(np.asarray, search.history),
+        trust=trust.check(problem, tuned, tracks[TUNED], trajectory),
         trajectory=trajectory,
-        environment=environment(),
-        version=VERSION,
     )
+
+
+def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, int]:
+    """The filter that always stands beside a tuned one: name, candidate, evaluations.
+
+    Beside a gain schedule that are the best constant gains, beside a constant gain the best smooth
+    one, and beside another filter itself with the numbers of its configuration.
+    """
+    section, evaluations = problem.experiment.filter, problem.experiment.search.evaluations
+    if not isinstance(section, ObserverConfig):
+        return AS_CONFIGURED, Candidate(), 0
+    if section.schedule == "constant":
+        return SMOOTH, search_baseline(problem, "smooth"), evaluations
+    if tuned.keys:
+        return CONSTANT, search_baseline(problem, "constant"), evaluations
+    # The gain alone is found on a grid. With further tuned numbers it needs a search of its own.
+    return CONSTANT, best_constant(problem), CONSTANT_GAINS
 
 
 def _begin(part: str) -> None:
     steps.begin("judging", _PARTS.index(part), len(_PARTS), part)
+
+
+def on_recordings(
+    result: Result,
+    training: Sequence[Recording],
+    held_out: Sequence[Recording],
+    simulated: SimulatedScore | None = None,
+) -> Result:
+    """A result, with its filter judged on recordings.
+
+    Args:
+        result: The tuned filter.
+        training: Recordings that it was tuned on; the filter knows their sensors.
+        held_out: Recordings that only judge; of a filter that was not searched, it knows theirs.
+        simulated: Its costs on simulated scenarios that were tuned on beside recordings.
+    """
+    scores: tuple[list[RecordingScore], list[RecordingScore]] = ([], [])
+    both = ((scores[0], training), (scores[1], held_out))
+    pairs = [(to, one) for to, recordings in both for one in recordings]
+    for to, one in steps.each("judging", pairs, lambda pair: pair[1].name):
+        to.append(own_score(result, one))
+    judged = OnRecordings(
+        training=scores[0],
+        held_out=scores[1],
+        simulated=simulated,
+        sensors=of_recordings(held_out if result.search is None else training),
+    )
+    return replace(result, on_recordings=judged)
+
+
+def own_score(result: Result, recording: Recording) -> RecordingScore:
+    """A result's filter on one recording; what its gain limit cuts is in the score."""
+    with jax.enable_x64(result.experiment.run.dtype == "float64"):
+        start = state_of(recording.initial())
+        return score(recording, run_filter(result.filter_on(recording), recording, start))
+
+
+def _on_simulated(problem: TuningProblem, tuned: Candidate) -> SimulatedScore:
+    """The cost on each simulated scenario of a problem that was tuned on recordings too."""
+    agent = jax.tree.map(lambda a: a[None], tuned)
+    costs = np.asarray(costs_by_scenario(agent, problem.simulated)[:, 0], np.float64).tolist()
+    count = problem.experiment.run.training_scenarios
+    return SimulatedScore(costs[:count], costs[count:])

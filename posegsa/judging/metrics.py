@@ -60,6 +60,8 @@ class Metrics(NamedTuple):
     """True if the cost is not finite, or mean errors over the last second exceed DIVERGED_..."""
     initial_angle: PerScenario
     """Attitude error at the start [deg]."""
+    waited: PerScenario
+    """Time before the start [s], until the sensors had fixed a pose; 0 from a given one."""
 
 
 class Bands(NamedTuple):
@@ -109,7 +111,8 @@ def metrics_of(
     angle = np.degrees(2 * np.arcsin(np.sqrt(attitude)))
     error = attitude + float(batch.weights.position) * position
     end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
-    counts = np.broadcast_to(time < end, error.shape)
+    begin = np.zeros(len(error)) if batch.begin is None else np.asarray(batch.begin, np.float64)
+    counts = (time >= begin[:, None]) & (time < end)
     transient, steady = (
         np.sum(np.asarray(weight, np.float64) * np.where(counts, error, 0), axis=1)
         for weight in (batch.weights.transient, batch.weights.steady)
@@ -135,7 +138,8 @@ def metrics_of(
         bias_angular=np.linalg.norm(bias_error[:, :3], axis=1),
         bias_linear=np.linalg.norm(bias_error[:, 3:], axis=1),
         diverged=lost | ~finite,
-        initial_angle=angle[:, 0],
+        initial_angle=angle[:, 0] if batch.begin is None else _at(angle, time, begin),
+        waited=begin,
     )
 
     def band(values: np.ndarray) -> np.ndarray:
@@ -144,6 +148,12 @@ def metrics_of(
         return np.quantile(values[finite], QUANTILES, axis=0)
 
     return metrics, Bands(attitude=band(angle), position=band(position), gain=band(gain))
+
+
+def _at(values: np.ndarray, time: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """Values (S, N) at times (S,) [s]."""
+    index = np.minimum(np.searchsorted(time, begin), len(time) - 1)
+    return values[np.arange(len(values)), index]
 
 
 def _mean(values: np.ndarray, where: np.ndarray) -> np.ndarray:

@@ -7,24 +7,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
+import numpy as np
 
-from posegsa import steps
-from posegsa.judging.evaluation import CONSTANT, EKF, Description
-from posegsa.judging.kalman import tune_kalman
+from posegsa import config, steps
+from posegsa.judging.baselines import baselines
+from posegsa.judging.description import Description, describe, described_filter
+from posegsa.judging.evaluation import CONSTANT, EKF
+from posegsa.judging.judge import own_score
+from posegsa.judging.kalman import kalman_experiment, tune_kalman
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score
 from posegsa.judging.other_filters import OTHER_FILTERS, other_filter, readable
-from posegsa.judging.recorded import (
-    RecordingResult,
-    RecordingScore,
-    judge_on_recordings,
-    score,
-    tuned_on_scenarios,
-)
-from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
-from posegsa.search.build import scenario
+from posegsa.recordings.running import run_filter
+from posegsa.search.build import tuning_problem
 from posegsa.search.population import TrackCost
-from posegsa.search.recorded import recorded_problem
+from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
 from posegsa.search.run import run_search, tell_share
 
 Scores = dict[str, list[RecordingScore]]
@@ -32,66 +30,98 @@ Scores = dict[str, list[RecordingScore]]
 
 
 def judged_beside_baselines(
-    result: RecordingResult,
+    result: Result,
     recordings: Sequence[Recording],
     training: Sequence[Recording],
     others: Sequence[str],
-) -> RecordingResult:
+    cost: TrackCost | None = None,
+) -> Result:
     """Judge a result and its baselines on the same recordings.
 
     Args:
         result: The filter to judge.
         recordings: Recordings to judge it on.
-        training: Recordings that constant gains and the Kalman filter are tuned on; if empty, both
-            are left out.
+        training: Recordings to tune constant gains and the Kalman filter on. If empty, they are
+            tuned on the scenarios of a result that was tuned on scenarios, else left out.
         others: Names of the `OTHER_FILTERS` to run.
+        cost: The user's own cost, if the result was tuned with one.
     """
+    before = result.on_recordings
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        own = _scores(result, recordings)
-        baselines: Scores = {}
+        own = [own_score(result, one) for one in recordings]
         if training:
-            if result.filter.kind != "constant":
-                steps.begin("searching", about=CONSTANT)
-                baselines[CONSTANT] = _constant(result, recordings, training)
-            steps.begin("searching", about=EKF)
-            noises = tune_recorded_kalman(result.experiment, training, result.position_weight)
-            baselines[EKF] = _kalman_scores(noises, result, recordings)
+            baselines = _tuned_on(result, recordings, training)
+        elif result.on_scenarios is not None and before is None:
+            baselines = _tuned_on_scenarios(result, recordings, cost)
+        else:
+            baselines = {}
         baselines |= _other_scores(others, recordings)
-    return replace(result, held_out=own, baselines=baselines)
+    judged = before or OnRecordings(training=[], held_out=[])
+    judged = replace(judged, held_out=own, baselines=baselines)
+    return replace(result, on_recordings=judged)
 
 
-def run_beside_baselines(
-    run: TuneResult,
-    recordings: Sequence[Recording],
-    others: Sequence[str],
-    cost: TrackCost | None = None,
-) -> RecordingResult:
-    """Judge the filter of a run on recordings, with baselines tuned on the run's scenarios.
-
-    Args:
-        run: The run whose tuned filter and best constant gains are judged.
-        recordings: Recordings to judge them on.
-        others: Names of the `OTHER_FILTERS` to run.
-        cost: The user's own cost, if the run was tuned with one.
-    """
-    experiment = run.experiment
-    with jax.enable_x64(experiment.run.dtype == "float64"):
-        known = {name: each.filter for name, each in run.evaluation.contenders.items()}
-        result, constant = tuned_on_scenarios(run), tuned_on_scenarios(run, known[CONSTANT])
-        own = _scores(result, recordings)
-        baselines: Scores = {CONSTANT: _scores(constant, recordings)}
-        if EKF not in known:
-            steps.begin("searching", about=EKF)
-            known[EKF] = tune_kalman(
-                experiment, scenario(experiment), vector_biases=False, cost=cost
-            )
-        baselines[EKF] = _kalman_scores(known[EKF], result, recordings)
-        baselines |= _other_scores(others, recordings)
-    return replace(result, held_out=own, baselines=baselines)
+def _tuned_on(
+    result: Result, recordings: Sequence[Recording], training: Sequence[Recording]
+) -> Scores:
+    """Scores of constant gains and of a Kalman filter, both tuned on recordings."""
+    own, found = result.experiment, {}
+    weight = DEGREES_PER_METRE if result.search is None else result.search.position_weight
+    weight = weight or DEGREES_PER_METRE
+    if result.filter.kind != "constant":
+        steps.begin("searching", about=CONSTANT)
+        constant = config.override(_observer_on_recordings(own), ["filter.schedule=constant"])
+        problem = recorded_problem(constant, training, weight, strict=False)
+        candidate = problem.space.candidate(run_search(problem, tell_share).search.best_position)
+        description = describe(candidate, problem.experiment, constant.search.evaluations)
+        found[CONSTANT] = _scores(description, problem.experiment, recordings)
+    steps.begin("searching", about=EKF)
+    kalman = kalman_experiment(own, vector_biases=False)
+    kalman = kalman.replace(**{"objective.simulated_share": 0.0})
+    problem = recorded_problem(kalman, training, weight, strict=False)
+    found[EKF] = _scores(tune_kalman(problem), problem.experiment, recordings)
+    return found
 
 
-def _scores(result: RecordingResult, recordings: Sequence[Recording]) -> list[RecordingScore]:
-    return [score(one, result.estimate(one)) for one in recordings]
+def _observer_on_recordings(experiment: config.Experiment) -> config.Experiment:
+    """The experiment with an observer: its own, or that of `landmarks` for another filter."""
+    if experiment.filter.kind == "observer":
+        return experiment
+    observer = config.load("landmarks")
+    names = ("run", "scenario", "objective", "search")
+    return observer.model_copy(update={name: getattr(experiment, name) for name in names})
+
+
+def _tuned_on_scenarios(
+    result: Result, recordings: Sequence[Recording], cost: TrackCost | None
+) -> Scores:
+    """Scores of constant gains and of a Kalman filter, both tuned on a result's scenarios."""
+    assert result.on_scenarios is not None
+    contenders = result.on_scenarios.evaluation.contenders
+    known = {name: each.filter for name, each in contenders.items()}
+    problem = tuning_problem(result.experiment, cost, result.own)
+    possible, found = baselines(problem, result.filter), {}
+    for name in (CONSTANT, EKF):
+        if name not in possible:
+            continue
+        if name not in known:
+            steps.begin("searching", about=name)
+            known[name] = possible[name].search()
+        found[name] = _scores(known[name], possible[name].experiment, recordings)
+    return found
+
+
+def _scores(
+    found: Description, experiment: config.Experiment, recordings: Sequence[Recording]
+) -> list[RecordingScore]:
+    """What a filter of an experiment is worth on recordings."""
+    scores = []
+    for one in recordings:
+        m = one.measurements
+        sensors = np.shape(m.vectors)[1], np.shape(m.landmarks)[1]
+        filter = described_filter(found, experiment, None, sensors)
+        scores.append(score(one, run_filter(filter, one)))
+    return scores
 
 
 def _other_scores(names: Sequence[str], recordings: Sequence[Recording]) -> Scores:
@@ -105,21 +135,3 @@ def _other_scores(names: Sequence[str], recordings: Sequence[Recording]) -> Scor
 def others_for(recordings: Sequence[Recording]) -> list[str]:
     """Names of other libraries' filters, if the recordings have the signals that they need."""
     return list(OTHER_FILTERS) if all(map(readable, recordings)) else []
-
-
-def _constant(
-    result: RecordingResult, recordings: Sequence[Recording], training: Sequence[Recording]
-) -> list[RecordingScore]:
-    """Scores of the best constant gain, tuned with the same numbers beside it."""
-    weight = result.position_weight
-    problem = recorded_problem(result.experiment, training, "constant", weight, strict=False)
-    found = run_search(problem, tell_share)
-    judged = judge_on_recordings(problem, found, weight, [], recordings)
-    return judged.held_out
-
-
-def _kalman_scores(
-    noises: Description, result: RecordingResult, recordings: Sequence[Recording]
-) -> list[RecordingScore]:
-    every = recorded_kalman_estimates(noises, result.experiment, recordings)
-    return [score(one, estimates) for one, estimates in zip(recordings, every, strict=True)]

@@ -1,9 +1,9 @@
-"""The result of a tuning run, or of a batch of runs."""
+"""A result: a tuned filter, how it was found, and what it is worth."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,95 +12,169 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type, refuse
-from posegsa.config import PARAMETERS, SEARCHED, Experiment, with_tuned
+from posegsa.config import PARAMETERS, SEARCHED, Experiment
 from posegsa.errors import PosegsaWarning
+from posegsa.filters.base import Filter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates
-from posegsa.judging.baselines import rules_text, tuned_experiment
-from posegsa.judging.endurance import Endurance
-from posegsa.judging.evaluation import CONSTANT, TUNED, Evaluation
-from posegsa.judging.trajectory import Trajectory
-from posegsa.judging.trust import Trust
+from posegsa.judging.description import (
+    StoredFilter,
+    candidate_of,
+    described_filter,
+    rules_text,
+    tuned_experiment,
+)
+from posegsa.judging.known_sensors import KnownSensors, of_scenario
+from posegsa.judging.on_recordings import OnRecordings
+from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.model.estimate import checked_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.schedules import FuzzyGain
+from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.optimisers import History
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
-from posegsa.search.build import parameter_space, signal_settings
+from posegsa.search.build import OwnFilter
 from posegsa.search.candidates import Candidate
-from posegsa.search.recorded import settings_on
-from posegsa.settings.arrays import Cost, Numbers
+from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
 
+TunedOn = Literal["scenarios", "recordings", "recordings and scenarios"]
+"""What a search saw."""
 
-@dataclass(frozen=True)
-class TuneResult:
-    """A tuned schedule, how it was found, and its performance."""
 
-    experiment: Experiment
+@dataclass(frozen=True, kw_only=True)
+class FoundBy:
+    """How a tuned filter was found."""
+
+    tuned_on: TunedOn
     cost: str
     """The name of the cost that was minimised (`search.population.cost_name`)."""
+    position_weight: NonNegative
+    """Of the position's RMSE in the cost on recordings [deg/m]; 0 without recordings."""
     best_cost: Cost
-    """Lowest cost that the search found on the training scenarios."""
-    parameters: Annotated[np.ndarray, Numbers(len(PARAMETERS))]
-    """(22,) k1..k22, put in order and repaired as configured."""
-    also: dict[str, float]
-    """Numbers that were tuned beside them, by key of the configuration."""
-    training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
-    """(S,) cost of the tuned filter on each training scenario; infinite where it diverged."""
-    constant_gain: float
-    """The constant gain with the lowest mean cost on the training scenarios [1/s]."""
-    constant_training_costs: Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
-    """(S,) cost of the constant gain on each training scenario."""
-    evaluation: Evaluation
-    """Tuned filter and best constant gain (after `evaluate`, all baselines) on held-out data."""
-    endurance: Endurance
-    """Both filters long after the time that they were tuned for."""
-    trust: Trust
-    evaluations: Annotated[int, Field(ge=1)]
-    """Number of agents evaluated, each on all training scenarios; a cost with its gradient counts
-    as several (`search.gradient_price`)."""
+    """Lowest cost that the search found: on recordings [deg], on scenarios the configured one."""
     non_finite: Annotated[int, Field(ge=0)]
     """Number of evaluated agents whose cost or gradient was not finite."""
     compile_seconds: NonNegative
     search_seconds: NonNegative
     history: History
-    trajectory: Trajectory
-    """The tuned filter on the first held-out scenario."""
+    """What each iteration saw."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A tuned filter, how it was found, and what it is worth.
+
+    `tune` makes one; `configured` makes one of a filter that was not searched.
+    """
+
+    experiment: Experiment
+    """What was searched."""
+    filter: StoredFilter
+    """The tuned filter: its kind, its schedule's own numbers, and what was tuned beside them."""
+    search: FoundBy | None
+    """None of a filter that was not searched."""
+    on_scenarios: OnScenarios | None = None
+    """What it is worth on drawn scenarios; None if it was not run on any."""
+    on_recordings: OnRecordings | None = None
+    """What it is worth on recordings; None if it was not run on any."""
     environment: dict[str, str]
     """Versions and device."""
     version: str
+    own: OwnFilter | None = field(default=None, compare=False, metadata={"stored": False})
+    """The user's own filter, where it is one; passed again when a result is read."""
 
     @property
+    def parameters(self) -> np.ndarray:
+        """The schedule's own numbers: (22,) k1..k22, put in order and repaired as configured."""
+        own = [each for name, each in self.filter.numbers.items() if name != "rules"]
+        return np.array([value for each in own for value in each])
+
+    @property
+    def also(self) -> dict[str, float]:
+        """What was tuned beside the schedule's own numbers, by key of the configuration."""
+        return self.filter.also
+
+    @property
+    def best_cost(self) -> float | None:
+        """Lowest cost that the search found; None without a search."""
+        return None if self.search is None else self.search.best_cost
+
+    @cached_property
     def candidate(self) -> Candidate:
         """The tuned schedule, with the numbers that were tuned beside it."""
-        dtype = self.experiment.run.dtype
-        with jax.enable_x64(dtype == "float64"):
-            values = tuple(jnp.asarray(value, dtype) for value in self.also.values())
-            return Candidate(self.schedule, values, tuple(self.also))
+        return candidate_of(self.filter, self.experiment)
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment, with everything that was tuned beside k1..k22."""
-        if self.experiment.fuzzy.rules != SEARCHED:
-            return with_tuned(self.experiment, self.also)
-        found = self.evaluation.contenders[TUNED].filter
-        return tuned_experiment(self.experiment, found._replace(also=self.also))
+        """The experiment with all that was tuned: its file is the tuned filter."""
+        return tuned_experiment(self.experiment, self.filter)
 
-    @cached_property
+    @property
+    def schedule(self) -> GainSchedule:
+        """The tuned gain schedule, ready for `Observer`.
+
+        Raises:
+            ArgumentError: The filter has none.
+        """
+        if (schedule := self.candidate.schedule) is None:
+            refuse(f"schedule of a {self.filter.title}", "that of an observer")
+        return schedule
+
+    @property
     def controller(self) -> FuzzyController:
-        """The tuned fuzzy controller, at the experiment's precision."""
-        with jax.enable_x64(self.experiment.run.dtype == "float64"):
-            space = parameter_space(self.tuned)
-            return space.controller(space.checked(self.parameters))
+        """The tuned fuzzy controller; `controller(error=..., rate=...)` is a gain [1/s].
 
-    @cached_property
-    def schedule(self) -> FuzzyGain:
-        """The tuned gain schedule, ready for `run_filter` or `simulate`."""
-        return FuzzyGain(self.controller)
+        Raises:
+            ArgumentError: The filter has none.
+        """
+        schedule = self.candidate.schedule
+        if not isinstance(schedule, FuzzyGain):
+            refuse(f"controller of a {self.filter.title}", "that of a fuzzy gain")
+        return schedule.controller
+
+    @property
+    def known_sensors(self) -> KnownSensors:
+        """What the filter knows of its sensors: of its recordings; of its scenario without any.
+
+        Raises:
+            ArgumentError: The recordings have different references, or references that move.
+        """
+        on = self.on_recordings
+        if on is not None and on.sensors is not None:
+            return on.sensors
+        on_scenarios = self.search is not None and self.search.tuned_on == "scenarios"
+        if on is not None and not on_scenarios and (on.training or on.held_out):
+            refuse(
+                "a filter of recordings whose references differ, or move",
+                "in Python, filter_to_c or PoseFilter with result.filter_on(recording) and "
+                "references of your own",
+            )
+        return of_scenario(self.experiment)
+
+    def filter_for(self, vectors: int, landmarks: int) -> Filter:
+        """The tuned filter for a number of vectors and landmarks, each seen with the factor 1.
+
+        An observer's vectors take the weights of the experiment's vectors in order; further vectors
+        have the weight 1, and so do landmarks. If there are as many as in the recordings that it
+        was tuned on, the weights that these have there are in its settings. Weights in measurements
+        are factors on these.
+        """
+        filter = described_filter(self.filter, self.experiment, self.own, (vectors, landmarks))
+        known = None if self.on_recordings is None else self.on_recordings.sensors
+        same = known and (len(known.vectors), len(known.landmarks)) == (vectors, landmarks)
+        if known and same and isinstance(filter, Observer):
+            with jax.enable_x64(self.experiment.run.dtype == "float64"):
+                return replace(filter, settings=known.weighted(filter.settings))
+        return filter
+
+    def filter_on(self, recording: Recording) -> Filter:
+        """The tuned filter for a recording, whose own weights are factors on the filter's."""
+        m = recording.measurements
+        sensors = np.shape(m.vectors)[1], np.shape(m.landmarks)[1]
+        return described_filter(self.filter, self.experiment, self.own, sensors)
 
     def estimate(
         self,
@@ -109,7 +183,7 @@ class TuneResult:
         position: ArrayLike | None = None,
         bias: ArrayLike | None = None,
     ) -> Estimates:
-        """Run the tuned filter on measurements of one's own, with the experiment's settings.
+        """Run the tuned filter on measurements of one's own, or on a recording.
 
         Args:
             measurements: N samples (`Measurements.from_arrays`), or a recording; converted to the
@@ -125,20 +199,21 @@ class TuneResult:
                 the initial pose is missing.
         """
         check_type("measurements", measurements, Measurements, Recording)
-        recorded = isinstance(measurements, Recording)
         dtype = np.dtype(self.experiment.run.dtype)
         with jax.enable_x64(dtype == np.float64):
-            sensed = measurements.measurements if recorded else measurements.at_least(dtype)
-            vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
-            if recorded and rotation is None and position is None and bias is None:
+            own_start = rotation is None and position is None and bias is None
+            if isinstance(measurements, Recording) and own_start:
                 start = state_of(measurements.initial())
             elif rotation is None or position is None:
                 refuse("rotation, position: not both given", "both, or neither with a Recording")
             else:
                 start = checked_state(rotation, position, bias, dtype)
-            if not recorded:
-                measurements = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), sensed)
-            estimates = run_filter(self.filter_for(vectors, landmarks), measurements, start)
+            if isinstance(measurements, Recording):  # whose judgement says what the limit cuts
+                return run_filter(self.filter_on(measurements), measurements, start)
+            sensed = measurements.at_least(dtype)
+            vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
+            sensed = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), sensed)
+            estimates = run_filter(self.filter_for(vectors, landmarks), sensed, start)
         asked, used = (float(np.median(g)) for g in (estimates.gain, estimates.gain_used))
         if used < 0.1 * asked:
             warnings.warn(
@@ -150,84 +225,64 @@ class TuneResult:
             )
         return estimates
 
-    def filter_for(self, vectors: int, landmarks: int) -> Observer:
-        """The tuned filter for a number of vectors and landmarks.
-
-        The vectors take the weights of the experiment's vectors in order; further vectors have the
-        weight 1, and so do landmarks. Weights in a recording or in measurements are factors on
-        these.
-        """
-        return Observer(
-            self.schedule,
-            settings_on(self.tuned, vectors, landmarks),
-            signal_settings(self.tuned.gain, np.dtype(self.experiment.run.dtype)),
-        )
-
     def __repr__(self) -> str:
-        return f"<TuneResult: best training cost {self.best_cost:.4g}; see summary()>"
+        cost = "" if self.search is None else f", best training cost {self.search.best_cost:.4g}"
+        return f"<Result: a {self.filter.title}{cost}; see summary()>"
 
     def summary(self) -> str:
-        """A short text."""
-        run, search, last = self.experiment.run, self.experiment.search, self.trajectory
-        unseen = f"({counted(self.evaluation.scenarios, 'unseen scenario')})"
-        rows = [["mean cost", "training", "held out", "worst", unseen]]
-        for name, label, training in (
-            (TUNED, TUNED, self.training_costs),
-            (CONSTANT, f"{CONSTANT} {self.constant_gain:.4g}/s", self.constant_training_costs),
-        ):
-            metrics = self.evaluation.contenders[name].metrics
-            costs = (np.mean(training), np.mean(metrics.cost), np.max(metrics.cost))
-            bad = np.count_nonzero(metrics.diverged)
-            rows.append([label, *(f"{c:.4g}" for c in costs), f"diverged on {bad}" if bad else ""])
-        settled = last.time >= 0.5 * last.time[-1]
-        parts = [
-            f"{search.optimiser}: {search.size_in_words()} on "
-            f"{counted(run.training_scenarios, 'training scenario')}, seed {run.seed}: "
-            f"{counted(self.evaluations, 'evaluation')} in {self.search_seconds:.2f} s "
-            f"(+ {self.compile_seconds:.2f} s to compile)",
-            text_table(rows),
-            "On one unseen scenario, second half: attitude error "
-            f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
-            f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
-            f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
-            self.endurance.table(CONSTANT, run.endurance_scenarios),
-            f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or more of "
-            "the weight.",
-        ]
-        if self.also:
-            tuned = ", ".join(f"{key} = {value:.4g}" for key, value in self.also.items())
-            parts.append(f"Tuned beside k1 to k{len(PARAMETERS)}: {tuned}")
-        if self.experiment.fuzzy.rules == SEARCHED:
+        """A short text for a person."""
+        parts = [self._head()]
+        if self.on_scenarios is not None:
+            parts.append(self.on_scenarios.text(self.experiment.run.endurance_scenarios))
+        if self.on_recordings is not None:
+            parts.append(self.on_recordings.text(self.experiment.objective.simulated_share))
+        simple = {name: each for name, each in self.filter.numbers.items() if len(each) == 1}
+        numbers = simple | {key: [value] for key, value in self.also.items()}
+        if numbers:
+            beside = f" beside k1 to k{len(PARAMETERS)}" if self.filter.kind == "fuzzy" else ""
+            tuned = ", ".join(f"{key} = {each[0]:.4g}" for key, each in numbers.items())
+            parts.append(f"Tuned{beside}: {tuned}")
+        if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:
             parts.append(rules_text(self.controller.rules))
         warned = [f"  warning: {warning}" for warning in self.warnings()]
-        return "\n".join(["\n\n".join(parts), *warned])
+        return "\n".join(["\n\n".join(filter(None, parts)), *warned])
+
+    def _head(self) -> str:
+        """How the filter was found."""
+        if self.search is None:
+            return f"A {self.filter.title} that was not searched"
+        run, search = self.experiment.run, self.experiment.search
+        recordings = 0 if self.on_recordings is None else len(self.on_recordings.training)
+        seen = {
+            "recordings": counted(recordings, "recording"),
+            "scenarios": counted(run.training_scenarios, "training scenario"),
+        }
+        words = " and ".join(seen[group] for group in self.search.tuned_on.split(" and "))
+        return (
+            f"{search.optimiser}: {search.size_in_words()} for a {self.filter.title} on {words}, "
+            f"seed {run.seed}: {counted(self.filter.evaluations, 'evaluation')} in "
+            f"{self.search.search_seconds:.2f} s (+ {self.search.compile_seconds:.2f} s to "
+            f"compile), cost {self.search.best_cost:.4g}"
+        )
 
     def warnings(self) -> list[str]:
         """What a reader of the result must know before trusting it."""
-        found, t = [], self.trust
-        if t.sensitive:
-            found.append(
-                f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
-                f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
-                "agree within 1 %. The simulation is chaotic: do not trust this schedule"
-            )
-        if self.experiment.gain.signal == "pose":
+        found = [] if self.on_scenarios is None else self.on_scenarios.warnings()
+        if self.on_recordings is not None:
+            found += self.on_recordings.warnings()
+        observer = self.experiment.filter.kind == "observer"
+        if observer and self.experiment.gain.signal == "pose":
             found.append("signal pose: the gain looks at the true errors, which no vehicle knows")
-        if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
-            found.append(f"the tuned filter diverged on {counted(bad, 'held-out scenario')}")
-        if t.uncovered > 0:
-            found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
-        if worse := self.endurance.worse():
+        if self.search is None:
+            return found
+        if not np.isfinite(self.search.best_cost):
             found.append(
-                f"past the time that it was tuned for it is worse than constant gains: "
-                f"{', '.join(worse)}"
+                "no agent had a finite cost: the numbers are the middle of the boxes, no result"
             )
-        if not np.isfinite(self.best_cost):
+        if self.search.non_finite:
             found.append(
-                "no agent had a finite cost: the parameters are the middle of the boxes, no result"
+                f"{counted(self.search.non_finite, 'agent')} of the search had no finite cost"
             )
-        if self.non_finite:
-            found.append(f"{counted(self.non_finite, 'agent')} of the search had no finite cost")
         return found
 
 
@@ -235,19 +290,16 @@ class TuneResult:
 class TuneBatch:
     """Results of a batch of runs, in the order of its experiments and seeds."""
 
-    results: tuple[TuneResult, ...]
+    results: tuple[Result, ...]
 
     def summary(self) -> str:
         """Median and range over the batch, of training and held-out costs."""
-        costs = {f"{TUNED}, training": [float(np.mean(r.training_costs)) for r in self.results]}
-        for name in (TUNED, CONSTANT):
-            costs[f"{name}, held out"] = [r.evaluation.cost(name).mean for r in self.results]
+        judged = [each.on_scenarios for each in self.results if each.on_scenarios is not None]
+        costs: dict[str, list[float]] = {}
+        for name in judged[0].training:
+            costs[f"{name}, training"] = [float(np.mean(one.training[name])) for one in judged]
+            costs[f"{name}, held out"] = [one.evaluation.cost(name).mean for one in judged]
         rows = [[counted(len(self.results), "search", "searches"), "median", "minimum", "maximum"]]
         for name, each in costs.items():
             rows.append([name, *(f"{of(each):.4g}" for of in (np.median, np.min, np.max))])
         return text_table(rows)
-
-
-@np.errstate(over="ignore")  # a filter may diverge to any number
-def _rms(a: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(a**2)))

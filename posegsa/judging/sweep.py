@@ -5,23 +5,21 @@ import hashlib
 import io
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field, JsonValue
 
 from posegsa.arguments import MAX_INTEGER
-from posegsa.config import PARAMETERS, TERMS, Experiment
-from posegsa.config.schedule import Term
-from posegsa.settings.arrays import Cost, Numbers
+from posegsa.config import Experiment
+from posegsa.judging.description import StoredFilter
+from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table, toml
 
 SEED = "run.seed"
 """The key of the seed, over which the runs of a setting are averaged."""
-
-Row = Annotated[list[Term], Field(min_length=len(TERMS), max_length=len(TERMS))]
 
 Values = dict[str, JsonValue]
 """The varied settings: the value of each key, as in TOML and JSON."""
@@ -43,17 +41,12 @@ class SweepRun:
     held_out_worst: Cost
     diverged: Annotated[int, Field(ge=0)]
     """Number of held-out scenarios on which it diverged."""
-    parameters: Annotated[list[float], Numbers(len(PARAMETERS))]
-    """k1..k22."""
-    also: dict[str, float]
-    """Numbers that were tuned beside them."""
-    evaluations: Annotated[int, Field(ge=1)]
+    filter: StoredFilter
+    """The filter that was found."""
     search_seconds: NonNegative
     """This run's share of the time of its batch."""
     environment: dict[str, str]
     version: str
-    rules: Annotated[list[Row], Field(max_length=len(TERMS))] = field(default_factory=list)
-    """The rule table that was found, as in [fuzzy] rules; empty if it was not searched."""
 
     @property
     def experiment(self) -> Experiment:

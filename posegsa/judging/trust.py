@@ -39,15 +39,17 @@ class Trust:
     """The same in the experiment's precision, with the initial estimate changed by PERTURBATION."""
     sensitive: bool
     """Whether one of them differs from the experiment's own cost by more than SENSITIVE."""
-    uncovered: Annotated[float, Field(ge=0, le=1)]
-    """Share of all pairs of scaled error and rate for which no rule fires."""
-    rule_weights: Annotated[np.ndarray, Numbers(5, 5, allow="any")]
+    uncovered: Annotated[float, Field(ge=0, le=1)] | None
+    """Share of all pairs of scaled error and rate for which no rule fires; None without rules."""
+    rule_weights: Annotated[np.ndarray, Numbers(5, 5, allow="any")] | None
     """(5, 5) mean firing strength of each rule over a trajectory, [rate, error], VS to VL; NaN if
-    the trajectory diverged to NaN."""
+    the trajectory diverged to NaN. None without rules."""
 
     @property
     def used_rules(self) -> int:
-        """Number of rules that carry at least 1 % of all firing strength."""
+        """Number of rules that carry at least 1 % of all firing strength; 0 without rules."""
+        if self.rule_weights is None:
+            return 0
         weights = self.rule_weights
         return int(np.count_nonzero((weights > 0) & (weights >= 0.01 * np.nansum(weights))))
 
@@ -66,8 +68,8 @@ def check(
         return float(np.mean(metrics.cost))
 
     cost = mean_cost(own.select(slice(experiment.run.training_scenarios)))
-    assert isinstance(tuned.schedule, FuzzyGain)
-    controller = tuned.schedule.controller
+    schedule = tuned.schedule
+    controller = schedule.controller if isinstance(schedule, FuzzyGain) else None
     start = problem.training.initial
     pushed = problem.training._replace(initial=_perturbed(start))
     perturbed = mean_cost(error_tracks(tuned, pushed))
@@ -80,8 +82,10 @@ def check(
         cost_float64=cost if double else other,
         cost_perturbed=perturbed,
         sensitive=not steady,
-        uncovered=uncovered(controller),
-        rule_weights=rule_weights(controller, trajectory.error, trajectory.rate),
+        uncovered=None if controller is None else uncovered(controller),
+        rule_weights=None
+        if controller is None
+        else rule_weights(controller, trajectory.error, trajectory.rate),
     )
 
 

@@ -20,11 +20,15 @@ class CostWeights(NamedTuple):
     position: Array
     """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
 
-    def until(self, time: Array, end: Array | None) -> Self:
-        """The weights for samples at `time` (N,) [s], 0 from `end` [s] on; None changes nothing."""
-        if end is None:
+    def between(self, time: Array, begin: Array | None, end: Array | None) -> Self:
+        """The weights for samples at `time` (N,) [s], 0 before `begin` and from `end` on [s].
+
+        None changes nothing.
+        """
+        if begin is None and end is None:
             return self
-        counts = time < end
+        counts = jnp.asarray(True) if end is None else time < end
+        counts = counts if begin is None else counts & (time >= begin)
         transient, steady = (jnp.where(counts, a, 0.0) for a in (self.transient, self.steady))
         return self._replace(transient=transient, steady=steady, window=self.window & counts)
 

@@ -28,14 +28,14 @@ one with its own gradients; or an ordinary Python function, which runs on the ho
 class History(NamedTuple):
     """The costs of each iteration; NaN (0 for the count) from `Search.iteration` on."""
 
-    best: Annotated[Array, Columns("best", allow="infinite")]
-    """(iterations,) best cost so far; inf before the first finite cost."""
-    mean: Annotated[Array, Columns("mean", allow="any")]
+    best: Annotated[Array, Columns("best", rows="iterations", allow="infinite")]
+    """(iterations,) best cost so far; inf before any finite one."""
+    mean: Annotated[Array, Columns("mean", rows="iterations", allow="any")]
     """(iterations,) mean of the iteration's finite costs; NaN if there were none."""
-    worst: Annotated[Array, Columns("worst", allow="any")]
+    worst: Annotated[Array, Columns("worst", rows="iterations", allow="any")]
     """(iterations,) largest of the iteration's finite costs; NaN if there were none."""
-    non_finite: Annotated[Array, Columns("non_finite", dtype=int)]
-    """(iterations,) int32, number of the iteration's evaluations that were not finite."""
+    non_finite: Annotated[Array, Columns("non_finite", rows="iterations", dtype=int)]
+    """(iterations,) int32, number of its evaluations that were not finite."""
 
 
 class Search(NamedTuple):

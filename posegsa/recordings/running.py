@@ -1,5 +1,6 @@
 """Runs filters over recordings, in parts, so that device memory stays bounded."""
 
+from dataclasses import replace
 from typing import overload
 
 import jax
@@ -10,12 +11,13 @@ from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
 from posegsa.filters import rollout
 from posegsa.filters.base import Filter, Samples, check_filter, samples_of
+from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, simulate_part
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.start import Start
+from posegsa.recordings.start import Start, with_numpy_arrays
 
 PART = 2**12
 """Number of samples on the device at once."""
@@ -70,11 +72,25 @@ def run_filter(
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":
         raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')
-    recording = measurements
+    recording = as_seen(filter, measurements)
     state = state_of(recording.initial()) if initial is None else initial
     check_type("initial", state, FilterState)
     with fitting("run_filter"):
         return _run_in_parts(filter, recording, state)
+
+
+def as_seen(filter: Filter, recording: Recording) -> Recording:
+    """A recording as a filter reads it: a Kalman filter takes each weight above 0 as 1.
+
+    Weights say how long a measurement stands for, which its covariance accounts for already.
+    """
+    if not isinstance(filter, KalmanFilter):
+        return recording
+    m = {
+        name: (np.asarray(a) > 0).astype(float) if name.endswith("_weights") else a
+        for name, a in recording.measurements._asdict().items()
+    }
+    return replace(recording, measurements=with_numpy_arrays(m))
 
 
 def state_of(start: Start) -> FilterState:

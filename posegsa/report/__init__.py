@@ -17,8 +17,8 @@ from posegsa.figures import schedule as schedule_figures
 from posegsa.figures import search as search_figures
 from posegsa.figures import trajectory as trajectory_figures
 from posegsa.judging import metrics
-from posegsa.judging.evaluation import CONSTANT, SWITCH, TUNED
-from posegsa.judging.result import TuneResult
+from posegsa.judging.evaluation import SWITCH, TUNED, called
+from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
 from posegsa.report import tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
@@ -42,33 +42,41 @@ NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", rand
 
 # Costs may be 0, infinite or very large.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def report_html(result: TuneResult, pictures: Mapping[str, bytes]) -> str:
+def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page; pictures are the PNG files of its figures by name."""
+    judged = result.on_scenarios
+    assert judged is not None  # the page is about them
+    fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
     page = templates().get_template("page.html")
     return page.render(
         result=result,
         experiment=result.experiment,
-        evaluation=result.evaluation,
+        judged=judged,
+        evaluation=judged.evaluation,
+        beside=judged.beside,
         pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
-        verdict=verdict(result.evaluation),
+        verdict=verdict(judged),
         cost_words=cost_words(result),
-        better_words=better_words(result.evaluation),
-        worse_words=worse_words(result.evaluation),
+        better_words=better_words(judged),
+        worse_words=worse_words(judged),
         next_words=next_words(result),
         no_family=list(NO_FAMILY.described()),
-        angles_differ=evaluation_figures.angles_differ(result.evaluation),
+        angles_differ=evaluation_figures.angles_differ(judged.evaluation),
         evaluation_figures=evaluation_figures.FIGURES,
         schedule_figures=schedule_figures.FIGURES,
         trajectory_figures=trajectory_figures.FIGURES,
         search_figures=search_figures.FIGURES,
-        input_terms=tables.input_terms(result),
-        output_terms=tables.output_terms(result),
+        fuzzy=fuzzy,
+        input_terms=tables.input_terms(result) if fuzzy else [],
+        output_terms=tables.output_terms(result) if fuzzy else [],
         error_columns=[f"Error {term}" for term in config.TERMS],
-        rules=tables.rules(result),
+        rules=tables.rules(result) if trust.rule_weights is not None else [],
         simulations=tables.simulations(result),
-        never_firing=np.count_nonzero(~(result.trust.rule_weights > 0)),  # NaN counts as never
-        heaviest=tables.heaviest_rule(result),
-        also=[(one, result.also[one.key]) for one in result.experiment.also],
+        never_firing=0 if trust.rule_weights is None else tables.never_firing(trust.rule_weights),
+        heaviest=None if trust.rule_weights is None else tables.heaviest_rule(trust.rule_weights),
+        also=[
+            (one, result.also[one.key]) for one in result.experiment.also if one.key in result.also
+        ],
         configuration=config.to_toml(result.experiment),
         environment={"posegsa": result.version} | result.environment,
     )
@@ -87,12 +95,11 @@ def templates() -> "Environment":
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    as_text = (cost, counted, interval, number, percent, plus_minus, filter_words, toml)
+    as_text = (called, cost, counted, interval, number, percent, plus_minus, filter_words, toml)
     environment.filters |= {function.__name__: function for function in as_text}
     environment.filters["median"] = np.median
     environment.globals |= {
         "TUNED": TUNED,
-        "CONSTANT": CONSTANT,
         "SWITCH": SWITCH,
         "SENSITIVE": SENSITIVE,
         "metrics": metrics,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posegsa import config
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.judging.trust import PERTURBATION
 from posegsa.report.numbers import number
 from posegsa.search.build import rule_indices
@@ -14,17 +14,17 @@ Noted = tuple[str, list[tuple[str, str]]]
 """A row: its header, and for each cell its text and a note."""
 
 
-def input_terms(result: TuneResult) -> list[Noted]:
+def input_terms(result: Result) -> list[Noted]:
     """The corners of the input terms, VS to VL, each with the name of its parameter."""
     return _terms(result, slice(11), config.INPUT_RANGE)
 
 
-def output_terms(result: TuneResult) -> list[Noted]:
+def output_terms(result: Result) -> list[Noted]:
     """The corners of the output terms, VS to VL, each with the name of its parameter."""
     return _terms(result, slice(11, None), result.experiment.parameters.gain_range)
 
 
-def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[Noted]:
+def _terms(result: Result, part: slice, ends: tuple[float, float]) -> list[Noted]:
     low, high = (f"{end:g}" for end in ends)
     corners = config.triangles([number(k, ".5g") for k in result.parameters[part]], low, high)
     names = config.triangles(config.PARAMETERS[part], "fixed", "fixed")
@@ -34,12 +34,16 @@ def _terms(result: TuneResult, part: slice, ends: tuple[float, float]) -> list[N
     ]
 
 
-def rules(result: TuneResult) -> list[Noted]:
+def rules(result: Result) -> list[Noted]:
     """The output term of each rule with its weight; a row is a rate, a column an error."""
     table = result.tuned.fuzzy.rules
     assert table != config.SEARCHED  # a tuned experiment has a table of rules
+    judged = result.on_scenarios
+    assert judged is not None
+    assert judged.trust.rule_weights is not None
     targets, rows = rule_indices(table), []
-    for rate, row, weights in zip(config.TERMS, targets, result.trust.rule_weights, strict=True):
+    each = zip(config.TERMS, targets, judged.trust.rule_weights, strict=True)
+    for rate, row, weights in each:
         outputs = [config.TERMS[i] for i in row]
         shown = [number(weight, ".2g") for weight in weights]
         rows.append((f"Rate {rate}", list(zip(outputs, shown, strict=True))))
@@ -54,19 +58,24 @@ class Rule(NamedTuple):
     weight: float
 
 
-def heaviest_rule(result: TuneResult) -> Rule:
-    """The rule with the largest mean firing strength."""
-    weights = result.trust.rule_weights
+def never_firing(weights: np.ndarray) -> int:
+    """How many rules of mean firing strengths (5, 5) never fire; NaN counts as never."""
+    return int(np.count_nonzero(~(weights > 0)))
+
+
+def heaviest_rule(weights: np.ndarray) -> Rule:
+    """The rule with the largest of the mean firing strengths (5, 5)."""
     rate, error = np.unravel_index(np.argmax(weights), weights.shape)
     return Rule(config.TERMS[error], config.TERMS[rate], weights[rate, error])
 
 
-def simulations(result: TuneResult) -> list[tuple[str, float, float]]:
+def simulations(result: Result) -> list[tuple[str, float, float]]:
     """Ways of simulating the training scenarios, with their mean costs and deviations.
 
     The deviation is relative to the cost in the run's own precision.
     """
-    trust, own = result.trust, result.experiment.run.dtype
+    assert result.on_scenarios is not None
+    trust, own = result.on_scenarios.trust, result.experiment.run.dtype
     costs = {"float32": trust.cost_float32, "float64": trust.cost_float64}
     reference = np.float64(costs[own])
     costs[f"{own}, initial pose changed by {PERTURBATION:g}"] = trust.cost_perturbed

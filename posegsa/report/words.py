@@ -4,59 +4,62 @@ import math
 
 import numpy as np
 
+from posegsa.judging.description import TITLES, Description
 from posegsa.judging.evaluation import (
     BEHAVIOUR,
-    CONSTANT,
     EKF,
     EKF_VECTORS,
     OPEN_LOOP,
     REPLAYED,
     SWITCH,
     TUNED,
-    Description,
     Evaluation,
+    called,
 )
-from posegsa.judging.result import TuneResult
+from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.result import Result
 from posegsa.report.numbers import cost, interval, number
 from posegsa.search.population import CONFIGURED
 from posegsa.words import counted
 
 
-def verdict(evaluation: Evaluation) -> str:
-    """A sentence that compares the tuned schedule with the best constant gains."""
-    difference = evaluation.difference(CONSTANT)
+def verdict(judged: OnScenarios) -> str:
+    """A sentence that compares the tuned filter with the one that always stands beside it."""
+    evaluation, beside = judged.evaluation, judged.beside
+    difference = evaluation.difference(beside)
     mean, low, high = difference
-    against = f"the best constant gains on {counted(evaluation.scenarios, 'unseen scenario')}"
+    against = f"{called(beside)} on {counted(evaluation.scenarios, 'unseen scenario')}"
     if not (math.isfinite(low) and math.isfinite(high)):
-        own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, CONSTANT))
+        own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, beside))
         bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
         if not any(bad):
-            return f"The tuned schedule cannot be compared with {against}: there are too few."
+            return f"The tuned filter cannot be compared with {against}: there are too few."
         return (
-            f"The mean cost of the tuned schedule cannot be compared with that of {against}: "
+            f"The mean cost of the tuned filter cannot be compared with that of {against}: "
             f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
             f"{cost(float(np.median(own)))} and {cost(float(np.median(other)))}."
         )
     if low <= 0 <= high:
         return (
-            f"The tuned schedule does not differ significantly from {against}: the 95 % interval "
+            f"The tuned filter does not differ significantly from {against}: the 95 % interval "
             f"of the difference, {interval(difference)}, includes 0."
         )
     less = high < 0
     by, minimum, maximum = (-mean, -high, -low) if less else (mean, low, high)
-    constant = evaluation.cost(CONSTANT).mean
+    constant = evaluation.cost(beside).mean
     share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
     return (
-        f"The tuned schedule costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
+        f"The tuned filter costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
         f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
 
 
-def cost_words(result: TuneResult) -> str:
+def cost_words(result: Result) -> str:
     """Sentences that explain the cost of a run."""
-    if result.cost != CONFIGURED:
+    search = result.search
+    if search is not None and search.cost != CONFIGURED:
         return (
-            f"The function {result.cost} computes the cost of a run from its errors over time; "
+            f"The function {search.cost} computes the cost of a run from its errors over time; "
             "less is better."
         )
     settings, step = result.experiment.cost, result.experiment.scenario.sampling_time
@@ -73,9 +76,10 @@ def cost_words(result: TuneResult) -> str:
     )
 
 
-def worse_words(evaluation: Evaluation) -> str:
-    """Where the tuned filter's errors are larger than those of the best constant gains, if any."""
-    tuned, constant = (evaluation.contenders[name].metrics for name in (TUNED, CONSTANT))
+def worse_words(judged: OnScenarios) -> str:
+    """Where the tuned filter's errors are larger than those of the filter beside it, if any."""
+    contenders, beside = judged.evaluation.contenders, judged.beside
+    tuned, constant = (contenders[name].metrics for name in (TUNED, beside))
     worse = []
     for head, form, of in BEHAVIOUR:
         own, other = (float(np.mean(np.asarray(of(metrics)))) for metrics in (tuned, constant))
@@ -90,22 +94,23 @@ def worse_words(evaluation: Evaluation) -> str:
         return ""
     listed = "; ".join(worse)
     return (
-        f"The tuned filter is worse than the best constant gains in: {listed}. The search "
+        f"The tuned filter is worse than {called(beside)} in: {listed}. The search "
         "minimises only the cost; quantities that are not part of it, for example the errors of "
         "the estimated biases, may get worse."
     )
 
 
-def better_words(evaluation: Evaluation) -> str:
-    """Which contenders, except the best constant gains, are better than the tuned schedule, if any.
+def better_words(judged: OnScenarios) -> str:
+    """Which contenders, except the one beside it, are better than the tuned filter, if any.
 
     The mean counts as better if the interval of the paired differences excludes 0, the median if it
     is lower in the digits shown.
     """
+    evaluation = judged.evaluation
     own, lower = evaluation.summary(TUNED), _lower_medians(evaluation)
     found = []
     for name in evaluation.contenders:
-        if name in (TUNED, CONSTANT):
+        if name in (TUNED, judged.beside):
             continue
         this, difference = evaluation.summary(name), evaluation.difference(name)
         parts = []
@@ -118,26 +123,24 @@ def better_words(evaluation: Evaluation) -> str:
             found.append(f"{name} by {' and '.join(parts)}")
     if not found:
         return ""
-    return (
-        f"Other filters are better than the tuned schedule on these scenarios: {'; '.join(found)}."
-    )
+    return f"Other filters are better than the tuned filter on these scenarios: {'; '.join(found)}."
 
 
 def _clearly_better(evaluation: Evaluation) -> list[str]:
-    """Contenders whose mean cost is significantly lower than that of the tuned schedule."""
+    """Contenders whose mean cost is significantly lower than that of the tuned filter."""
     others = (name for name in evaluation.contenders if name != TUNED)
     return [name for name in others if evaluation.difference(name).low > 0]
 
 
 def _lower_medians(evaluation: Evaluation) -> list[str]:
-    """Contenders whose median cost is lower than that of the tuned schedule in the digits shown."""
+    """Contenders whose median cost is lower than that of the tuned filter in the digits shown."""
     own = evaluation.summary(TUNED).median
     medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
     return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
 
 
 def _instead(names: list[str]) -> str:
-    """Advice if these filters are better than the tuned schedule."""
+    """Advice if these filters are better than the tuned filter."""
     advice = f"These have a lower mean cost: {'; '.join(names)}. "
     if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
         advice += (
@@ -145,33 +148,35 @@ def _instead(names: list[str]) -> str:
             "filter that starts as in these scenarios, and do not react to later errors. "
         )
     if any(name in (EKF, EKF_VECTORS) for name in names):
-        advice += "The Kalman filter is `posegsa.KalmanFilter`. "
+        advice += "`--set filter.kind=kalman` tunes a Kalman filter. "
     return (
-        f"{advice}Their parameters are in `evaluation.json`. The tuned schedule can still be "
+        f"{advice}Their parameters are in `result.json`. The tuned filter can still be "
         "exported: `posegsa export RUN --format c`."
     )
 
 
-def next_words(result: TuneResult) -> list[str]:
+def next_words(result: Result) -> list[str]:
     """Advice on next steps; each item is one or more sentences, with code between backticks."""
-    evaluation = result.evaluation
+    judged = result.on_scenarios
+    assert judged is not None
+    evaluation, beside = judged.evaluation, judged.beside
     steps = []
     if result.warnings():
         steps.append("Read the warnings above first: they say why these numbers may mislead.")
     better = _clearly_better(evaluation)
-    if any(name != CONSTANT for name in better):
+    if any(name != beside for name in better):
         steps.append(_instead(better))
-    elif evaluation.difference(CONSTANT).high < 0:
+    elif evaluation.difference(beside).high < 0:
         steps.append(
-            "The schedule is better than constant gains: export the whole filter as C with "
+            f"The tuned filter is better than {called(beside)}: export it as C with "
             "`posegsa export RUN --format c`, or run it on your own recordings with "
             "`posegsa replay RUN FILE`."
         )
     else:
         steps.append(
-            "The schedule is not better than constant gains: search longer (`search.iterations`) "
-            "or with more training scenarios, or use the constant gain of "
-            f"{number(result.constant_gain, '.4g')} 1/s."
+            f"The tuned filter is not better than {called(beside)}: search longer "
+            "(`search.iterations`) or with more training scenarios, or take the simpler one: "
+            f"{filter_words(evaluation.contenders[beside].filter)}."
         )
     if SWITCH not in evaluation.contenders:
         steps.append(
@@ -190,13 +195,15 @@ def next_words(result: TuneResult) -> list[str]:
 
 def filter_words(found: Description) -> str:
     """A contender described by its parameters."""
+    simple = [f"{name} = {each[0]:.4g}" for name, each in found.numbers.items() if len(each) == 1]
     match found.kind:
         case "fuzzy":
             own = f"fuzzy, k1 to k{len(found.numbers['k'])}"
         case "open loop":
             time = found.numbers["time"]
             own = f"{len(time)} knots of K(t) from {time[0]:.3g} to {time[-1]:.4g} s, open loop"
+        case kind if simple:
+            own = f"{kind}: {', '.join(simple)}"
         case kind:
-            numbers = found.numbers.items()
-            own = f"{kind}: " + ", ".join(f"{name} = {each[0]:.4g}" for name, each in numbers)
+            own = TITLES.get(kind, kind)
     return "; ".join([own, *(f"{key} = {value:.4g}" for key, value in found.also.items())])

@@ -29,13 +29,22 @@ from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import CONFIGURED, cost_name
-from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.search.run import LONGEST_CHUNK, Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
 
 ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
 """Entries of the environment that may change the last bits of a result."""
+
+
+class RecordedTask(NamedTuple):
+    """What a run on recordings is tuned on and for; the recordings themselves are not included."""
+
+    position_weight: NonNegative
+    training: list[str]
+    """The fingerprint of each training recording."""
+    held_out: list[str]
+    """The fingerprint of each held-out recording."""
 
 
 class About(NamedTuple):
@@ -49,40 +58,15 @@ class About(NamedTuple):
     environment: dict[str, str]
     cost: str
     """The name of the cost that is minimised (`search.population.cost_name`)."""
-
-
-class RecordedTask(NamedTuple):
-    """The task of a run on recordings; the recordings themselves are not included."""
-
-    schedule: RecordedSchedule
-    position_weight: NonNegative
-    training: list[str]
-    """The fingerprint of each training recording."""
-    held_out: list[str]
-    """The fingerprint of each held-out recording."""
-
-
-class AboutRecorded(NamedTuple):
-    """The data in a checkpoint of a run on recordings besides the search: `About` and the task."""
-
-    experiment: config.Experiment
-    search_seconds: NonNegative
-    compile_seconds: NonNegative
-    environment: dict[str, str]
-    cost: str
-    recorded: RecordedTask
+    recorded: RecordedTask | None
+    """What is tuned on, if that is recordings."""
 
 
 class CheckpointedRun(NamedTuple):
     """A run read from a checkpoint."""
 
     checkpoint: Checkpoint
-    about: About | AboutRecorded
-
-    @property
-    def recorded(self) -> RecordedTask | None:
-        """The task on recordings; None for a run on simulated scenarios."""
-        return self.about.recorded if isinstance(self.about, AboutRecorded) else None
+    about: About
 
 
 def search_with_checkpoints(
@@ -161,9 +145,8 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
 
 def _run_of(checkpoint: Checkpoint) -> CheckpointedRun:
     """The run in a checkpoint; warns if it was made where numbers may be rounded differently."""
-    kind = AboutRecorded if "recorded" in checkpoint.about else About
     try:
-        about = from_plain(kind, checkpoint.about, checkpoint.path)
+        about = from_plain(About, checkpoint.about, checkpoint.path)
     except RunFolderError as error:
         raise CheckpointError(f"{error}; needed: the checkpoint of a tuning run") from None
     here = environment()
@@ -271,9 +254,8 @@ class CheckpointWriter:
             compile_seconds=self.before[1] + compile_seconds,
             environment=environment(),
             cost=self.cost,
+            recorded=self.recorded,
         )
-        if self.recorded is not None:
-            about = AboutRecorded(**about._asdict(), recorded=self.recorded)
         path = self.folder / CHECKPOINTS / f"{self._iteration:09d}{CHECKPOINT_SUFFIX}"
         try:
             save_search(path, search, plain(about))

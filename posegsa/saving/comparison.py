@@ -12,7 +12,7 @@ from posegsa.saving.files import write_atomically
 from posegsa.saving.folder import as_path, read_text, replace_files, write_errors
 from posegsa.saving.records import from_json, to_json
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the format of comparison.json."""
 DATA, TABLE, FIGURE = "comparison.json", "comparison.txt", "comparison.png"
 

@@ -17,7 +17,6 @@ from posegsa.errors import RunFolderError
 from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
-RECORDED, RECORDED_TABLE = "recorded.json", "recorded.txt"
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 MAX_BYTES = 2**27
@@ -52,8 +51,7 @@ def holds_run(folder: Path) -> bool:
 
 
 def _holds_finished_run(folder: Path) -> bool:
-    held = (folder / place / name for place in ("", _COMMITTED) for name in (RESULT, RECORDED))
-    return any(path.exists() for path in held)
+    return any((folder / place / RESULT).exists() for place in ("", _COMMITTED))
 
 
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:

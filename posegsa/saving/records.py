@@ -11,12 +11,13 @@ and unions of these. Numbers are read back bit for bit.
 """
 
 import csv
+import dataclasses
+import hashlib
 import io
 import json
 import reprlib
 import typing
 from collections.abc import Mapping
-from dataclasses import is_dataclass
 from functools import cache, partial, reduce
 from operator import or_
 from pathlib import Path
@@ -29,7 +30,7 @@ from pydantic import AfterValidator, BaseModel, Strict
 
 from posegsa.errors import RunFolderError
 from posegsa.settings.arrays import Columns
-from posegsa.settings.plain import decimal, json_text, plain
+from posegsa.settings.plain import decimal, json_text, plain, stored_fields
 
 Record = TypeVar("Record")
 
@@ -40,20 +41,39 @@ _SHOWN = 3
 # JSON ---------------------------------------------------------------------------------------------
 
 
-def to_json(record: object, schema: int, summary: Mapping[str, Any] | None = None) -> str:
-    """A record as JSON, with the version of its format.
-
-    `summary` is for other programs and follows from the record; `from_json` ignores it.
-    """
-    head = {"schema": schema} | ({} if summary is None else {"summary": plain(summary)})
-    return json_text(head | plain(record)) + "\n"
+def to_json(record: object, schema: int) -> str:
+    """A record as JSON, with the version of its format and a digest of itself."""
+    data = plain(record)
+    return json_text({"schema": schema, "digest": _digest(data)} | data) + "\n"
 
 
-def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Record:
+def _digest(data: object) -> str:
+    """SHA-256 of plain data, whatever their layout in a file."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def from_json(
+    kind: type[Record],
+    text: str,
+    schema: int,
+    source: Path,
+    *,
+    edited: bool = False,
+    if_on_purpose: str = "run it again",
+) -> Record:
     """Read what `to_json` wrote, from the file that errors name.
 
+    Args:
+        kind: The record's type.
+        text: The file's text.
+        schema: The version of the format.
+        source: The file.
+        edited: Whether it may have been changed since it was written.
+        if_on_purpose: What to do with a file that was changed on purpose, for the error.
+
     Raises:
-        RunFolderError: It is not such a record, or has another format.
+        RunFolderError: It is not such a record, has another format, or was changed.
     """
 
     def refuse(word: str) -> NoReturn:  # Python accepts NaN and Infinity, which are not JSON
@@ -73,8 +93,14 @@ def from_json(kind: type[Record], text: str, schema: int, source: Path) -> Recor
             f"{source}: schema = {reprlib.repr(found)}, written by {writer}; this version reads "
             f"schema {schema}: run it again, or read it with the version that wrote it"
         )
-    data.pop("summary", None)
-    return from_plain(kind, data, source)
+    digest = data.pop("digest", None)
+    record = from_plain(kind, data, source)  # first: it names the field that is wrong
+    if not edited and digest != _digest(data):
+        raise RunFolderError(
+            f"{source}: was changed after posegsa wrote it (its digest differs); if on purpose, "
+            f"{if_on_purpose}"
+        )
+    return record
 
 
 def from_plain(kind: type[Record], data: object, source: Path) -> Record:
@@ -130,7 +156,7 @@ def _strict(kind: Any) -> Any:
         return Annotated[(_strict(parts[0]), *parts[1:])]
     if kind in _SCALARS:
         return _SCALARS[kind]
-    if is_dataclass(kind) or typing.is_typeddict(kind) or hasattr(kind, "_fields"):
+    if dataclasses.is_dataclass(kind) or typing.is_typeddict(kind) or hasattr(kind, "_fields"):
         return _strict_record(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return Annotated[kind, pydantic.PlainValidator(partial(_section, kind))]
@@ -148,12 +174,18 @@ def _section(kind: type[BaseModel], data: Any) -> BaseModel:
 
 
 def _strict_record(kind: Any) -> Any:
+    name = kind.__name__
     hints = typing.get_type_hints(kind, include_extras=True)
+    if dataclasses.is_dataclass(kind):
+        hints = {field.name: hints[field.name] for field in stored_fields(kind)}
     fields: dict[str, Any] = {name: (_strict(hint), ...) for name, hint in hints.items()}
-    model = pydantic.create_model(
-        kind.__name__, __config__=pydantic.ConfigDict(extra="forbid"), **fields
-    )
-    return Annotated[model, AfterValidator(lambda found: kind(**dict(found)))]
+    model = pydantic.create_model(name, __config__=pydantic.ConfigDict(extra="forbid"), **fields)
+    return Annotated[model, AfterValidator(partial(_made, kind))]
+
+
+def _made(kind: Any, found: BaseModel) -> Any:
+    """The record of the fields that were read."""
+    return kind(**dict(found))
 
 
 # Tables -------------------------------------------------------------------------------------------

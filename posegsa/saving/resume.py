@@ -8,12 +8,11 @@ import jax
 from posegsa import config
 from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError, RunFolderError
-from posegsa.judging.recorded import RecordingResult
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import as_path
-from posegsa.saving.recorded import load_recorded
-from posegsa.saving.run import load
+from posegsa.saving.result import load
+from posegsa.search.build import OwnFilter
 from posegsa.settings.violations import Refused, Violation, violations_error
 
 
@@ -34,23 +33,45 @@ def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool
     return folder
 
 
-def finished_result(folder: Path, experiment: config.Experiment) -> TuneResult | None:
-    """The result of this experiment, if it is in the folder."""
+def finished_result(
+    folder: Path,
+    experiment: config.Experiment,
+    task: RecordedTask | None,
+    own: OwnFilter | None,
+) -> Result | None:
+    """The result of this experiment on these recordings, if there are any, from its folder."""
     try:
-        result = load(folder)
-    except RunFolderError:
+        result = load(folder, filter=own)
+    except (RunFolderError, ArgumentError):
         return None
     same = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
-    return result if same == experiment else None
+    on, search = result.on_recordings, result.search
+    if same != experiment or search is None:
+        return None
+    if task is None:
+        return result if search.tuned_on == "scenarios" else None
+    trained = [] if on is None else [one.fingerprint for one in on.training]
+    asked = (task.training, task.position_weight)
+    return result if (trained, search.position_weight) == asked else None
 
 
-def check_same_recordings(stored: RecordedTask | None, asked: RecordedTask, folder: Path) -> None:
+def check_same_recordings(
+    stored: RecordedTask | None, asked: RecordedTask | None, folder: Path
+) -> None:
     """Raise an ArgumentError unless a run was tuned on these recordings with these arguments."""
+    if stored is None and asked is None:
+        return
     if stored is None:
         refuse(f"recordings with resume = {folder}", "none: the run is on simulated scenarios")
-    for name in ("schedule", "position_weight"):
-        if (given := getattr(asked, name)) != (kept := getattr(stored, name)):
-            refuse(f"{name} = {given!r}", f"{kept!r}, as in the run to go on with")
+    if asked is None:
+        refuse(
+            f"resume = {folder} without recordings",
+            "with those that it is tuned on and those held out (recordings=, held_out=; "
+            "--recording, --held-out)",
+        )
+    if asked.position_weight != stored.position_weight:
+        words = f"{stored.position_weight!r}, as in the run to go on with"
+        refuse(f"position_weight = {asked.position_weight!r}", words)
     for name, own, kept in (
         ("recordings", asked.training, stored.training),
         ("held_out", asked.held_out, stored.held_out),
@@ -60,21 +81,6 @@ def check_same_recordings(stored: RecordedTask | None, asked: RecordedTask, fold
         for i, (one, other) in enumerate(zip(own, kept, strict=True)):
             if one != other:
                 refuse(f"{name}[{i}]: holds other numbers", "that of the run to go on with")
-
-
-def finished_on_recordings(
-    folder: Path, experiment: config.Experiment, task: RecordedTask
-) -> RecordingResult | None:
-    """The result of this experiment on these recordings, if it is in the folder."""
-    try:
-        result = load_recorded(folder)
-    except RunFolderError:
-        return None
-    own = result.experiment.model_copy(update={"checkpoint": experiment.checkpoint})
-    trained = [one.fingerprint for one in result.training]
-    asked = (experiment, task.training, task.schedule, task.position_weight)
-    found = (own, trained, result.filter.kind, result.position_weight)
-    return result if found == asked else None
 
 
 def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) -> config.Experiment:

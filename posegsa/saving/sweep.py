@@ -29,7 +29,7 @@ from posegsa.saving.folder import (
 )
 from posegsa.saving.records import from_json, to_json
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the format of a run's file."""
 RUNS = "runs"
 TABLE, DATA, EACH = "sweep.txt", "sweep.csv", "runs.csv"

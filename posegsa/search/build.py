@@ -2,7 +2,9 @@
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,52 +15,76 @@ from jax.random import wrap_key_data
 from jax.typing import DTypeLike
 
 from posegsa import config
-from posegsa.arguments import check_dtype, check_type, refuse
+from posegsa.arguments import check_dtype, check_type, fitting, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
-from posegsa.filters.base import Filter, samples_of
+from posegsa.filters.base import Filter, check_filter, samples_of
+from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import initial_state
 from posegsa.model.family import Family, Occasions, realise
+from posegsa.model.first_pose import bias_at_rest, first_pose, waiting_until
 from posegsa.model.fuzzy import Rules
 from posegsa.model.scenario import Bursts, Scenario, Sines
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
-from posegsa.search.candidates import Schedules, SearchSpace
+from posegsa.search.candidates import ScheduleSpace, SearchSpace, without_schedule
 from posegsa.search.groups import in_groups, padded
 from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
-from posegsa.search.population import ScenarioBatch, TrackCost
+from posegsa.search.population import ScenarioBatch, TrackCost, check_cost
+from posegsa.search.schedule_spaces import SIMPLE, schedule_space
+
+OwnFilter = Filter | Callable[..., Filter]
+"""A filter of the user's own, or what makes one: called with the numbers of [filter] by name."""
 
 
 class TuningProblem(NamedTuple):
     """An experiment with its scenarios and its search space, ready to search."""
 
     experiment: config.Experiment
-    scenario: Scenario
-    scenarios: ScenarioBatch
-    """Training scenarios, then held-out ones."""
+    scenario: Scenario | None
+    """What scenarios are drawn from; None where nothing is simulated."""
+    scenarios: ScenarioBatch | None
+    """Training scenarios, then held-out ones; None where nothing is simulated."""
     training: ScenarioBatch
-    space: SearchSpace[ParameterSpace]
+    """What is tuned on: scenarios, or recordings."""
+    space: SearchSpace
     cost: TrackCost | None = None
     """A user's own cost of a simulation; None for the configured one."""
     beside: ScenarioBatch | None = None
-    """Simulated scenarios that a search on recordings also uses, or None."""
+    """Simulated scenarios that a search on recordings sees beside them; None if it sees none."""
+    own: OwnFilter | None = None
+    """The user's own filter, if it is one."""
+
+    @property
+    def simulated(self) -> ScenarioBatch:
+        """`scenarios`, where there are some."""
+        assert self.scenarios is not None
+        return self.scenarios
 
     @property
     def held_out(self) -> ScenarioBatch:
-        """The scenarios that only evaluate the result."""
-        return self.scenarios.select(slice(self.experiment.run.training_scenarios, None))
+        """The scenarios that only judge."""
+        return self.simulated.select(slice(self.experiment.run.training_scenarios, None))
 
 
-def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None) -> TuningProblem:
-    """Build an experiment's scenarios and parameter space.
+def tuning_problem(
+    experiment: config.Experiment, cost: TrackCost | None = None, own: OwnFilter | None = None
+) -> TuningProblem:
+    """An experiment's scenarios and parameter space.
+
+    Args:
+        experiment: What is searched.
+        cost: A user's own cost.
+        own: The user's own filter, where the experiment has one.
 
     Raises:
-        MemoryLimitError: The experiment would need more memory than is free.
-        ConfigError: `objective.simulated_share` is not 0; only a search on recordings can use it.
+        MemoryLimitError: It would need more memory than there is.
+        ArgumentError: The user's cost does not return one number, or the filter is missing.
+        ConfigError: It has a share for simulated scenarios, which only a search on recordings has.
     """
     check_type("experiment", experiment, config.Experiment)
     if experiment.objective.simulated_share:
@@ -68,19 +94,23 @@ def tuning_problem(experiment: config.Experiment, cost: TrackCost | None = None)
         )
     memory.check([experiment])
     run, one = experiment.run, scenario(experiment)
-    scenarios = all_scenarios(experiment, one)
+    check_cost(cost, one.samples, len(experiment.scenario.vectors), jnp.dtype(run.dtype))
+    scenarios = all_scenarios(experiment, one, filter_of(experiment, own))
     return TuningProblem(
         experiment=experiment,
         scenario=one,
         scenarios=scenarios,
         training=scenarios.select(slice(run.training_scenarios)),
-        space=search_space(experiment, parameter_space(experiment)),
+        space=search_space(experiment),
         cost=cost,
+        own=own,
     )
 
 
-def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch:
-    """The training scenarios of an experiment, then the held-out ones."""
+def all_scenarios(
+    experiment: config.Experiment, one: Scenario, filter: Filter | None = None
+) -> ScenarioBatch:
+    """The training scenarios of an experiment, then those held out."""
     run = experiment.run
     return scenario_batch(
         experiment,
@@ -91,6 +121,7 @@ def all_scenarios(experiment: config.Experiment, one: Scenario) -> ScenarioBatch
                 held_out_keys(run.seed, run.held_out_scenarios),
             ]
         ),
+        filter,
     )
 
 
@@ -106,44 +137,55 @@ def scenario_batch(
         ArgumentError: There are no keys, or they belong to another generator.
     """
     dtype = jnp.dtype(experiment.run.dtype)
-    filter, drawn_from = filter or observer(experiment), family(experiment, dtype)
+    filter, drawn_from = filter or filter_of(experiment), family(experiment, dtype)
     words, count = np.asarray(jax.random.key_data(keys)), len(keys)
     if words.shape != (count, 2) or not count:
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
     samples = one.samples
     longer = replace(one, samples=padded(samples))
 
+    start = experiment.scenario.start
+
     def some(index: np.ndarray) -> dict[str, Any]:
-        made = _drawn(longer, drawn_from, filter, words[index], np.int32(samples - 1))
+        made = _drawn(longer, drawn_from, filter, words[index], np.int32(samples - 1), start)
         return made | {"samples": jax.tree.map(lambda a: a[:, :samples], made["samples"])}
 
     drawn = in_groups(some, count, longer.samples)
     if experiment.family.duration == "off":
         drawn["end"] = None
+    if start == "given":
+        drawn["begin"] = None
     return ScenarioBatch(
         **drawn, weights=cost_weights(experiment.cost, samples, dtype), filter=filter
     )
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="start")
 def _drawn(
-    scenario: Scenario, family: Family, filter: Filter, keys: Array, last: Array
+    scenario: Scenario, family: Family, filter: Filter, keys: Array, last: Array, start: str
 ) -> dict[str, Any]:
     """Fields of a `ScenarioBatch` for key data (S, 2); the bias is that of sample `last`."""
 
     def draw(key: Array) -> dict[str, Any]:
         drawn, truth, sensed = realise(scenario, family, wrap_key_data(key, impl=GENERATOR))
-        samples = samples_of(
-            filter, sensed.measurements, truth.rotation, truth.position, truth.time
-        )
-        initial = initial_state(
-            drawn.rotation_estimate, drawn.position_estimate, drawn.bias_estimate
-        )
+        measured, begin = sensed.measurements, truth.time[0]
+        pose = drawn.rotation_estimate, drawn.position_estimate
+        bias = drawn.bias_estimate
+        if start != "given":
+            found = first_pose(measured)
+            if start == "rest":
+                bias = bias_at_rest(measured, found.sample)
+            measured = waiting_until(measured, found.sample)
+            pose = found.rotation, found.position
+            begin = found.sample.astype(begin.dtype) * scenario.time_step
+        samples = samples_of(filter, measured, truth.rotation, truth.position, truth.time)
+        initial = initial_state(*pose, bias)
         return {
             "samples": samples,
             "initial": initial,
             "bias": sensed.bias[last],
             "vector_bias": drawn.vector_bias,
+            "begin": begin,
             "end": drawn.end,
         }
 
@@ -274,10 +316,12 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
     """The filter that an experiment configures, at its dtype.
 
     Raises:
-        ArgumentError: The argument is not an experiment.
+        ArgumentError: not an experiment, or not one of the observer.
     """
     check_type("experiment", experiment, config.Experiment)
     section, scenario = experiment.filter, experiment.scenario
+    if not isinstance(section, config.ObserverConfig):
+        refuse(f"filter.kind = {section.kind}", "observer")
     dtype = jnp.dtype(experiment.run.dtype)
 
     def number(value: float) -> Array:
@@ -325,12 +369,70 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
     )
 
 
-def observer(experiment: config.Experiment) -> Observer:
-    """The observer that an experiment configures, without its gain schedule."""
+Sensors = tuple[int, int]
+"""How many vectors and how many landmarks a filter reads."""
+
+
+def filter_of(
+    experiment: config.Experiment, own: OwnFilter | None = None, sensors: Sensors | None = None
+) -> Filter:
+    """The filter that an experiment configures; an observer without the schedule that is searched.
+
+    Args:
+        experiment: Its [filter] says which, and with which numbers.
+        own: The user's own filter, where the experiment has one.
+        sensors: How many it reads, by default those of the scenario. An observer's weights go in
+            order: the first vector has that of the experiment's first, and so on; further ones have
+            1, and so have landmarks. So a sensor more or less changes no other's weight.
+
+    Raises:
+        ArgumentError: `own` is missing, is no filter, or lacks a number of [filter].
+    """
+    section, dtype = experiment.filter, jnp.dtype(experiment.run.dtype)
+    if isinstance(section, config.OwnConfig):
+        numbers = {name: _array(value, dtype) for name, value in section.numbers.items()}
+        return _own_filter(own, numbers, dtype)
+    if own is not None:
+        refuse(f"filter with filter.kind = {section.kind!r}", 'one of them, or filter.kind = "own"')
+    if isinstance(section, config.KalmanConfig):
+        noise = {name: _array(getattr(section, name), dtype) for name in KalmanNoise._fields}
+        return KalmanFilter(KalmanNoise(**noise), section.vector_bias == "estimated")
+    settings = filter_settings(experiment)
+    if sensors is not None:
+        settings = _for_sensors(settings, *sensors)
     return Observer(
-        schedule=None,
-        settings=filter_settings(experiment),
-        signal=signal_settings(experiment.gain, jnp.dtype(experiment.run.dtype)),
+        schedule=None, settings=settings, signal=signal_settings(experiment.gain, dtype)
+    )
+
+
+def _own_filter(own: OwnFilter | None, numbers: dict[str, Array], dtype: DTypeLike) -> Filter:
+    """A user's own filter with the numbers of [filter], all its numbers at a dtype."""
+    if own is None:
+        refuse(
+            'filter: none with filter.kind = "own"',
+            "the filter, or its class (filter=..., --filter module:Class)",
+        )
+    if isinstance(own, Filter) and not isinstance(own, type):
+        made = own.with_values(numbers)
+    else:
+        with fitting("filter"):
+            made = own(**numbers)
+    check_filter("filter", made)
+    return jax.tree.map(lambda leaf: _array(leaf, dtype), made)
+
+
+def _for_sensors(settings: FilterSettings, vectors: int, landmarks: int) -> FilterSettings:
+    """Settings with weights for so many sensors."""
+
+    def first(weights: tuple[Array, ...] | None, count: int) -> tuple[Array, ...]:
+        given = weights or ()
+        one = jnp.ones((), jnp.asarray(settings.gamma_angular).dtype)
+        return (*given[:count], *(one,) * (count - len(given)))
+
+    return replace(
+        settings,
+        vectors=replace(settings.vectors, weights=first(settings.vectors.weights, vectors)),
+        landmark_weights=first(settings.landmark_weights, landmarks),
     )
 
 
@@ -411,8 +513,31 @@ def parameter_space(experiment: config.Experiment) -> ParameterSpace:
     )
 
 
-def search_space(experiment: config.Experiment, schedules: Schedules) -> SearchSpace[Schedules]:
-    """The search space of an experiment: the numbers of a schedule, then those in `also`."""
+def own_space(experiment: config.Experiment, lowest: float | None = None) -> ScheduleSpace:
+    """The space of the schedule that an experiment configures.
+
+    Args:
+        experiment: Its [filter] says which.
+        lowest: Least gain [1/s] of a constant or smooth one, where it is to be another one.
+    """
+    section = experiment.filter
+    if not isinstance(section, config.ObserverConfig):
+        return without_schedule(experiment.run.dtype)
+    if section.schedule in SIMPLE:
+        return schedule_space(section.schedule, experiment, lowest)
+    return parameter_space(experiment)
+
+
+def search_space(
+    experiment: config.Experiment, schedules: ScheduleSpace | None = None
+) -> SearchSpace:
+    """Where an experiment searches: the numbers of a schedule, and those that are tuned too.
+
+    Args:
+        experiment: What is searched.
+        schedules: The space of the schedule, by default that of the experiment's own.
+    """
+    schedules = own_space(experiment) if schedules is None else schedules
     also, dtype = experiment.also, jnp.dtype(experiment.run.dtype)
     logarithmic = tuple(one.scale == "logarithmic" for one in also)
 

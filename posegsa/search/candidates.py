@@ -31,7 +31,7 @@ class Candidate:
     values: tuple[Array, ...] = ()
     """Other tuned numbers, each in the unit of its key."""
     keys: tuple[str, ...] = field(default=(), metadata={"static": True})
-    """Their keys (`Filter.with_values`)."""
+    """Their keys in the configuration."""
 
     def values_by_key(self) -> dict[str, float]:
         """The other tuned numbers by key; only for one candidate."""
@@ -39,7 +39,8 @@ class Candidate:
 
     def applied(self, shared: FilterT) -> FilterT:
         """The filter with this candidate's schedule and numbers (pure, jittable)."""
-        own = shared.with_values(dict(zip(self.keys, self.values, strict=True)))
+        names = (key.removeprefix("filter.") for key in self.keys)
+        own = shared.with_values(dict(zip(names, self.values, strict=True)))
         if self.schedule is None:
             return own
         return replace(cast(Any, own), schedule=self.schedule)

@@ -56,7 +56,7 @@ def needs(
     size = np.dtype(run.dtype).itemsize
     held_out = run.held_out_scenarios if held_out is None else held_out
     training, samples = run.training_scenarios, scenario.samples
-    vectors = len(scenario.vectors) + experiment.filter.cross_vector
+    vectors = len(scenario.vectors) + _crossed(experiment)
     landmarks = len(scenario.landmarks)
     # Truth, measurements and the loop's inputs; for the training scenarios once more at both
     # precisions, as the sensitivity of the result is checked on them.
@@ -77,15 +77,20 @@ def needs(
     }
 
 
+def _crossed(experiment: config.Experiment) -> bool:
+    """Whether the filter reads the cross product of two vectors as a further one."""
+    return getattr(experiment.filter, "cross_vector", False)
+
+
 def _needs_recorded(experiment: config.Experiment, recorded: RecordedSize) -> dict[str, int]:
     shares = needs(experiment)
     for name in ("run.training_scenarios", "run.endurance_scenarios", "run.held_out_scenarios"):
         if name == "run.endurance_scenarios" or not experiment.objective.simulated_share:
             del shares[name]
     size = np.dtype(experiment.run.dtype).itemsize
-    vectors = recorded.vectors + experiment.filter.cross_vector
-    # Measurements, truth and masks, padded and stacked in NumPy's float64; the same at the run's
-    # precision, and the loop's inputs.
+    vectors = recorded.vectors + _crossed(experiment)
+    # What is measured, the truth and what counts, filled up and joined in NumPy's float64; the same
+    # at the run's precision, and what the loop reads of it.
     given = 20 + 7 * recorded.vectors + 7 * recorded.landmarks
     read = 25 + 7 * (vectors + recorded.landmarks) + 8 * recorded.landmarks
     per_sample = 2 * 8 * given + size * (given + 2 * read)

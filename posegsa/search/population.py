@@ -58,6 +58,35 @@ def check_same_cost(cost: TrackCost | None, stored: str) -> None:
         refuse(f"cost = {cost_name(cost)}", f"{stored}, with which the run was tuned")
 
 
+def check_cost(cost: TrackCost | None, samples: int, vectors: int, dtype: jnp.dtype) -> None:
+    """Raise an ArgumentError unless a user's cost maps a simulation to one number.
+
+    Args:
+        cost: The function; None is the configured one.
+        samples: N of a simulation.
+        vectors: How many biases of vectors it estimates.
+        dtype: Floating type of the simulation.
+    """
+    if cost is None:
+        return
+
+    def leaf(*shape: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, dtype)
+
+    over_time: Any = leaf(samples)
+    biases: Any = leaf(6), leaf(vectors, 3)
+    track = ErrorTrack(*(over_time,) * 4, *biases)
+    allowed = "a JAX function of an ErrorTrack and of the times (N,) [s] that returns one number"
+    try:
+        found = jax.eval_shape(cost, track, over_time)
+    except Exception as error:  # whatever the user's function raises
+        refuse(f"cost {cost_name(cost)}: {type(error).__name__}: {error}", allowed)
+    shape, kind = getattr(found, "shape", None), getattr(found, "dtype", None)
+    if shape != () or kind is None or not jnp.issubdtype(kind, jnp.number):
+        returned = type(found).__name__ if shape is None else f"{kind} of the shape {shape}"
+        refuse(f"cost {cost_name(cost)}: returns {returned}", allowed)
+
+
 class ScenarioBatch(NamedTuple):
     """Everything that the cost of a filter depends on, for S scenarios."""
 
@@ -68,7 +97,10 @@ class ScenarioBatch(NamedTuple):
     bias: Array
     """(S, 6) true velocity bias at the end [rad/s, m/s]; only to judge its estimate."""
     vector_bias: Array
-    """(S, n, 3) true biases of the vectors; only to judge their estimates."""
+    """(S, n, 3) true biases of the vectors, likewise."""
+    begin: Array | None
+    """(S,) time at which the estimate starts [s], before which nothing counts; None where that is
+    the first sample."""
     end: Array | None
     """(S,) time at which the cost ends [s]; None if whole scenarios count."""
     weights: CostWeights
@@ -84,7 +116,7 @@ class ScenarioBatch(NamedTuple):
 
     def select(self, index: np.ndarray | slice) -> "ScenarioBatch":
         """Some of the scenarios."""
-        names = ("samples", "initial", "bias", "vector_bias", "end", "recorded")
+        names = ("samples", "initial", "bias", "vector_bias", "begin", "end", "recorded")
         chosen = {name: getattr(self, name) for name in names}
         return self._replace(**jax.tree.map(lambda a: a[index], chosen))
 
@@ -171,17 +203,18 @@ def agent_costs(
 
     def piece(part: Array) -> Array:
         group, chunk = part // cut.chunks, part % cut.chunks
-        given = batch.samples, batch.initial, batch.end, batch.recorded
+        given = batch.samples, batch.initial, batch.begin, batch.end, batch.recorded
         each = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
 
         def on_scenario(
             samples: Samples,
             initial: FilterState,
+            begin: Array | None,
             end: Array | None,
             recorded: RecordedCost | None,
         ) -> Array:
-            weights = batch.weights.until(samples.time, end)
+            weights = batch.weights.between(samples.time, begin, end)
 
             def agent(one: Candidate) -> Array:
                 # Applied here, so that only the candidate's numbers are batched over agents.

@@ -8,9 +8,8 @@ square of its errors.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,45 +20,39 @@ from posegsa import config
 from posegsa.config.schedule import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.filters.base import Filter, Samples, samples_of
-from posegsa.filters.observer import FilterSettings
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.schedules import ConstantGain, GainSchedule, SmoothGain
 from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.running import state_of
+from posegsa.recordings.running import as_seen, state_of
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
 from posegsa.search.build import (
+    OwnFilter,
     TuningProblem,
     all_scenarios,
-    filter_settings,
-    observer,
-    parameter_space,
+    filter_of,
+    own_space,
     scenario,
     search_space,
 )
-from posegsa.search.candidates import SimpleSpace
 from posegsa.search.population import ScenarioBatch
-from posegsa.search.recorded_schedules import RecordedSchedule
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
-"""Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
-GAINS = (1e-3, 200.0)
-"""Range of the simple schedules' gains [1/s], searched on a logarithmic scale."""
-HALF_GAIN_ERRORS = (0.003, 1.0)
-"""Range of a smooth schedule's scaled error at half gain, searched on a logarithmic scale."""
+"""Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
+LOWEST_GAIN = 1e-3
+"""Lowest constant or smooth gain that is searched on recordings [1/s]: they are of any rate."""
 _EYE = np.eye(3)
 
 
 def recorded_problem(
     experiment: config.Experiment,
     recordings: Sequence[Recording],
-    schedule: RecordedSchedule,
     position_weight: float,
     *,
+    own: OwnFilter | None = None,
     strict: bool = True,
 ) -> TuningProblem:
     """A search of an experiment's filter on recordings.
@@ -69,9 +62,9 @@ def recorded_problem(
             scenario gives the weights of vectors and landmarks, in order. If its
             `objective.simulated_share` is above 0, its scenarios are used too.
         recordings: At least one, each with a truth.
-        schedule: The schedule to search, beside the numbers in `experiment.also`.
-        position_weight: Weight of the position RMSE [deg/m].
-        strict: If true, refuse to tune a number that has no effect; otherwise leave it out.
+        position_weight: Of the position's RMSE [deg/m].
+        own: The user's own filter, where the experiment has one.
+        strict: Refuse a number to be tuned that has no effect; else it is left out.
 
     Raises:
         ConfigError: The experiment's signal is "pose", or it tunes a number that has no effect
@@ -83,20 +76,22 @@ def recorded_problem(
         raise ConfigError(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
-    experiment = tuned_on_recordings(experiment, recordings, schedule, strict=strict)
+    experiment = tuned_on_recordings(experiment, recordings, strict=strict)
     memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
-        scenario=None,  # type: ignore[arg-type]  # nothing is simulated
-        scenarios=None,  # type: ignore[arg-type]  # nothing is simulated
-        training=recorded_batch(experiment, recordings, position_weight),
-        space=search_space(experiment, _space(schedule, experiment)),
+        scenario=None,
+        scenarios=None,
+        training=recorded_batch(experiment, recordings, position_weight, own),
+        space=search_space(experiment, own_space(experiment, LOWEST_GAIN)),
+        own=own,
     )
     if not experiment.objective.simulated_share:
         return problem
     _check_same_sensors(experiment, recordings)
     one = scenario(experiment)
-    every = as_recordings(all_scenarios(experiment, one), position_weight)
+    drawn = all_scenarios(experiment, one, filter_of(experiment, own))
+    every = as_recordings(drawn, position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
     return problem._replace(scenario=one, scenarios=every, beside=beside)
 
@@ -104,12 +99,11 @@ def recorded_problem(
 def tuned_on_recordings(
     experiment: config.Experiment,
     recordings: Sequence[Recording],
-    schedule: RecordedSchedule,
     *,
     strict: bool = True,
 ) -> config.Experiment:
-    """`with_effect_on`, with the sensors of the recordings."""
-    return with_effect_on(experiment, *_most_sensors(recordings), schedule, strict=strict)
+    """`with_effect_on` these recordings."""
+    return with_effect_on(experiment, *_most_sensors(recordings), strict=strict)
 
 
 def _size(recordings: Sequence[Recording]) -> memory.RecordedSize:
@@ -147,12 +141,14 @@ def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch
     """
     time, truth = batch.samples.time, batch.samples.truth
     assert truth is not None
-    each = jax.vmap(batch.weights.until)(time, batch.end) if batch.end is not None else None
-    weights = batch.weights if each is None else each
+    weights = batch.weights
+    if batch.begin is not None or batch.end is not None:
+        weights = jax.vmap(batch.weights.between)(time, batch.begin, batch.end)
     weight = jnp.broadcast_to(weights.transient + weights.steady, time.shape)
     total = jnp.sum(weight, axis=-1, keepdims=True)
     weight = jnp.where(total > 0, weight / jnp.where(total > 0, total, 1.0), 0.0)
     return batch._replace(
+        begin=None,
         end=None,
         recorded=RecordedCost(
             weight=weight,
@@ -162,49 +158,23 @@ def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch
     )
 
 
-def settings_on(experiment: config.Experiment, vectors: int, landmarks: int) -> FilterSettings:
-    """The filter that an experiment configures, for another number of vectors and landmarks.
-
-    They take the weights of the experiment's sensors in order; further ones have the weight 1. So
-    adding or removing a sensor doesn't change the weights of the others.
-    """
-    settings = filter_settings(experiment)
-
-    def first(weights: tuple[Array, ...] | None, count: int) -> tuple[Array, ...]:
-        given = weights or ()
-        one = jnp.ones((), experiment.run.dtype)
-        return (*given[:count], *(one,) * (count - len(given)))
-
-    return replace(
-        settings,
-        vectors=replace(settings.vectors, weights=first(settings.vectors.weights, vectors)),
-        landmark_weights=first(settings.landmark_weights, landmarks),
-    )
-
-
 def with_effect_on(
-    experiment: config.Experiment,
-    vectors: int,
-    landmarks: int,
-    schedule: RecordedSchedule,
-    *,
-    strict: bool = True,
+    experiment: config.Experiment, vectors: int, landmarks: int, *, strict: bool = True
 ) -> config.Experiment:
-    """An experiment that tunes only what has an effect on recordings.
+    """An experiment that tunes only what has an effect with so many sensors.
 
     Raises:
         ConfigError: A number that the user chose has no effect, and `strict` is true.
     """
     kept = []
     for one in experiment.also:
-        if _has_effect(one.key, vectors, landmarks, schedule):
+        if experiment.filter.kind == "own" or _has_effect(one.key, vectors, landmarks):
             kept.append(one.model_dump(mode="json"))
         elif strict and one not in _come_with_posegsa():
             raise ConfigError(
                 f"parameters.also: {one.key!r} has no effect on these recordings, with "
-                f"{counted(vectors, 'vector')}, {counted(landmarks, 'landmark')} and a {schedule} "
-                "gain; allowed: a list without it"
-                f"{_a_schedule_that_uses(one.key, vectors, landmarks)}"
+                f"{counted(vectors, 'vector')} and {counted(landmarks, 'landmark')}; allowed: a "
+                "list without it"
             )
     data = experiment.model_dump(mode="json")
     data["parameters"]["also"] = kept
@@ -213,31 +183,30 @@ def with_effect_on(
 
 @cache
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
-    """The numbers that are tuned by default, and by the configuration "landmarks"."""
-    return (*config.DEFAULT_ALSO, *config.load("landmarks").parameters.also)
+    """The numbers that are tuned where a user states none: by default, and by "landmarks"."""
+    configured = config.load("landmarks").parameters.also
+    return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *configured)
 
 
-def _a_schedule_that_uses(key: str, vectors: int, landmarks: int) -> str:
-    """The other schedules with which a number has an effect, for an error message."""
-    used = [s for s in get_args(RecordedSchedule) if _has_effect(key, vectors, landmarks, s)]
-    return f", or a {' or '.join(used)} gain (schedule)" if used else ""
+_OF_POSITION = ("length", "velocity", "linear_walk", "landmark", "initial_position")
+"""Numbers of [filter] that have an effect only where landmarks are seen."""
 
 
-def _has_effect(key: str, vectors: int, landmarks: int, schedule: str) -> bool:
+def _has_effect(key: str, vectors: int, landmarks: int) -> bool:
     match key.split("."):
         case ["gain", "position_weight"]:
-            return schedule != "constant" and landmarks > 0 and vectors > 0
-        case ["gain", _]:
-            return schedule != "constant"
+            return landmarks > 0 and vectors > 0
         case ["scenario", "vectors", index, _]:
             return int(index) < vectors
         case ["scenario", "landmarks", index, _]:
             return int(index) < landmarks
         case ["filter", "cross_vector_weight"]:
             return vectors >= 2
-        case ["filter", name] if name.startswith(("vector_bias", "excitation")):
+        case ["filter", name] if name.startswith(("vector", "excitation", "initial_vector")):
             return vectors > 0
-        case ["filter", "gamma" | "bias_bound", "1"] | ["filter", "length"]:
+        case ["filter", "gamma" | "bias_bound", "1"] | ["filter", "initial_linear_bias"]:
+            return landmarks > 0
+        case ["filter", name] if name in _OF_POSITION:
             return landmarks > 0
     return True
 
@@ -246,12 +215,13 @@ def recorded_batch(
     experiment: config.Experiment,
     recordings: Sequence[Recording],
     position_weight: float,
-    filter: Filter | None = None,
+    own: OwnFilter | None = None,
 ) -> ScenarioBatch:
-    """Recordings as S scenarios at the experiment's dtype; `filter` is its observer by default."""
+    """Recordings as S scenarios, at an experiment's dtype, for its filter, or the user's own."""
     dtype = jnp.dtype(experiment.run.dtype)
     most = _most_sensors(recordings)
-    filter = filter or replace(observer(experiment), settings=settings_on(experiment, *most))
+    filter = filter_of(experiment, own, most)
+    recordings = [as_seen(filter, one) for one in recordings]
     length = max(one.samples for one in recordings)
     padded = [_padded(one, length, *most, position_weight) for one in recordings]
     together: dict[str, Any] = jax.tree.map(
@@ -268,6 +238,7 @@ def recorded_batch(
         initial=initial,
         bias=jnp.zeros((count, 6), dtype),
         vector_bias=jnp.zeros((count, most[0], 3), dtype),
+        begin=None,
         end=None,
         weights=CostWeights(nothing, nothing, nothing > 0, nothing),
         filter=filter,
@@ -333,25 +304,3 @@ def _padded(
         "position": P,
         "cost": RecordedCost(**cost),
     }
-
-
-# What is searched ---------------------------------------------------------------------------------
-
-
-def _space(schedule: RecordedSchedule, experiment: config.Experiment) -> Any:
-    if schedule == "fuzzy":
-        return parameter_space(experiment)
-    gain, half = np.log(GAINS), np.log(HALF_GAIN_ERRORS)
-    bounds = {"constant": [gain], "smooth": [gain, gain, half]}[schedule]
-    make = {"constant": _constant, "smooth": _smooth}[schedule]
-    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
-    return SimpleSpace(lower, upper, make)
-
-
-def _constant(vector: Array) -> GainSchedule:
-    return ConstantGain(jnp.exp(vector[0]))
-
-
-def _smooth(vector: Array) -> GainSchedule:
-    low, high, half = jnp.exp(vector)
-    return SmoothGain(low, high, half)

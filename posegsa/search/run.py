@@ -205,7 +205,7 @@ def search_batch(
         )
     _warn_of_long_iterations(problems)
     # One program needs one reach: terms farther apart than its own do not overlap, and add 0.
-    reach = max(problem.space.schedules.reach for problem in problems)
+    reach = max(getattr(problem.space.schedules, "reach", 0) for problem in problems)
     try:
         training, space = jax.tree.map(
             lambda *leaves: jnp.stack(leaves),
@@ -239,7 +239,9 @@ def structure(problem: TuningProblem) -> Hashable:
     return tree, shapes, problem.experiment.search, problem.experiment.objective
 
 
-def _with_reach(space: SearchSpace[ParameterSpace], reach: int) -> SearchSpace[ParameterSpace]:
+def _with_reach(space: SearchSpace, reach: int) -> SearchSpace:
+    if not isinstance(space.schedules, ParameterSpace):
+        return space
     return replace(space, schedules=replace(space.schedules, reach=reach))
 
 

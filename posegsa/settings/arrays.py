@@ -84,14 +84,15 @@ class Columns(Numbers):
 
     Args:
         names: Names of the columns, with units.
-        each: Whether there is a set of these columns for each of several items, for example
-            vectors; "#" in a name is replaced by the number of the item.
+        rows: The name of its length.
+        each: There is a set of these columns for each of several things, such as vectors; "#" in a
+            name is replaced by the number of the thing.
         numbers: Keyword arguments of `Numbers`.
     """
 
-    def __init__(self, *names: str, each: bool = False, **numbers: Any) -> None:
+    def __init__(self, *names: str, rows: str = "rows", each: bool = False, **numbers: Any) -> None:
         columns = [None] if each else [len(names)] if len(names) > 1 else []
-        super().__init__("rows", *columns, **numbers)
+        super().__init__(rows, *columns, **numbers)
         self.names, self.each = names, each
 
     def of(self, count: int) -> list[str]:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -31,8 +31,13 @@ def plain(value: Any) -> Any:
         case list() | tuple():
             return [plain(each) for each in value]
     if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in stored_fields(value)}
     return value
+
+
+def stored_fields(kind: Any) -> list[Field[Any]]:
+    """The fields of a dataclass that are stored: all but those with the metadata stored=False."""
+    return [field for field in fields(kind) if field.metadata.get("stored", True)]
 
 
 def decimal(array: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def _violations(item: Mapping[str, Any], model: _Table) -> Iterable[Violation]:
         return [violation.under(path) for violation in cause.violations]
     match item["type"]:
         case "extra_forbidden":
-            path = (*path, item["loc"][-1])
+            path = (*_place(item["loc"][:-1], model)[0], item["loc"][-1])
             value, reason = ABSENT, _unknown_key(path, item["input"], tables, model)
         case "missing":
             value, reason = ABSENT, "missing"
@@ -118,16 +118,18 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
 
     Pydantic's location also names the members of unions, which do not appear in a file.
     """
-    path, tables = (), [model]
+    path, tables, chosen = (), [model], False
     for step in location:
         fields = [table[step] for table in tables if step in table]
-        if fields or isinstance(step, int):
+        # After the name of a chosen table comes one of its keys, which may be the user's own.
+        if fields or isinstance(step, int) or chosen:
             path = (*path, step)
+        chosen = False
         if fields:
             tables = [table for field in fields for table in _tables_of(field)]
         else:
             tagged = [t for t in tables if any(step in get_args(f.annotation) for f in t.values())]
-            tables = tagged or tables
+            tables, chosen = tagged or tables, bool(tagged)
     return path, tables
 
 

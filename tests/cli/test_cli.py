@@ -79,8 +79,9 @@ def test_a_process_of_its_own_finds_the_same(finished, tmp_path):
         json.loads((folder / "posegsa-run" / "result.json").read_text())
         for folder in (finished[0], tmp_path)
     )
-    for name in ("parameters", "best_cost", "constant_gain"):
-        assert first[name] == second[name]
+    assert first["filter"] == second["filter"]
+    assert first["on_scenarios"] == second["on_scenarios"]
+    assert first["search"]["history"] == second["search"]["history"]
 
 
 def test_it_shows_progress_and_notes_in_plain_words(finished):
@@ -127,6 +128,11 @@ def test_a_finished_run_says_that_it_is_finished(finished, monkeypatch, capsys):
         (["tune", "--set", "run.dtype=float16"], ["run.dtype", "float16", "float32", "float64"]),
         (["tune", "--set", "scenario.velocity_noise=-0.1"], ["scenario.velocity_noise", "-0.1"]),
         (["tune", "--seed", "-1"], ["run.seed", "-1"]),
+        (["tune", "--set", "filter.kind=own"], ["filter: none", "--filter module:Class"]),
+        (
+            ["tune", "--set", "filter.kind=kalman", "--set", "parameters.also=[]"],
+            ["parameters.also: none", "at least one number", "kalman"],
+        ),
     ],
 )
 def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, arguments, words):
@@ -200,8 +206,11 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
     events = []
 
     class Judged:
-        evaluation = SimpleNamespace(table=str)
-        endurance = SimpleNamespace(table=lambda *_: "")
+        on_scenarios = SimpleNamespace(
+            evaluation=SimpleNamespace(table=str),
+            endurance=SimpleNamespace(table=lambda *_: ""),
+            beside="another",
+        )
         experiment = config.Experiment()
         warnings = list
 
@@ -210,7 +219,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         events.append("locked")
         yield folder
 
-    def load(folder):
+    def load(folder, **_):
         events.append("loaded")
         return len(events)
 
@@ -219,11 +228,57 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         return Judged()
 
     monkeypatch.setattr("posegsa.saving.folder.locked_folder", locked_folder)
-    monkeypatch.setattr("posegsa.saving.loading.load", load)
-    monkeypatch.setattr("posegsa.saving.run.write_run", lambda *_, **__: events.append("written"))
+    monkeypatch.setattr("posegsa.saving.result.load", load)
+    write = "posegsa.saving.result.write_result"
+    monkeypatch.setattr(write, lambda *_, **__: events.append("written"))
+    monkeypatch.setattr("posegsa.saving.result.written", lambda *_: [])
     monkeypatch.setattr("posegsa.evaluating.evaluate", evaluate)
     assert main(["evaluate", str(tmp_path)]) == 0
     assert events == ["loaded", "locked", "loaded", "written"]
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_a_changed_result_is_read_only_on_demand(finished, tmp_path, capsys):
+    text = (finished[0] / "posegsa-run" / "result.json").read_text("utf-8")
+    changed = re.sub(r'("seed": )3\b', r"\g<1>4", text, count=1)
+    assert changed != text
+    (tmp_path / "result.json").write_text(changed, "utf-8")
+    assert main(["export", str(tmp_path), "--format", "json"]) == 2
+    assert "was changed after posegsa wrote it" in capsys.readouterr().err
+    assert main(["export", str(tmp_path), "--format", "json", "--edited"]) == 0
+    assert json.loads(capsys.readouterr().out)
+
+
+def test_a_configuration_stands_for_its_own_filter(monkeypatch, capsys):
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    assert main(["export", "quick", "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)["numbers"]
+    assert [k for (k,) in found.values()] == pytest.approx(config.load("quick").tuned.numbers)
+    assert main(["export", "quick", "--format", "json", "--edited"]) == 2
+    assert "--edited; allowed: with the folder of a run, not quick" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ("mine", "--filter mine; allowed: MODULE:CLASS"),
+        ("mine:", "--filter mine:; allowed: MODULE:CLASS"),
+        ("posegsa_has_none_such:Mine", "No module named 'posegsa_has_none_such'"),
+        ("mine_of_a_test:Yours", "has no attribute 'Yours'"),
+        ("mine_of_a_test:Mine", "filter"),
+    ],
+)
+def test_a_filter_of_the_users_own_is_named_by_module_and_class(
+    named, said, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "mine_of_a_test.py").write_text("class Mine:\n    pass\n", "utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    monkeypatch.delitem(sys.modules, "mine_of_a_test", raising=False)
+    assert main(["tune", *SETTINGS, "--filter", named]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "posegsa-run").exists()
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -1,4 +1,4 @@
-"""Configuration files of the attitude filter for inertial sensors."""
+"""The attitude filter for inertial sensors as a file."""
 
 import tomllib
 from pathlib import Path

@@ -23,7 +23,9 @@ def test_each_file_has_a_name_and_says_what_it_is_for() -> None:
 def test_a_name_stands_for_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert config.load("quick") == config.load(CONFIGS / "quick.toml")
-    assert config.as_experiment("recommended") == config.Experiment()
+    named = config.as_experiment("recommended")
+    assert named == config.load(CONFIGS / "recommended.toml")
+    assert config.as_experiment(None) == named.replace(tuned=config.TunedConfig())
 
 
 def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +37,7 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_folder_of_that_name_is_no_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For example the folder of `posegsa tune quick --out quick`."""
+    """Such as that of a run, `posegsa tune quick --out quick`."""
     monkeypatch.chdir(tmp_path)
     Path("quick").mkdir()
     assert config.load("quick").search.agents == 32

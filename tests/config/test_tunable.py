@@ -1,4 +1,4 @@
-"""[[parameters.also]]: which further numbers a search may tune, and which are refused."""
+"""[[parameters.also]]: which numbers a search may tune too, and what is refused."""
 
 import tomllib
 
@@ -9,16 +9,17 @@ from helpers.messages import assert_told
 from posegsa import config
 from posegsa.config.tunable import AlsoTuned, tunable
 from posegsa.errors import ConfigError
+from posegsa.filters.kalman import KalmanNoise
 
 pytestmark = pytest.mark.quick
 
 PLAIN = config.override(config.Experiment(), BASE)
-"""An experiment without estimated biases and without further tuned numbers."""
+"""Without learnt biases, and nothing tuned too."""
 LEARNT = {
     *("filter.vector_bias_gain", "filter.vector_bias_leak", "filter.vector_bias_bound"),
     *("filter.excitation", "filter.excitation_time"),
 }
-"""An experiment that tunes a number of the law of the vectors' biases."""
+"""Of the law of the vectors' biases."""
 ALWAYS = {
     *("filter.gamma.0", "filter.gamma.1", "filter.gain_limit", "filter.length"),
     *("gain.position_weight", "gain.smoothing", "gain.error_scale", "gain.rate_scale"),
@@ -28,7 +29,7 @@ CROSS = {"filter.cross_vector_weight"}
 
 
 def also(*entries: dict) -> list[str]:
-    """The setting that tunes these further numbers."""
+    """The setting that asks for further numbers."""
     tables = ", ".join(
         "{" + ", ".join(f"{name} = {value!r}" for name, value in entry.items()) + "}"
         for entry in entries
@@ -37,7 +38,7 @@ def also(*entries: dict) -> list[str]:
 
 
 def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
-    """The error about these further numbers, on one line."""
+    """What is said of them, on one line."""
     with pytest.raises(ConfigError) as caught:
         config.override(base or PLAIN, also(*entries))
     return " ".join(str(caught.value).split())
@@ -85,12 +86,12 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        "filter.substeps",  # an integer, and static
+        "filter.substeps",  # a whole number, and static
         "filter.vector_bias_gain",  # no bias is estimated
-        "scenario.vectors.2.weight",  # only two vectors
-        "scenario.velocity_noise",  # a property of the world, not of the filter
+        "scenario.vectors.2.weight",  # there are two
+        "scenario.velocity_noise",  # of the world, not of the filter
         "../scenario",
-        "filter.gamma",  # a pair here; each number has its own key
+        "filter.gamma",  # a pair here: each has its own key
     ],
 )
 def test_a_number_without_effect_is_refused(key) -> None:
@@ -105,7 +106,7 @@ OF_BIAS = {"filter.vector_bias_gain"}
 
 
 def keys_of(experiment: config.Experiment) -> set[str]:
-    """The further tuned numbers for several error signals; written out they are the same."""
+    """What is tuned beside k1..k22, by what the search sees; written out it is the same."""
     written = config.from_dict(tomllib.loads(config.to_toml(experiment)))
     assert written == experiment
     assert written.also == experiment.also
@@ -136,10 +137,10 @@ def test_so_it_is_of_a_file_and_of_python() -> None:
     (gamma,) = (one for one in config.Experiment().also if one.key == "filter.gamma")
     both = stated | {"parameters": {"also": [gamma]}}
     assert keys_of(config.from_dict(both)) == {"filter.gamma"}, "stated, and asked for"
-    python = config.Experiment(filter=config.FilterConfig(vector_bias="off"))
+    python = config.Experiment(filter=config.ObserverConfig(vector_bias="off"))
     assert keys_of(python) == RECOMMENDED - OF_BIAS
     stated = config.Experiment(
-        filter=config.FilterConfig(gamma=3.5), gain=config.GainConfig(smoothing=0.0)
+        filter=config.ObserverConfig(gamma=3.5), gain=config.GainConfig(smoothing=0.0)
     )
     assert keys_of(stated) == RECOMMENDED - {"filter.gamma", "gain.smoothing"}
     assert config.Experiment().also == config.Experiment().parameters.also
@@ -149,11 +150,11 @@ def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:
     base = config.override(PLAIN, ["filter.cross_vector=false", "scenario.vectors.0.weight=1.0"])
     alone = {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 3.0}
     said = refusal(alone, base=base)
-    assert_told(said, "lower bound", "scenario.vectors")
+    assert_told(said, "lower bounds", "scenario.vectors")
 
 
 def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:
-    own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default bounds
+    own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default's bounds
     assert_told(refusal(own), 'parameters.also.0.key = "filter.excitation"')
 
 
@@ -163,6 +164,48 @@ def test_tuned_numbers_stay_within_their_bounds() -> None:
     assert found.filter.gamma == 20.0
     assert found.gain.smoothing == 0.1
     assert found.also == base.also
+
+
+KALMAN = config.override(PLAIN, ["filter.kind=kalman"])
+OWN = config.override(PLAIN, ["filter.kind=own", "filter.stiffness=2.0", "filter.leak=0.0"])
+CONSTANT = config.override(PLAIN, ["filter.schedule=constant"])
+
+
+def test_of_another_filter_its_own_numbers_are_tunable() -> None:
+    noises = {f"filter.{name}" for name in KalmanNoise._fields}
+    of_biases = {"filter.vector_walk", "filter.initial_vector_bias"}
+    assert keys_of(KALMAN) == noises
+    assert keys_of(config.override(KALMAN, ["filter.vector_bias=off"])) == noises - of_biases
+    assert keys_of(config.override(KALMAN, ["filter.vector=0.3"])) == noises - {"filter.vector"}
+    assert keys_of(config.from_dict({"filter": {"kind": "kalman", "vector": 0.3}})) == noises - {
+        "filter.vector"
+    }
+    assert keys_of(OWN) == set(), "nothing is tuned that is not asked for"
+    entries = [
+        {"key": f"filter.{name}", "lower": 0.5, "upper": 3.0} for name in ("leak", "stiffness")
+    ]
+    own = config.override(OWN, also(*entries))
+    assert keys_of(own) == {"filter.leak", "filter.stiffness"}
+    tuned = config.with_tuned(own, {"filter.stiffness": 9.0, "filter.leak": 1.0})
+    assert tuned.filter == config.OwnConfig(stiffness=3.0, leak=1.0)
+
+
+@pytest.mark.parametrize(
+    ("base", "key"),
+    [
+        (KALMAN, "filter.gamma.0"),
+        (KALMAN, "gain.smoothing"),
+        (KALMAN, "scenario.vectors.0.weight"),
+        (KALMAN, "filter.vector_bias"),
+        (OWN, "filter.gamma.0"),
+        (OWN, "gain.smoothing"),
+        (OWN, "scenario.vectors.0.weight"),
+        (CONSTANT, "gain.smoothing"),
+    ],
+)
+def test_a_number_of_another_filter_is_refused(base, key) -> None:
+    said = refusal({"key": key, "lower": 1.0, "upper": 2.0}, base=base)
+    assert_told(said, f'parameters.also.0.key = "{key}"', "no effect")
 
 
 def test_a_key_twice_is_refused() -> None:

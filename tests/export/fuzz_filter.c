@@ -5,6 +5,10 @@
 #include "posegsa.h"
 #include <string.h>
 
+#ifndef STEPS
+#define STEPS 1000000
+#endif
+
 static unsigned long long seed = 88172645463325252ULL;
 
 /* xorshift64 */
@@ -69,7 +73,7 @@ static posegsa_real plausible(posegsa_measurement *sample)
 
 int main(void)
 {
-    enum { STEPS = 1000000, NUMBERS = sizeof(posegsa_measurement) / sizeof(posegsa_real) };
+    enum { NUMBERS = sizeof(posegsa_measurement) / sizeof(posegsa_real) };
     const posegsa_real attitude[4] = {1, 0, 0, 0}, position[3] = {0, 0, 0};
     posegsa_real numbers[NUMBERS];
     posegsa_measurement sample;

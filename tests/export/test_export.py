@@ -17,6 +17,7 @@ import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, SCHEMA, export, export_c_gain, export_csv, export_json
+from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.model.fuzzy import FuzzyController
 
 pytestmark = pytest.mark.quick
@@ -77,8 +78,8 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
 
 
 def test_json_says_all_of_the_schedule():
-    costs = np.array([40.0, np.inf])
-    result = tuned(K, *GAPS, "gain.error_scale=0.75", training_costs=costs)
+    costs = {TUNED: np.array([40.0, np.inf]), CONSTANT: np.array([44.0, 45.0])}
+    result = tuned(K, *GAPS, "gain.error_scale=0.75", training=costs)
     text = export_json(result)
     data = json.loads(text, parse_constant=pytest.fail)
     assert (data["schema"], data["version"]) == (SCHEMA, posegsa.__version__)
@@ -86,18 +87,19 @@ def test_json_says_all_of_the_schedule():
     assert data["dtype"] == "float32"
     assert data["gain"] == result.experiment.gain.model_dump(mode="json")
     assert data["filter"] == result.experiment.filter.model_dump(mode="json")
-    assert data["parameters"] == dict(
-        zip(config.PARAMETERS, result.parameters.tolist(), strict=True)
-    )
+    assert data["kind"] == "fuzzy"
+    numbers = [[k] for k in result.parameters.tolist()]
+    assert data["numbers"] == dict(zip(config.PARAMETERS, numbers, strict=True))
     controller = data["controller"]
     assert list(controller["input_terms"]) == list(config.TERMS)
     assert controller["rules"][0] == ["VS", "S", "M", "VL", "VL"]
     indices = [[config.TERMS.index(name) for name in row] for row in controller["rules"]]
     assert indices == controller["rule_indices"]
-    assert data["costs"]["tuned"]["training_mean"] == "inf"
-    assert data["costs"]["tuned"]["held_out_mean"] == 43.25
-    assert data["costs"]["constant"]["held_out_worst"] == 52.5
-    assert data["sensitive"] is False
+    assert data["costs"][TUNED]["training_mean"] == "inf"
+    assert data["costs"][TUNED]["held_out_mean"] == 43.25
+    assert data["costs"][CONSTANT]["held_out_worst"] == 52.5
+    assert data["costs"][CONSTANT]["numbers"] == {"gain": [27.5]}
+    assert (data["warnings"], data["sensors"], data["held_out_recordings"]) == ([], None, [])
     assert max(map(len, text.splitlines())) < 4000, "rows of numbers on lines of their own"
 
 
@@ -105,7 +107,7 @@ def test_what_is_worse_past_its_window_is_exported_with_the_warning():
     assert json.loads(export_json(tuned(K)))["warnings"] == []
     worse = tuned(K, endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])))
     (warning,) = json.loads(export_json(worse))["warnings"]
-    assert warning.endswith("worse than constant gains: attitude from 60 to 120 s")
+    assert warning.endswith("worse than the best constant gains: attitude from 60 to 120 s")
     written = " ".join(line.removeprefix(" * ") for line in export_c_gain(worse).splitlines())
     assert f"WARNING: {warning}." in written
 

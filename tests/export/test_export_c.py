@@ -37,7 +37,7 @@ from helpers.controllers import fuzzy
 from helpers.filters import settings, state_of, vector_bias, vector_settings
 from helpers.results import endurance, trust
 from helpers.schedules import K, tuned
-from scipy.spatial.transform import Rotation
+from helpers.sensed import SAMPLES, START, recorded, rows_of, sensed
 
 import posegsa
 from posegsa import config
@@ -46,7 +46,7 @@ from posegsa.export import export_c, filter_to_c
 from posegsa.filters.base import samples_of
 from posegsa.filters.observer import FilterSettings, Observer
 from posegsa.filters.rollout import Estimates, simulate
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import (
     ConstantGain,
@@ -61,9 +61,6 @@ from posegsa.model.schedules import (
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import filter_settings, signal_settings
 
-SAMPLES = 10_000
-START = np.array([0.5, -0.5, 0.5, 0.5, 1.0, -2.0, 3.0])
-"""Quaternion and position [m]."""
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0], [-0.3, 2.0, 0.4]])
 LANDMARKS = np.array([[0.5, 1.41, 1.0], [-2.0, 0.3, 0.8], [1.0, -3.0, 0.1]])
 QUANTITIES = ("rotation", "position", "bias", "vector_bias", "gain_used")
@@ -91,9 +88,7 @@ class Case:
 
     def header(self) -> str:
         return filter_to_c(
-            self.schedule,
-            self.settings,
-            self.signal,
+            Observer(self.schedule, self.settings, self.signal),
             vectors=self.vectors if len(self.vectors) else None,
             landmarks=self.landmarks if len(self.landmarks) else None,
         )
@@ -116,12 +111,12 @@ def signal(**numbers: Any) -> SignalSettings:
     return SignalSettings(**texts, **{k: jnp.asarray(v, np.float64) for k, v in values.items()})
 
 
-def recommended_result(*more: str, **fields: Any) -> TuneResult:
+def recommended_result(*more: str, **fields: Any) -> Result:
     return tuned(K, *RECOMMENDED, *more, also=ALSO, **fields)
 
 
 def recommended() -> Case:
-    """The recommended filter, built from the settings of a `TuneResult`."""
+    """As `Result` has it; what is exported of it is `export_c`'s."""
     result = recommended_result()
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     scenario = experiment.scenario
@@ -239,71 +234,6 @@ CASES: dict[str, Callable[[], Case]] = {
 }
 
 
-# Measurements -------------------------------------------------------------------------------------
-
-
-def sensed(case: Case, step: np.ndarray, missing: float = 0.0) -> Measurements:
-    """Measurements of a turning and moving body, with noise and biases, for time steps (N,) [s].
-
-    A share `missing` of the vectors and landmarks has weight 0 and value NaN.
-    """
-    rng, N = np.random.default_rng(1), len(step)
-    time = np.cumsum(step)
-    angles = np.sin(time[:, None] * [0.7, 0.5, 0.3]) * [2.0, 1.2, 2.5] + 0.2 * time[:, None]
-    R = Rotation.from_euler("zyx", np.append(angles, angles[-1:], axis=0))
-    P = np.sin(time[:, None] * [0.2, 0.3, 0.1]) * [3.0, 2.0, 1.0]
-    P = np.append(P, P[-1:], axis=0)
-    omega = (R[:-1].inv() * R[1:]).as_rotvec() / step[:, None]
-    v = R[:-1].inv().apply(np.diff(P, axis=0)) / step[:, None]
-
-    def seen(inertial: np.ndarray, bias: float) -> tuple[np.ndarray, np.ndarray]:
-        """Body coordinates of (N, i, 3), and weights."""
-        body = np.einsum("nji,nkj->nki", R[:-1].as_matrix(), inertial)
-        body += 0.1 * rng.normal(size=body.shape) + bias * rng.normal(size=body.shape[1:])
-        known = body.shape[:2]
-        weights = rng.uniform(0.4, 1.5, (1, known[1])) * (rng.random(known) >= missing)
-        return np.where(weights[..., None] > 0, body, np.nan), weights
-
-    def rate(a: np.ndarray) -> np.ndarray:
-        return a + [0.1, -0.1, 0.05] + 0.1 * rng.normal(size=a.shape)
-
-    v_I = np.broadcast_to(case.vectors, (N, *case.vectors.shape))
-    v_B, v_weights = seen(v_I, 0.1)
-    y, y_weights = seen(case.landmarks - P[:-1, None], 0.0)
-    p_I = np.broadcast_to(case.landmarks, (N, *case.landmarks.shape))
-    return Measurements(step, rate(omega), rate(v), v_B, v_I, v_weights, y, p_I, y_weights)
-
-
-def recorded(case: Case) -> Measurements:
-    """Measurements as in a log: jitter, lost samples, missing sensors, quantised values."""
-    rng = np.random.default_rng(2)
-    step = rng.uniform(0.007, 0.013, SAMPLES)
-    step[rng.random(SAMPLES) < 0.02] *= 4
-    m = sensed(case, step, missing=0.2)
-    away = np.zeros(SAMPLES, bool)
-    away[3000:3300] = away[7000:7050] = True  # only the velocities are measured
-    v, y = (np.where(away[:, None], 0.0, w) for w in (m.vector_weights, m.landmark_weights))
-    return m._replace(
-        angular_velocity=np.round(m.angular_velocity * 500) / 500,
-        velocity=np.round(m.velocity * 200) / 200,
-        vectors=np.round(m.vectors * 256) / 256,
-        landmarks=np.round(m.landmarks * 100) / 100,
-        vector_weights=v,
-        landmark_weights=y,
-    )
-
-
-def rows_of(case: Case, m: Measurements, dtype: Any = np.float64) -> np.ndarray:
-    """(N, numbers) rows of dt and the measurement in C's order; NaN where a value is missing."""
-    count = len(m.time_step)
-    columns = [m.time_step[:, None], m.angular_velocity]
-    if len(case.landmarks):
-        columns.append(m.velocity)
-    columns += [m.vectors.reshape(count, -1), m.vector_weights] if len(case.vectors) else []
-    columns += [m.landmarks.reshape(count, -1), m.landmark_weights] if len(case.landmarks) else []
-    return np.concatenate(columns, axis=1).astype(dtype)
-
-
 def in_python(case: Case, m: Measurements, dtype: str) -> Estimates:
     """The estimates of the Python filter."""
     with jax.enable_x64(dtype == "float64"):
@@ -374,7 +304,9 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str):
     case, (m, exact) = everything()[name], exact_run(name)
     watched = sanitizers(COMPILERS[0])
     program = build(header_of(name), *options_of(case, *watched))
-    found = run_c(program, case.layout, start_of(case), rows_of(case, m))
+    found = run_c(
+        program, case.layout, start_of(case), rows_of(m, velocity=len(case.landmarks) > 0)
+    )
     assert (found.code == CODES["ok"]).all()
     if name != "settling":  # its gamma changes
         assert np.ptp(exact.gain_used) > 1, "the schedule has something to do"
@@ -392,7 +324,7 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
     for real, dtype in (("double", np.float64), ("float", np.float32)):
         options = options_of(case, f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
         program = build(header, *options, compiler=compiler)
-        found = run_c(program, case.layout, START, rows_of(case, m, dtype))
+        found = run_c(program, case.layout, START, rows_of(m, dtype))
         assert (found.code == CODES["ok"]).all()
         for quantity in QUANTITIES:
             allowed = 1e-12
@@ -416,7 +348,7 @@ def test_a_result_is_exported_as_its_parts_are():
 @needs_cc
 def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
     case = everything()["recommended"]
-    good = rows_of(case, exact_run("recommended")[0])[:200]
+    good = rows_of(exact_run("recommended")[0])[:200]
     good = np.nan_to_num(good)
     good[:, [13, 14, 18]] = 1  # the weights: nothing is missing
     bad = []
@@ -452,7 +384,7 @@ def test_a_million_samples_of_garbage_spoil_nothing(tmp_path, real):
 @needs_cc
 def test_a_limit_can_be_set_when_compiling(build: Build):
     case = everything()["recommended"]
-    row = np.nan_to_num(rows_of(case, exact_run("recommended")[0])[:1])
+    row = np.nan_to_num(rows_of(exact_run("recommended")[0])[:1])
     row[0, 4] = 20.0  # a velocity [m/s]
     for options, code in (((), "ok"), (("-DPOSEGSA_MAX_VELOCITY=10",), "invalid input")):
         program = build(header_of("recommended"), *options_of(case, *options))
@@ -463,7 +395,7 @@ def test_a_limit_can_be_set_when_compiling(build: Build):
 def test_what_is_missing_is_not_looked_at(build: Build):
     """NaN with weight 0, and a direction of length 0, count as missing."""
     case = everything()["recommended"]
-    rows = np.nan_to_num(rows_of(case, exact_run("recommended")[0])[:300])
+    rows = np.nan_to_num(rows_of(exact_run("recommended")[0])[:300])
     rows[:, [13, 14, 18]] = 1
     given = {name: rows.copy() for name in ("weight 0", "NaN", "length 0")}
     given["weight 0"][50:, 13] = given["NaN"][50:, 13] = 0
@@ -558,7 +490,7 @@ def test_what_does_not_fit_together_is_refused(x64):
     given: dict[str, Any] = {"vectors": VECTORS, "landmarks": LANDMARKS}
 
     def attempt(schedule: Any = gain, chosen: Any = case.settings, **changed: Any) -> None:
-        filter_to_c(schedule, chosen, case.signal, **given | changed)
+        filter_to_c(Observer(schedule, chosen, case.signal), **given | changed)
 
     attempt()
     weighted = settings(vectors=vector_settings(weights=(1.0, 2.0)))
@@ -615,7 +547,7 @@ def test_two_filters_in_one_program_of_cpp(tmp_path, compiler):
     need(compiler)
     constant = replace(everything()["attitude only"], schedule=ConstantGain(jnp.asarray(5.0)))
     first, second = (
-        filter_to_c(c.schedule, c.settings, c.signal, vectors=c.vectors, name=name)
+        filter_to_c(Observer(c.schedule, c.settings, c.signal), vectors=c.vectors, name=name)
         for name, c in (("front", everything()["attitude only"]), ("Rear", constant))
     )
     (tmp_path / "front.h").write_text(first)
@@ -662,7 +594,7 @@ def test_fast_math_is_refused(tmp_path):
 
 
 def test_the_head_says_what_it_is_and_what_warns_of_it():
-    def head(result: TuneResult) -> str:
+    def head(result: Result) -> str:
         return " ".join(export_c(result).split("*/", 1)[0].replace("\n *", " ").split())
 
     text = head(recommended_result())
@@ -671,7 +603,10 @@ def test_the_head_says_what_it_is_and_what_warns_of_it():
     assert "vector_bias_gain = 0.4375. Gain gamma_c" in text
     assert "WARNING" not in text
     worse = recommended_result(endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])))
-    assert "WARNING: past the time that it was tuned for it is worse than constant" in head(worse)
+    assert (
+        "WARNING: past the time that it was tuned for it is worse than the best constant"
+        in head(worse)
+    )
     sensitive = trust(cost_float32=40.5, cost_float64=44.0, cost_perturbed=40.5, sensitive=True)
     assert "WARNING: SENSITIVE" in head(recommended_result(trust=sensitive))
 

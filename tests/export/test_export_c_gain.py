@@ -18,7 +18,7 @@ from helpers.schedules import DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inpu
 
 import posegsa
 from posegsa.export import export_c_gain
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.words import toml
 
 CC = shutil.which("cc") or shutil.which("gcc")
@@ -99,7 +99,7 @@ def compiled(tmp_path_factory) -> Callable[..., ctypes.CDLL]:
     return build
 
 
-def in_python(result: TuneResult, real: str, given: np.ndarray) -> np.ndarray:
+def in_python(result: Result, real: str, given: np.ndarray) -> np.ndarray:
     """Gains of the result's controller in a precision, its terms cast to it."""
     dtype = PRECISIONS[real][0]
     with jax.enable_x64(real == "double"):
@@ -227,7 +227,7 @@ def test_the_c_file_includes_nothing_and_remembers_nothing(settings):
     assert all("static const" in line or "(" in line for line in statics)
 
 
-def head(result: TuneResult) -> str:
+def head(result: Result) -> str:
     """The text of the head comment without line breaks."""
     return " ".join(export_c_gain(result).split("*/", 1)[0].replace("\n *", " ").split())
 
@@ -237,8 +237,8 @@ def test_the_head_comment_says_what_it_is_worth():
     for words in ("posegsa " + posegsa.__version__, "posegsa 0.0.1", "95 % interval", "27.5/s"):
         assert words in text
     # Means and worst of training and held-out costs, of both; Student's t over three scenarios.
-    assert re.search(r"this schedule 40\.5 43\.25 \[37\.944, 48\.556\] 45\.25", text)
-    assert re.search(r"gain 27\.5/s 44\.5 47\.5 \[36\.46, 58\.54\] 52\.5", text)
+    assert re.search(r"tuned filter 40\.5 43\.25 \[37\.944, 48\.556\] 45\.25", text)
+    assert re.search(r"best constant gains 27\.5/s 44\.5 47\.5 \[36\.46, 58\.54\] 52\.5", text)
     assert "WARNING" not in text
     sensitive = trust(cost_float32=40.5, cost_float64=44.0, cost_perturbed=40.5, sensitive=True)
     assert "WARNING: SENSITIVE: training cost 40.5 in float32" in head(tuned(K, trust=sensitive))

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from helpers.figures import legend, lines
-from helpers.results import ANGLES, FILTERS, TIME, changed, evaluation, trust
+from helpers.results import ANGLES, OF_THE_OBSERVER, TIME, changed, evaluation, trust
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
@@ -62,11 +62,11 @@ def test_costs_are_every_scenario_of_every_contender():
         np.testing.assert_array_equal(drawn[:, 0], one.metrics.cost)
         assert (np.abs(drawn[:, 1] - row) < 0.5).all()
     means = [x for x, _ in lines(ax) if len(x) == 1]
-    np.testing.assert_array_equal(np.ravel(means), [given.cost(n).mean for n in FILTERS])
+    np.testing.assert_array_equal(np.ravel(means), [given.cost(n).mean for n in OF_THE_OBSERVER])
     intervals = [x for x, y in lines(ax) if len(x) == 2]
-    np.testing.assert_array_equal(intervals, [given.cost(n)[1:] for n in FILTERS])
+    np.testing.assert_array_equal(intervals, [given.cost(n)[1:] for n in OF_THE_OBSERVER])
 
-    others = list(FILTERS)[1:]
+    others = list(OF_THE_OBSERVER)[1:]
     means = [x for x, _ in lines(below) if len(x) == 1]
     np.testing.assert_array_equal(np.ravel(means), [given.difference(n).mean for n in others])
     for text, name in zip(below.texts, others, strict=True):
@@ -82,7 +82,7 @@ def test_infinite_costs_are_counted_and_left_out():
     figure.draw_without_rendering()
     ax, below = figure.axes
     names = [text.get_text() for text in ax.get_yticklabels()]
-    assert names == ["tuned fuzzy gain", "best constant\ngains\n(3 of 40 infinite)"]
+    assert names == [TUNED, "best constant\ngains\n(3 of 40 infinite)"]
     sizes = [len(c.get_offsets()) for c in ax.collections]
     assert 37 in sizes
     assert [text.get_text() for text in below.texts] == ["not finite"]
@@ -104,7 +104,7 @@ def test_nothing_finite_and_one_contender_are_drawn():
         assert figure is not None
         figure.draw_without_rendering()
     (ax,) = plots.plot_costs(evaluation((TUNED,))).axes
-    assert [text.get_text() for text in ax.get_yticklabels()] == ["tuned fuzzy gain"]
+    assert [text.get_text() for text in ax.get_yticklabels()] == [TUNED]
 
 
 def test_one_difference_far_from_the_others_leaves_them_their_room():

@@ -40,7 +40,7 @@ from jax import Array
 
 from posegsa.config import (
     Experiment,
-    FilterConfig,
+    ObserverConfig,
     ParametersConfig,
     RunConfig,
     override,
@@ -287,7 +287,7 @@ def configured(dtype: Any, **section: Any) -> FilterSettings:
     run = RunConfig(dtype=np.dtype(dtype).name)
     parameters = ParametersConfig(also=())  # what else may be tuned depends on the section
     return filter_settings(
-        Experiment(run=run, filter=FilterConfig(**section), parameters=parameters)
+        Experiment(run=run, filter=ObserverConfig(**section), parameters=parameters)
     )
 
 

@@ -43,7 +43,7 @@ from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, Switc
 from posegsa.model.se3 import Quaternion
 from posegsa.model.signal import SignalSettings
 from posegsa.search.build import cost_weights, filter_settings, signal_settings
-from posegsa.search.build import observer as observer_of
+from posegsa.search.build import filter_of as observer_of
 
 VECTOR = search_vectors(1, seed=1)[0]
 """A typical schedule; its gains range from 11 to 75 in the paper's scenario."""

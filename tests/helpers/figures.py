@@ -1,4 +1,4 @@
-"""The content of a figure."""
+"""What a figure shows."""
 
 import numpy as np
 

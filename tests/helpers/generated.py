@@ -1,6 +1,6 @@
-"""Thousands of configurations and API calls as a careless or hostile user might make them.
+"""Configurations and API calls as a careless or hostile user might make them, by the thousand.
 
-The tests validate some thousands of them and tune a few; the campaign of
+The tests judge some thousands of them at the validators and tune a few; the campaign of
 `benchmarks/faults.py` runs all that are accepted, most of them as whole tunes.
 """
 
@@ -26,7 +26,7 @@ HOSTILE: tuple[Any, ...] = (
     *([], {}, [[]], [1, 2], [1.0, 2.0, 3.0], [float("nan")] * 3, ["VL"] * 5, {"a": 1}, b"bytes"),
     *((0.0,) * 22, [0.0] * 22, [1.0] * 22, [[1, 0, 0], [0, 1, 0], [0, 0, 1]], object, 1j, {1, 2}),
 )
-"""Values that may replace any other."""
+"""What may stand where something else should."""
 
 WORDS = ("gradient", "printed", "measured", "pose", "exact", "sampled", "sum", "trapezoid", "hold")
 WORDS += ("midrange", "mean", "median", "worst", "cvar", "mean_std", "gsa", "random_search", "all")
@@ -35,7 +35,7 @@ WORDS += ("pso", "de", "rand/1/bin", "best/1/bin", "adam", "gsa+adam", "spacing"
 
 
 def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
-    """Every path in nested plain data, also of inner containers."""
+    """Every place in nested plain data, inner ones too."""
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         yield (*path, key)
@@ -44,7 +44,7 @@ def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
 
 
 def changed(rng: np.random.Generator, value: Any) -> Any:
-    """A replacement for a value: close to it, of the same kind, or anything."""
+    """A value in the place of another: near it, of its kind, or anything."""
     kind = rng.integers(5)
     if kind == 0:
         return copy.deepcopy(HOSTILE[rng.integers(len(HOSTILE))])
@@ -63,7 +63,7 @@ def changed(rng: np.random.Generator, value: Any) -> Any:
 
 
 def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str, Any]:
-    """The plain data of an experiment with up to four changes."""
+    """The plain data of an experiment with up to four things changed."""
     data = base.model_dump(mode="json")
     for _ in range(rng.integers(1, 5)):
         every = list(places(data))
@@ -82,7 +82,7 @@ def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str
 
 
 def structure(task: TuningProblem) -> tuple[Any, ...]:
-    """The key of a compiled search: tasks with equal keys run the same program."""
+    """What a search is compiled for: tasks in which it is equal run the same program."""
     leaves, tree = jax.tree.flatten((task.training, task.space))
     return (
         tree,
@@ -92,52 +92,54 @@ def structure(task: TuningProblem) -> tuple[Any, ...]:
     )
 
 
-def not_numbers(result: posegsa.TuneResult) -> list[str]:
-    """The fields of a result that are NaN but should not be.
+def not_numbers(result: posegsa.Result) -> list[str]:
+    """What of a result is NaN and should not be.
 
-    NaN is allowed where a number is undefined: for the mean cost of an iteration in which a cost
-    was not finite, and for the metrics of a run whose own cost is not finite.
+    NaN may stand where there is nothing to tell: for the mean cost of an iteration in which a cost
+    was not finite, and for what is measured of a run whose own cost is not finite.
     """
-    history, trust, contenders = result.history, result.trust, result.evaluation.contenders
+    judged = result.on_scenarios
+    assert judged is not None
+    assert result.search is not None
+    history, trust, contenders = result.search.history, judged.trust, judged.evaluation.contenders
     seen: dict[str, Any] = {
         "best_cost": result.best_cost,
         "parameters": result.parameters,
-        "training_costs": result.training_costs,
-        "constant_gain": result.constant_gain,
-        "constant_training_costs": result.constant_training_costs,
+        "also": list(result.also.values()),
         "history.best": history.best,
         "history.mean": history.mean[history.non_finite == 0],
-        "trust": [trust.cost_float32, trust.cost_float64, trust.cost_perturbed, trust.uncovered],
+        "trust": [trust.cost_float32, trust.cost_float64, trust.cost_perturbed],
+        "trust.uncovered": trust.uncovered or 0.0,
     }
+    seen |= {f"training: {name}": costs for name, costs in judged.training.items()}
     for name, found in contenders.items():
         good = np.isfinite(found.metrics.cost)
+        seen |= {f"{name}: {key}": numbers for key, numbers in found.filter.numbers.items()}
         for field, values in found.metrics._asdict().items():
             seen[f"{name}: {field}"] = values if field == "cost" else values[good]
         if good.any():
             seen |= {f"{name}: band of {key}": a for key, a in found.bands._asdict().items()}
     if np.isfinite(contenders[TUNED].metrics.cost[0]):
-        seen |= {f"trajectory.{key}": a for key, a in vars(result.trajectory).items()}
-        seen["trust.rule_weights"] = trust.rule_weights
+        seen |= {f"trajectory.{key}": a for key, a in vars(judged.trajectory).items()}
+        if trust.rule_weights is not None:
+            seen["trust.rule_weights"] = trust.rule_weights
     return [name for name, values in seen.items() if np.isnan(values).any()]
 
 
-def some_result() -> posegsa.TuneResult:
-    """A result with only a schedule and an experiment; it was never tuned."""
+def some_result() -> posegsa.Result:
+    """A result as far as its schedule and experiment go; it was never tuned."""
     experiment = tiny()
     parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
-    unknown = dict.fromkeys(posegsa.TuneResult.__dataclass_fields__)
-    return posegsa.TuneResult(
-        **unknown
-        | {"experiment": experiment, "parameters": parameters, "also": {}, "constant_gain": 5.0}
-    )
+    controller = posegsa.parameter_space(experiment).controller(parameters)
+    return posegsa.configured(experiment, schedule=posegsa.FuzzyGain(controller))
 
 
 @cache
 def stream_filter() -> posegsa.PoseFilter:
-    """One filter for all calls; its gain needs no error signal."""
+    """One filter for all that is tried on it; its gain needs no signal."""
     return posegsa.PoseFilter(
         posegsa.Observer(
-            posegsa.ConstantGain(np.float32(5.0)),  # type: ignore[arg-type]  # a NumPy array instead
+            posegsa.ConstantGain(np.float32(5.0)),  # type: ignore[arg-type]  # NumPy's will do
             posegsa.filter_settings(tiny()),
         ),
         rotation=np.eye(3),
@@ -154,16 +156,16 @@ class Call(NamedTuple):
     make: Callable[[], Any]
 
 
-def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
-    """A call of a public function with some wrong arguments.
+def call(rng: np.random.Generator, result: posegsa.Result) -> Call:
+    """A call of a public function, some of whose arguments are not what they should be.
 
-    A refused call compiles nothing, and most accepted ones do not either.
+    None of them compiles anything when it is refused, and few do when it is not.
     """
     key, folder = jax.random.key(0), Path(tempfile.gettempdir())
     experiment, controller = result.experiment, result.controller
 
     def any_of(*good: Any) -> Any:
-        """Usually one of these, otherwise anything."""
+        """One of these, mostly; else anything."""
         pool = good if rng.random() < 0.85 else HOSTILE
         return pool[rng.integers(len(pool))]
 
@@ -171,12 +173,12 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         return HOSTILE[rng.integers(len(HOSTILE))]
 
     def no_count() -> Any:
-        """A value that is not a valid count."""
+        """What is no number of anything."""
         bad = (0, 0.0, -1, -5, 10**12, "x", "2", 2.5, True, [2], float("nan"), {}, np.ones(2))
         return bad[rng.integers(len(bad))]
 
     def array(*shape: int) -> Any:
-        """Usually an array of this shape."""
+        """An array of this shape, mostly."""
         values = rng.normal(size=shape)
         match rng.integers(50):
             case 0:
@@ -256,7 +258,9 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "export_c": lambda: posegsa.export_c(hostile()),
         "export_c_gain": lambda: posegsa.export_c_gain(hostile()),
         "filter_to_c": lambda: posegsa.filter_to_c(
-            any_of(result.schedule), settings, signal, vectors=hostile(), landmarks=hostile()
+            any_of(hostile(), posegsa.Observer(result.schedule, settings, signal)),
+            vectors=hostile(),
+            landmarks=hostile(),
         ),
         "export_json": lambda: posegsa.export_json(hostile()),
         "export_csv": lambda: posegsa.export_csv(hostile()),
@@ -292,7 +296,7 @@ def call(rng: np.random.Generator, result: posegsa.TuneResult) -> Call:
         "override settings": lambda: config.override(experiment, hostile()),
         "to_toml": lambda: config.to_toml(any_of(experiment)),
         "tune": lambda: posegsa.tune(
-            # A class is not an experiment, so nothing is searched here.
+            # A class is no experiment, so that nothing is ever searched here.
             any_of(posegsa.Experiment, {}, 5),
             seed=any_of(None, 1),
             iterations=any_of(None, 1),

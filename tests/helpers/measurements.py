@@ -1,6 +1,6 @@
-"""Poses, measurements and truth: random, or of the paper's motion.
+"""Poses, measurements and truth: drawn at random, or of the paper's motion.
 
-`reference` is independent of the package; the functions that translate between them are here.
+The reference (`reference`) knows nothing of the package; what translates between them is here too.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
-from posegsa.search.build import observer, scenario
+from posegsa.search.build import filter_of, scenario
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:
@@ -47,7 +47,7 @@ def random_measurements(
 ) -> Measurements:
     """Measurements that fit no pose, with uneven time steps, lengths and weights, in float64.
 
-    A share `missing` of the vectors and landmarks has weight 0 and is NaN.
+    A share `missing` of vectors and landmarks has weight 0, and NaN for its value.
     """
 
     def sightings(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,7 +65,7 @@ def random_measurements(
 
 
 class World(NamedTuple):
-    """One scenario for one noise key, in all forms that tests use."""
+    """One scenario for one noise key, in all the forms that a test may want."""
 
     truth: Truth
     measurements: Measurements
@@ -87,7 +87,7 @@ def _world(one: Scenario, filter: Observer, key: Array) -> World:
 
 def world(experiment: config.Experiment, seed: int = 0) -> World:
     """Truth and measurements of an experiment's scenario, at its dtype."""
-    return _world(scenario(experiment), observer(experiment), jax.random.key(seed))
+    return _world(scenario(experiment), filter_of(experiment), jax.random.key(seed))
 
 
 # The reference's view -----------------------------------------------------------------------------
@@ -110,7 +110,7 @@ def reference_sample(measurements: Measurements, k: int) -> reference.Sample:
 
 
 def reference_samples(measurements: Measurements) -> list[reference.Sample]:
-    """The measurements, one record per sample."""
+    """The measurements, one record a sample."""
     m = jax.tree.map(np.asarray, measurements)
     return [reference_sample(m, k) for k in range(len(m.time_step))]
 
@@ -123,7 +123,7 @@ def pose_matrix(rotation: ArrayLike, position: ArrayLike) -> np.ndarray:
 
 
 def reference_start(c: config.ScenarioConfig) -> np.ndarray:
-    """T_est(0); unlike the package, it projects the printed rotation by a polar decomposition."""
+    """T_est(0), the printed rotation projected in another way than the package does it: polar."""
     rotation, _ = scipy.linalg.polar(np.array(c.initial_rotation_estimate))
     return pose_matrix(rotation, c.initial_position_estimate)
 
@@ -144,7 +144,7 @@ def motion(c: config.ScenarioConfig, time: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def reference_truth(c: config.ScenarioConfig, step: np.ndarray | None = None) -> np.ndarray:
-    """The true poses (N, 4, 4), at even or given time steps (N,)."""
+    """The true poses (N, 4, 4), at even time steps or those given (N,)."""
     step = np.full(c.samples, c.sampling_time) if step is None else step
     start = pose_matrix(c.initial_rotation, c.initial_position)
     return reference.integrate_truth(*motion(c, np.cumsum(step) - step), step, start)
@@ -158,13 +158,13 @@ def sensed(
     missing: float = 0.0,
     vector_bias: float = 0.0,
 ) -> tuple[np.ndarray, Measurements]:
-    """True poses (N, 4, 4) of the paper's motion and measurements of other sensors, in NumPy.
+    """True poses (N, 4, 4) of the paper's motion and what other sensors say of it, by NumPy alone.
 
     Args:
         step: (N,) time steps [s].
         vectors: (n, 3) of any length.
         landmarks: (m, 3) [m].
-        missing: share of the vectors and landmarks that have weight 0 and are NaN.
+        missing: share of vectors and landmarks that have weight 0, and NaN for their value.
         vector_bias: standard deviation of each component of the vectors' constant biases.
     """
     rng, N = np.random.default_rng(0), len(step)
@@ -190,7 +190,7 @@ def sensed(
 
 
 def tracked(measurements: Measurements, truth: np.ndarray, filter: Filter, dtype: str) -> Samples:
-    """The input of a simulation, from measurements and true poses (N, 4, 4)."""
+    """What a simulation reads, of measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
     return jax.jit(samples_of)(filter, as_arrays(measurements, dtype), rotation, position)
 

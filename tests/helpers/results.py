@@ -1,4 +1,4 @@
-"""Made-up results of a tune, with random numbers."""
+"""Results of a tune that never was: random numbers, and a search's own words made up."""
 
 from dataclasses import replace
 
@@ -6,8 +6,11 @@ import numpy as np
 
 from helpers.experiments import BASE
 from posegsa import config
+from posegsa.config import KALMAN_ALSO
+from posegsa.judging.description import Description, Kind
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
     CONSTANT,
     CONTENDERS,
     EKF,
@@ -19,13 +22,11 @@ from posegsa.judging.evaluation import (
     SWITCH,
     TUNED,
     Contender,
-    Description,
     Evaluation,
-    Kind,
 )
-from posegsa.judging.kalman import BOUNDS
 from posegsa.judging.metrics import Bands, Metrics
-from posegsa.judging.result import TuneResult
+from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
 from posegsa.optimisers import History
@@ -36,14 +37,14 @@ TIME = np.linspace(0, 15, 61)
 
 
 def description(kind: Kind, evaluations: int = 960, **numbers) -> Description:
-    """A filter described by its numbers, each a scalar or a list."""
+    """A filter by its own numbers, each a number or several."""
     listed = {name: np.ravel(np.float64(value)).tolist() for name, value in numbers.items()}
     return Description(kind, listed, {}, evaluations)
 
 
 K = [0.5] * 22
 KNOTS = {"time": [0.0, 7.5, 15.0], "log_gain": np.log([90.0, 50.0, 10.0])}
-NOISES = dict.fromkeys(BOUNDS, 0.1)
+NOISES = {one.key: 0.1 for one in KALMAN_ALSO}
 FILTERS = {
     TUNED: description("fuzzy", k=K),
     CONSTANT: description("constant", gain=53.5),
@@ -52,9 +53,11 @@ FILTERS = {
     RANDOM: description("fuzzy", k=K),
     SMOOTH: description("smooth", low=20.0, high=90.0, half=0.1),
     OPEN_LOOP: description("open loop", **KNOTS),
-    EKF: description("Kalman", evaluations=400, **NOISES),
-    EKF_VECTORS: description("Kalman", evaluations=400, **NOISES),
+    EKF: Description("kalman", {}, NOISES, 400),
+    EKF_VECTORS: Description("kalman", {}, NOISES, 400),
+    AS_CONFIGURED: Description("kalman", {}, {}, 0),
 }
+OF_THE_OBSERVER = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
 assert tuple(FILTERS) == CONTENDERS
 
 
@@ -67,7 +70,7 @@ def contender(seed: int, scenarios: int = 40, filter=FILTERS[TUNED], **metrics) 
     return Contender(Metrics(**{**drawn, **metrics}), bands, filter)
 
 
-def evaluation(names=CONTENDERS, seed=None, **metrics) -> Evaluation:
+def evaluation(names=OF_THE_OBSERVER, seed=None, **metrics) -> Evaluation:
     """Contenders with random metrics; some fields may be given for all of them."""
     all_of_them = {
         name: contender(i, filter=FILTERS[name], **metrics) for i, name in enumerate(names)
@@ -101,9 +104,9 @@ def endurance(**values) -> Endurance:
             **{"begin": np.array([0.0, 15, 30, 60]), "end": np.array([15.0, 30, 60, 120])},
             **{"attitude": np.array([40.0, 6, 5, 5.5]), "position": np.array([3.0, 0.2, 0.1, 0.1])},
             "distance": np.array([3.0, 0.25, 0.2, 0.4]),
-            "constant_attitude": np.array([42.0, 9, 8, 8.5]),
-            "constant_position": np.array([3.5, 0.3, 0.2, 0.2]),
-            "constant_distance": np.array([3.5, 0.35, 0.4, 0.8]),
+            "other_attitude": np.array([42.0, 9, 8, 8.5]),
+            "other_position": np.array([3.5, 0.3, 0.2, 0.2]),
+            "other_distance": np.array([3.5, 0.35, 0.4, 0.8]),
             **values,
         }
     )
@@ -125,7 +128,7 @@ def trajectory(samples=301, **values):
     return Trajectory(**{**drawn, "time": 0.01 * np.arange(samples), **values})
 
 
-# In order and without gaps, so that the repairs do not change them.
+# In order and without gaps, so that the repairs leave them as they are.
 PARAMETERS = np.array(
     [
         *(0.1, 0.05, 0.1, 0.2, 0.15, 0.2, 0.3, 0.2, 0.4, 0.8, 0.6),
@@ -134,26 +137,35 @@ PARAMETERS = np.array(
 )
 
 
-def result(*settings: str, **values) -> TuneResult:
-    return TuneResult(
+def result(*settings: str, **values) -> Result:
+    """A result on scenarios; `values` are fields of it, of its search or of its judgement."""
+    filter = description("fuzzy", k=values.pop("parameters", PARAMETERS))
+    search = {
+        "tuned_on": "scenarios",
+        "cost": cost_name(None),
+        "position_weight": 0.0,
+        "best_cost": 41.25,
+        "non_finite": 0,
+        "compile_seconds": 5.0,
+        "search_seconds": 0.25,
+        "history": history(),
+    }
+    judged = {
+        "training": {TUNED: np.array([41.0, 41.5]), CONSTANT: np.array([44.0, 46.0])},
+        "evaluation": evaluation(),
+        "endurance": endurance(),
+        "trust": trust(),
+        "trajectory": trajectory(),
+    }
+    for part in (search, judged):
+        part |= {name: values.pop(name) for name in [*values] if name in part}
+    filter = filter._replace(also=values.pop("also", {}))
+    return Result(
         **{
             "experiment": config.override(config.Experiment(), [*BASE, *settings]),
-            "cost": cost_name(None),
-            "best_cost": 41.25,
-            "parameters": PARAMETERS,
-            "also": {},
-            "training_costs": np.array([41.0, 41.5]),
-            "constant_gain": 53.5,
-            "constant_training_costs": np.array([44.0, 46.0]),
-            "evaluation": evaluation(),
-            "endurance": endurance(),
-            "trust": trust(),
-            "evaluations": 960,
-            "non_finite": 0,
-            "compile_seconds": 5.0,
-            "search_seconds": 0.25,
-            "history": history(),
-            "trajectory": trajectory(),
+            "filter": filter,
+            "search": FoundBy(**search),
+            "on_scenarios": OnScenarios(**judged),
             "environment": {"jax": "0.10", "device": "1 x cpu"},
             "version": "1.2.3",
             **values,
@@ -161,12 +173,12 @@ def result(*settings: str, **values) -> TuneResult:
     )
 
 
-def consistent(samples: int = 61, **values) -> TuneResult:
-    """A result with consistent parts, so that it can be saved and loaded.
+def consistent(samples: int = 61, **values) -> Result:
+    """A result whose parts fit together as those of a tuned one do: it can be saved and loaded.
 
     Args:
-        samples: Number of samples of trajectory and error bands, up to 61; 3 scenarios if fewer.
-        values: Fields with other values.
+        samples: Of its trajectory and error bands, up to 61; with fewer there are 3 scenarios.
+        values: Fields that are to be something else.
     """
     given = evaluation(initial_angle=ANGLES)
     scenarios = 40 if samples == len(TIME) else 3

@@ -1,4 +1,4 @@
-"""Unusable input is refused, and the error names it."""
+"""What can't be used is refused by its name, wherever it comes in."""
 
 import re
 from dataclasses import replace
@@ -27,11 +27,11 @@ def result():
     return some_result()
 
 
-# Thousands of generated inputs --------------------------------------------------------------------
+# By the thousand ----------------------------------------------------------------------------------
 
 
 def test_generated_configurations_are_accepted_or_refused_by_name():
-    """`benchmarks/faults.py` runs hundreds of accepted ones, `test_tuning.py` a few."""
+    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few in `test_tuning.py`."""
     rng, base = np.random.default_rng(0), tiny()
     accepted, unnamed = 0, []
     for _ in range(1500):
@@ -57,7 +57,7 @@ def test_generated_calls_are_answered_or_refused(result):
     for _ in range(450):
         made = call(rng, result)
         try:
-            with np.errstate(over="ignore"):  # infinite, because float32 overflows
+            with np.errstate(over="ignore"):  # what float32 can't hold is infinite
                 made.make()
         except PosegsaError:
             refused[made.name] = refused.get(made.name, 0) + 1
@@ -65,7 +65,7 @@ def test_generated_calls_are_answered_or_refused(result):
 
 
 def test_configurations_hold_no_paths():
-    """Every text in a configuration is one of a few words, so none is a path out of the folder."""
+    """Every text in a configuration is one of a few words: none can lead out of a run's folder."""
 
     def texts(schema, root):
         for node in schema.values() if isinstance(schema, dict) else schema:
@@ -77,7 +77,7 @@ def test_configurations_hold_no_paths():
                 yield from texts([n for n in node if isinstance(n, dict)], root)
 
     schema = config.Experiment.model_json_schema()
-    # A key in parameters.also is refused unless it names a number (`test_tunable`).
+    # Of what is tuned too, a key is refused unless it is that of a number (`test_tunable`).
     found = [node for node in texts(schema, schema) if node.get("title") != "Key"]
     assert len(found) >= 10
     words = r"^[A-Za-z0-9_]+$"
@@ -92,7 +92,7 @@ NO_VECTORS = VectorSettings()
 
 
 def measured() -> posegsa.Measurements:
-    """Two samples with velocities only."""
+    """Two samples of the velocities alone."""
     still = np.zeros((2, 3))
     return posegsa.Measurements.from_arrays(time_step=0.1, angular_velocity=still, velocity=still)
 
@@ -111,12 +111,12 @@ def measured() -> posegsa.Measurements:
         (lambda r: posegsa.tune_batch([tiny(), 5]), "experiment: a int"),
         (lambda r: posegsa.tune_batch(tiny(), seeds=5), "seeds: a int"),
         (lambda r: posegsa.tune_batch([]), "nothing to tune"),
-        (lambda r: posegsa.evaluate(5), r"result:.* int.*TuneResult"),
+        (lambda r: posegsa.evaluate(5), r"result:.* int.*Result"),
         (lambda r: posegsa.evaluate(r, scenarios=1), r"scenarios = 1.*whole number from"),
         (lambda r: posegsa.evaluate(r, scenarios=5, seed=-1), "seed = -1"),
         (lambda r: posegsa.export_c("run"), "result: a str"),
         (lambda r: posegsa.export_csv(r, 1), "resolution = 1"),
-        (lambda r: posegsa.plot_surface(r), "controller: a TuneResult"),
+        (lambda r: posegsa.plot_surface(r), "controller: a Result"),
         (lambda r: posegsa.parameter_space({}), "experiment: a dict"),
         (lambda r: posegsa.load(5), "folder = 5"),
         (lambda r: posegsa.load_config(5), "path: a int"),
@@ -128,14 +128,13 @@ def measured() -> posegsa.Measurements:
         (lambda r: posegsa.run_filter(5, measured(), STATE), "filter: a int"),
         (lambda r: posegsa.run_filter(r.filter_for(0, 0), 5), "a Measurements or a Recording"),
         (lambda r: posegsa.run_filter(r.filter_for(0, 0), measured(), 5), "initial: a int"),
-        (lambda r: posegsa.replay(5, []), r"result:.* int.*TuneResult, a Rec"),
+        (lambda r: posegsa.replay(5, []), r"result:.* int.*Result, an Imu"),
         (lambda r: posegsa.replay(r, 5), "recordings: a int"),
         (lambda r: posegsa.evaluate(r, recordings=[]), "recordings: none"),
         (lambda r: posegsa.evaluate(r, training=[]), "training, others without recordings"),
-        (lambda r: posegsa.by_hand(5), "schedule: a int"),
+        (lambda r: posegsa.configured(schedule=5), "schedule: a int"),
         (lambda r: posegsa.recording_errors(5, 5), "estimates: a int"),
         (lambda r: posegsa.Recording.read(5), "path: a int"),
-        (lambda r: posegsa.load_recorded(5), "folder = 5"),
         (lambda r: posegsa.step(5, 5, 5), "filter: a int"),
         (lambda r: posegsa.step(r.filter_for(0, 0), None, 5), "measurement: a int"),
         (lambda r: r.controller([1.0, 2.0], [1.0, 2.0, 3.0]), "error, rate, last"),

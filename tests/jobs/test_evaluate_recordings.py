@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
@@ -14,14 +16,16 @@ import posegsa
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError
-from posegsa.judging import recorded_baselines
-from posegsa.judging.evaluation import CONSTANT, EKF, TUNED, Description
-from posegsa.judging.recorded import RecordingResult, judge_on_recordings
-from posegsa.judging.recorded_kalman import recorded_kalman_estimates, tune_recorded_kalman
-from posegsa.judging.result import TuneResult
-from posegsa.model.scenario import Scenario
+from posegsa.filters.rollout import Estimates
+from posegsa.judging import baselines
+from posegsa.judging.description import Description, described_filter
+from posegsa.judging.evaluation import CONSTANT, EKF, TUNED
+from posegsa.judging.judge import Recorded, judge
+from posegsa.judging.kalman import kalman_experiment, tune_kalman
+from posegsa.judging.on_recordings import OnRecordings
+from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
-from posegsa.saving.run import write_run
+from posegsa.search.build import TuningProblem
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run import Found, first_search
 from posegsa.steps import Step
@@ -33,11 +37,14 @@ GAMMA, SCALE = (
     for key, upper in (("filter.gamma", 5.0), ("gain.error_scale", 1.0))
 )
 TINY = {
-    "filter": {"vector_bias": "off", "cross_vector": False, "gamma_law": "fixed"},
+    "filter": {
+        **{"schedule": "smooth", "vector_bias": "off"},
+        **{"cross_vector": False, "gamma_law": "fixed"},
+    },
     "parameters": {"also": [GAMMA, SCALE]},
     "search": {"optimiser": "de", "agents": 8, "iterations": 3},
 }
-"""As in `test_tune_recordings`, but scaled; the constant gain there is a baseline here."""
+"""As in `test_tune_recordings`, whose constant gain is a baseline here, but for the scale."""
 
 
 @pytest.fixture(scope="module")
@@ -49,22 +56,37 @@ def recordings() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def result(recordings: list[Recording]) -> RecordingResult:
-    """A smooth gain from the middle of its box; its quality does not matter here."""
-    problem = recorded_problem(config.from_dict(TINY), recordings[:1], "smooth", 100.0)
-    return judge_on_recordings(
-        problem, Found(first_search(problem), 0, 0), 100.0, recordings[:1], []
-    )
+def result(recordings: list[Recording]) -> Result:
+    """A smooth gain from the middle of its box: how good it is, is nothing to these tests."""
+    problem = recorded_problem(config.from_dict(TINY), recordings[:1], 100.0)
+    began = first_search(problem)
+    history = jax.tree.map(jnp.zeros_like, began.history)
+    found = Found(began._replace(best_cost=jnp.zeros(()), history=history), 0, 0)
+    return judge(problem, found, Recorded(recordings[:1], [], 100.0))
+
+
+def judged_on(result: Result) -> OnRecordings:
+    assert result.on_recordings is not None
+    return result.on_recordings
+
+
+def kalman_estimates(
+    found: Description, experiment: config.Experiment, recording: Recording
+) -> Estimates:
+    kalman = kalman_experiment(experiment, vector_biases=False)
+    return posegsa.run_filter(described_filter(found, kalman, None, (2, 1)), recording)
 
 
 def test_other_filters_stand_beside_it_on_the_same_recordings(
-    result: RecordingResult, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
+    result: Result, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("posegsa.judging.kalman.MAX_EVALUATIONS", 40)
     monkeypatch.setattr("posegsa.judging.kalman.CHECK_INTERVAL", 40)
     told: list[Step] = []
-    judged = posegsa.evaluate(
-        result, recordings=recordings[1], training=recordings[0], progress=told.append
+    judged = judged_on(
+        posegsa.evaluate(
+            result, recordings=recordings[1], training=recordings[0], progress=told.append
+        )
     )
     assert list(judged.baselines) == [CONSTANT, EKF]
     searched = (step.about for step in told if step.name == "searching")
@@ -73,16 +95,17 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
     (ekf,) = judged.baselines[EKF]
-    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # there is a position
+    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # it has a position
     assert f"{EKF}, held out" in judged.table()
-    # The judged estimates are those of this recording and this part.
-    found = tune_recorded_kalman(result.experiment, recordings[:1], result.position_weight)
-    (estimates,) = recorded_kalman_estimates(found, result.experiment, recordings[1:])
+    # The filter's estimates are judged, not those of another recording or part.
+    kalman = kalman_experiment(result.experiment, vector_biases=False)
+    found = tune_kalman(recorded_problem(kalman, recordings[:1], 100.0, strict=False))
+    estimates = kalman_estimates(found, result.experiment, recordings[1])
     again = posegsa.recording_errors(estimates, recordings[1]).rmse()["judged"]
     assert again == ekf.errors["judged"]
 
 
-def test_what_cannot_be_judged_is_refused(result: RecordingResult) -> None:
+def test_what_cannot_be_judged_is_refused(result: Result) -> None:
     with pytest.raises(ArgumentError, match="recordings: none"):
         posegsa.evaluate(result, recordings=[])
     with pytest.raises(ArgumentError, match="recordings = 'bench'"):
@@ -93,43 +116,46 @@ def test_what_cannot_be_judged_is_refused(result: RecordingResult) -> None:
 
 
 @pytest.fixture(scope="module")
-def run() -> TuneResult:
+def run() -> Result:
     return posegsa.tune(tiny())
 
 
 NOISES = Description(
-    kind="Kalman",
-    numbers={name: [0.1] for name in ("angular_velocity", "landmark", "vector")},
-    also={},
+    kind="kalman",
+    numbers={},
+    also={f"filter.{name}": 0.1 for name in ("angular_velocity", "landmark", "vector")},
     evaluations=20,
 )
 
 
 @pytest.fixture
-def noises(run: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replaces the Kalman filter's search on scenarios, which `test_evaluate` runs."""
+def noises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Instead of those of a Kalman filter's search on scenarios, which `test_evaluate` makes."""
 
-    def tune_kalman(experiment: config.Experiment, one: object, **choices: object) -> Description:
-        assert experiment == run.experiment
-        assert isinstance(one, Scenario)
-        assert choices == {"vector_biases": False, "cost": None}
+    def tune_kalman(problem: TuningProblem) -> Description:
+        assert problem.experiment.filter.kind == "kalman"
+        assert problem.scenario is not None
         return NOISES
 
-    monkeypatch.setattr(recorded_baselines, "tune_kalman", tune_kalman)
+    monkeypatch.setattr(baselines, "tune_kalman", tune_kalman)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.usefixtures("noises")
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
-    run: TuneResult, recordings: list[Recording]
+    run: Result, recordings: list[Recording]
 ) -> None:
     told: list[Step] = []
-    judged = posegsa.evaluate(run, recordings=recordings, progress=told.append)
+    result = posegsa.evaluate(run, recordings=recordings, progress=told.append)
+    judged = judged_on(result)
     assert {(step.name, step.about) for step in told} == {("searching", EKF)}
     assert list(judged.baselines) == [CONSTANT, EKF]
-    assert judged.filter == run.evaluation.contenders[TUNED].filter
-    constant = posegsa.ConstantGain(np.float32(run.constant_gain))  # type: ignore[arg-type]  # a NumPy scalar instead of an array
-    by_hand = posegsa.by_hand(constant, run.experiment)
+    assert run.on_scenarios is not None
+    contenders = run.on_scenarios.evaluation.contenders
+    assert result.filter == contenders[TUNED].filter
+    gain = contenders[CONSTANT].filter.numbers["gain"][0]
+    constant = posegsa.ConstantGain(np.float32(gain))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
+    by_hand = posegsa.configured(run.experiment, schedule=constant)
     for i, recording in enumerate(recordings):
         for estimates, scores in (
             (run.estimate(recording), judged.held_out),
@@ -137,30 +163,27 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
         ):
             again = posegsa.recording_errors(estimates, recording).rmse()
             assert scores[i].errors == again
-        (estimates,) = recorded_kalman_estimates(NOISES, run.experiment, [recording])
+        estimates = kalman_estimates(NOISES, run.experiment, recording)
         again = posegsa.recording_errors(estimates, recording).rmse()
         assert judged.baselines[EKF][i].errors == again
-    assert "on 3 simulated scenarios" in judged.summary()
-    assert f"{CONSTANT}, held out" in judged.summary()
-    assert "No recording was held out" not in judged.summary()
-    # Baselines that the run already has are not searched again.
-    own = run.evaluation.contenders
-    other = NOISES._replace(numbers=NOISES.numbers | {"landmark": [0.3]})
-    known = own[CONSTANT]._replace(filter=other)
-    wider = replace(run.evaluation, contenders=own | {EKF: known})
+    assert_told(result.summary(), "on 3 training scenarios", f"{CONSTANT}, held out")
+    assert "No recording was held out" not in result.summary()
+    # What the run has been judged beside before is not searched again.
+    other = NOISES._replace(also=NOISES.also | {"filter.landmark": 0.3})
+    known = contenders[CONSTANT]._replace(filter=other)
+    wider = replace(run.on_scenarios.evaluation, contenders=contenders | {EKF: known})
+    wider = replace(run, on_scenarios=replace(run.on_scenarios, evaluation=wider))
     told.clear()
-    again = posegsa.evaluate(
-        replace(run, evaluation=wider), recordings=recordings[0], progress=told.append
-    )
+    again = judged_on(posegsa.evaluate(wider, recordings=recordings[0], progress=told.append))
     assert not told
-    (estimates,) = recorded_kalman_estimates(other, run.experiment, recordings[:1])
+    estimates = kalman_estimates(other, run.experiment, recordings[0])
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected
     assert expected != judged.baselines[EKF][0].errors
 
 
 def test_weights_go_in_order_whatever_a_run_was_tuned_on(
-    run: TuneResult, result: RecordingResult, recordings: list[Recording]
+    run: Result, result: Result, recordings: list[Recording]
 ) -> None:
     two = {"scenario.vectors.0.weight": 0.5, "scenario.landmarks.0.weight": 0.25}
     run = replace(run, experiment=run.experiment.replace(**two))
@@ -176,10 +199,9 @@ def test_weights_go_in_order_whatever_a_run_was_tuned_on(
 
 
 def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
-    run: TuneResult, recordings: list[Recording]
+    run: Result, recordings: list[Recording]
 ) -> None:
     for arguments, words in (
-        ({"training": recordings[:1]}, "training.*tuned on scenarios"),
         ({"scenarios": 7}, "scenarios with recordings"),
         ({"seed": 7}, "seed with recordings"),
         ({"cost": lambda track, time: 0.0}, r"cost = .*lambda.*configured"),
@@ -191,14 +213,14 @@ def test_what_a_run_on_scenarios_is_not_judged_with_is_refused(
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.mark.usefixtures("noises")
 def test_the_command_judges_runs_of_both_kinds(
-    run: TuneResult,
-    result: RecordingResult,
+    run: Result,
+    result: Result,
     recordings: list[Recording],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
     files = [str(tmp_path / name) for name in ("a.npz", "b.npz")]
     for file, recording in zip(files, recordings, strict=True):
         recording.save(file)
@@ -206,15 +228,10 @@ def test_the_command_judges_runs_of_both_kinds(
     assert main(["evaluate", str(folder), "--recording", files[0], "--recording", files[1]]) == 0
     said = capsys.readouterr()
     assert f"searching {EKF}" in said.err
-    assert (folder / "recorded.txt").read_text().strip() in said.out
-    judged = posegsa.load_recorded(folder)
-    assert judged.tuned_on == "scenarios"
-    assert [one.name for one in judged.held_out] == ["bench", "bench"]
-    assert isinstance(posegsa.load(folder), TuneResult), "the run stays"
-    write_run(run, folder, same_run=True)
-    assert posegsa.load_recorded(folder) == judged, "evaluating on scenarios again keeps this file"
-    posegsa.save(run, folder, overwrite=True)
-    assert not (folder / "recorded.json").exists(), "a file of another run would be wrong"
+    assert (folder / "summary.txt").read_text().strip() in said.out
+    judged = posegsa.load(folder)
+    assert [one.name for one in judged_on(judged).held_out] == ["bench", "bench"]
+    assert judged.on_scenarios is not None, "what it is worth on scenarios stays"
     assert main(["evaluate", str(folder), "--training", files[0]]) == 2
     assert_told(capsys.readouterr().err, "--training", "with --recording")
     assert main(["evaluate", str(folder), "--bridge", "hold"]) == 2
@@ -225,9 +242,8 @@ def test_the_command_judges_runs_of_both_kinds(
     assert main(["evaluate", str(folder), "--recording", files[0], "--seed", "1"]) == 2
     assert_told(capsys.readouterr().err, "--seed", "without --recording")
     folder = posegsa.save(result, tmp_path / "recorded")
-    assert main(["evaluate", str(folder)]) == 2
-    assert "allowed: with --recording" in capsys.readouterr().err
     assert main(["evaluate", str(folder), "--recording", files[1], "--window", "0.5:"]) == 0
-    (score,) = posegsa.load_recorded(folder).held_out
+    again = judged_on(posegsa.load(folder))
+    (score,) = again.held_out
     assert score.samples == 150
-    assert posegsa.load_recorded(folder).baselines == {}
+    assert again.baselines == {}

@@ -1,4 +1,4 @@
-"""A result on recordings, streamed, exported and saved: the same filter everywhere."""
+"""A result on recordings out of Python: streamed, exported, saved; the same filter everywhere."""
 
 import dataclasses
 import json
@@ -20,8 +20,9 @@ from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, PosegsaError, PosegsaWarning
 from posegsa.export import FORMATS, export
 from posegsa.judging.evaluation import CONSTANT
-from posegsa.judging.recorded import RecordingResult
+from posegsa.judging.result import FoundBy, Result
 from posegsa.model.schedules import FuzzyGain, SmoothGain
+from posegsa.optimisers import History
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -38,7 +39,7 @@ N = 150
 
 
 def seen(**changes: Any) -> Recording:
-    """A recording with noisy vectors, one of them slow, and slow landmarks with other weights."""
+    """Noisy vectors, one of them slow; slow landmarks, of weights of their own."""
     given = motion(N, **changes)
     rng = np.random.default_rng(0)
     given["phases"] = {}
@@ -57,24 +58,24 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def fuzzy(recording: Recording) -> RecordingResult:
+def fuzzy(recording: Recording) -> Result:
     with jax.enable_x64(True):
         space = posegsa.parameter_space(CHOSEN)
         controller = space.controller(0.3 * space.lower + 0.7 * space.upper)
-        return posegsa.by_hand(FuzzyGain(controller), CHOSEN, recordings=[recording])
+        return posegsa.configured(CHOSEN, schedule=FuzzyGain(controller), recordings=[recording])
 
 
 @pytest.fixture(scope="module")
-def attitude() -> tuple[RecordingResult, Recording]:
-    """A result for attitude only, with a gain that is not a controller's."""
+def attitude() -> tuple[Result, Recording]:
+    """One of the attitude alone, with a gain that is no controller's."""
     given = seen(velocity=None, landmarks=None, landmark_references=None, truth_position=None)
     with jax.enable_x64(True):
-        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]  # NumPy scalars instead of arrays
-        return posegsa.by_hand(gain, CHOSEN, recordings=[given]), given
+        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]  # NumPy scalars will do for arrays
+        return posegsa.configured(CHOSEN, schedule=gain, recordings=[given]), given
 
 
-def streamed(result: RecordingResult, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """R_est and P_est at each sample, of a filter that gets only the measurements."""
+def streamed(result: Result, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """R_est and P_est at each sample, of a filter that is told what was seen, and nothing more."""
     start, m = recording.initial(), recording.measurements
     found = posegsa.PoseFilter(
         result, rotation=start.rotation, position=start.position, bias=start.bias
@@ -99,7 +100,7 @@ def streamed(result: RecordingResult, recording: Recording) -> tuple[np.ndarray,
 
 
 def test_a_stream_is_the_estimate(
-    fuzzy: RecordingResult, recording: Recording, attitude: tuple[RecordingResult, Recording]
+    fuzzy: Result, recording: Recording, attitude: tuple[Result, Recording]
 ) -> None:
     estimates = fuzzy.estimate(recording)
     R, P = streamed(fuzzy, recording)
@@ -115,7 +116,7 @@ def test_a_stream_is_the_estimate(
 
 
 def rows_of(recording: Recording) -> np.ndarray:
-    """Measurements (N, numbers) as the C filter takes them: weights of 1 and 0."""
+    """(N, numbers) as C takes them: weights of 1 and 0."""
     m = {name: np.asarray(a) for name, a in recording.measurements._asdict().items()}
     columns = [m["time_step"][:, None], m["angular_velocity"]]
     if not recording.attitude_only:
@@ -128,9 +129,9 @@ def rows_of(recording: Recording) -> np.ndarray:
 
 @needs_cc
 def test_the_c_is_the_estimate(
-    fuzzy: RecordingResult,
+    fuzzy: Result,
     recording: Recording,
-    attitude: tuple[RecordingResult, Recording],
+    attitude: tuple[Result, Recording],
     build: Build,
 ) -> None:
     for result, given, layout, options in (
@@ -153,8 +154,8 @@ def test_the_c_is_the_estimate(
 
 
 def test_every_format_is_written_or_refused_by_what_the_gain_is(
-    fuzzy: RecordingResult,
-    attitude: tuple[RecordingResult, Recording],
+    fuzzy: Result,
+    attitude: tuple[Result, Recording],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -175,7 +176,7 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
         posegsa.export_fis(smooth)
     posegsa.save(fuzzy, tmp_path / "run")
     again = posegsa.load(tmp_path / "run")
-    assert isinstance(again, RecordingResult)
+    assert isinstance(again, Result)
     assert again.known_sensors == fuzzy.known_sensors
     for name in ("c", "c-gain"):
         assert main(["export", str(tmp_path / "run"), "--format", name, "--name", "own"]) == 0
@@ -183,41 +184,54 @@ def test_every_format_is_written_or_refused_by_what_the_gain_is(
 
 
 def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
-    attitude: tuple[RecordingResult, Recording],
+    attitude: tuple[Result, Recording],
 ) -> None:
     found = posegsa.PoseFilter(attitude[0], rotation=np.eye(3), position=np.zeros(3))
     assert_told(found.why_unobservable, "no vectors")
     known = np.array(attitude[0].known_sensors.vectors)
     found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
     assert found.observable
-    for _ in range(2):  # of two seconds, in which one vector is measured
+    for _ in range(2):  # of two seconds, in which one vector is seen
         found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
     assert_told(found.why_unobservable, "1 vector")
 
 
-def test_the_controller_is_made_once(fuzzy: RecordingResult) -> None:
-    """As for a result on scenarios: a loop may read this property at each sample."""
+def test_the_controller_is_made_once(fuzzy: Result) -> None:
+    """As that of a result on scenarios: a loop may ask for it at each sample."""
     assert fuzzy.controller is fuzzy.controller
     assert fuzzy.schedule is fuzzy.candidate.schedule
 
 
-def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: RecordingResult) -> None:
-    """It also says so if constant gains are better on all judged recordings."""
-    (score,) = fuzzy.held_out
+def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Result) -> None:
+    """Also that constant gains do better where both were judged, if they do so in all."""
+    assert fuzzy.on_recordings is not None
+    (score,) = fuzzy.on_recordings.held_out
     found = score.errors["judged"]
     assert found.position is not None
 
-    def beside(total: float, position: float) -> RecordingResult:
+    def beside(total: float, position: float) -> Result:
         errors = found._replace(total=total * found.total, position=position * found.position)
         other = score._replace(errors={"judged": errors})
-        return dataclasses.replace(fuzzy, baselines={CONSTANT: [other]})
+        on = dataclasses.replace(fuzzy.on_recordings, baselines={CONSTANT: [other]})
+        return dataclasses.replace(fuzzy, on_recordings=on)
 
     assert not beside(2.0, 0.5).warnings()
-    behind = dataclasses.replace(beside(0.5, 0.5), non_finite=3)
-    few, worse = behind.warnings()
+    history = History(np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, 3))  # type: ignore[arg-type]  # NumPy arrays will do
+    found_by = FoundBy(
+        tuned_on="recordings",
+        cost="configured",
+        position_weight=100.0,
+        best_cost=1.0,
+        non_finite=3,
+        compile_seconds=0.0,
+        search_seconds=0.0,
+        history=history,
+    )
+    behind = dataclasses.replace(beside(0.5, 0.5), search=found_by)
+    worse, few = behind.warnings()
     assert_told(few, "3 agents", "no finite cost")
     assert_told(worse, "held out", "best constant gains")
-    assert json.loads(export(behind, "json"))["warnings"] == [few, worse]
+    assert json.loads(export(behind, "json"))["warnings"] == [worse, few]
     for name in ("c", "c-gain", "fll"):
         head = " ".join(re.sub(r"(?m)^( \*|#)", " ", export(behind, name)).split())
         assert f"WARNING: {few}." in head
@@ -227,15 +241,19 @@ def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Recordin
 
 
 def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
-    recording: Recording, fuzzy: RecordingResult
+    recording: Recording, fuzzy: Result
 ) -> None:
     moved = motion()["landmark_references"] + 1.0
     other = seen(landmark_references=moved)
-    result = posegsa.by_hand(fuzzy.schedule, CHOSEN)
+    result = posegsa.configured(CHOSEN, schedule=fuzzy.schedule)
     assert len(result.known_sensors.landmarks) == len(CHOSEN.scenario.landmarks)
-    differing = posegsa.by_hand(fuzzy.schedule, CHOSEN, recordings=[recording, other])
-    assert differing.sensors is None
-    tuned = dataclasses.replace(differing, training=differing.held_out)
+    differing = posegsa.configured(CHOSEN, schedule=fuzzy.schedule, recordings=[recording, other])
+    on = differing.on_recordings
+    assert on is not None
+    assert on.sensors is None
+    tuned = dataclasses.replace(
+        differing, on_recordings=dataclasses.replace(on, training=on.held_out)
+    )
     for each in (differing, tuned):
         with pytest.raises(ArgumentError, match=r"references differ"):
             export(each, "c")

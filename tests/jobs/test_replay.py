@@ -1,4 +1,4 @@
-"""`posegsa replay`: a tuned filter on recordings, with table, trajectories and figures."""
+"""`posegsa replay`: a tuned filter on recordings, its table, trajectories and figures."""
 
 import json
 import re
@@ -18,7 +18,7 @@ from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.figures.replay import draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replay import Replay, replay_table
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay import folder_names
 
@@ -31,7 +31,7 @@ SEEN = "vector_weights", "landmark_weights"
 
 
 @pytest.fixture(scope="module")
-def result() -> TuneResult:
+def result() -> Result:
     return posegsa.tune(tiny())
 
 
@@ -41,9 +41,7 @@ def recording() -> Recording:
     return Recording.from_arrays(name="bench", **given, sources={"velocity": "synthetic: R^T v"})
 
 
-def test_a_replay_is_the_estimates_and_their_errors(
-    result: TuneResult, recording: Recording
-) -> None:
+def test_a_replay_is_the_estimates_and_their_errors(result: Result, recording: Recording) -> None:
     (found,) = posegsa.replay(result, recording)
     np.testing.assert_array_equal(found.estimates.rotation, result.estimate(recording).rotation)
     assert found.errors is not None
@@ -62,7 +60,7 @@ def test_a_replay_is_the_estimates_and_their_errors(
 
 
 def test_the_table_has_no_position_where_none_is_judged(
-    result: TuneResult, recording: Recording
+    result: Result, recording: Recording
 ) -> None:
     blind = Recording.from_arrays(**bench(truth_rotation=None, truth_position=None))
     without = replay_table(posegsa.replay(result, blind))
@@ -73,7 +71,7 @@ def test_the_table_has_no_position_where_none_is_judged(
 
 
 def test_the_command_writes_what_it_found(
-    result: TuneResult, recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    result: Result, recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     posegsa.save(result, tmp_path / "run", figures=[])
     recording.save(tmp_path / "bench.npz")
@@ -92,11 +90,11 @@ def test_the_command_writes_what_it_found(
     folder = out / "bench_0.5_1.5"
     assert {path.name for path in folder.iterdir()} == {
         "attitude_errors.png",
-        "position.png",  # no figure of the gain, which is constant
+        "position.png",  # and no gain, which is one number all the time
         "estimated.tum",
         "true.tum",
     }
-    # The trajectories agree with the table.
+    # The trajectories are those of the table.
     true, estimated = (np.loadtxt(folder / name)[:, 1:4] for name in ("true.tum", "estimated.tum"))
     rmse = posegsa.rmse(posegsa.position_errors(estimated, true))
     assert rmse == pytest.approx(data["rmse"]["judged"]["position"], rel=1e-6)
@@ -148,7 +146,7 @@ def test_what_a_file_lacks_is_bridged_by_name(
         assert note in table
 
 
-def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
+def test_figures_can_be_read(result: Result, recording: Recording) -> None:
     (found,) = posegsa.replay(result, recording)
     errors = np.geomspace(50, 0.2, 200)
     errors[[100, 101]] = 1e-7, 0.0  # passes through 0
@@ -169,7 +167,7 @@ def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
     low, high = figure.axes[1].get_ylim()
     assert 0.1 < low < 0.2
     assert high > 50
-    # A constant gain has no figure, unless it is limited at samples with measurements.
+    # A gain that never changes is no figure, and one that is limited where something is seen is.
     gains = found.estimates._replace(gain=np.full(200, 8.0), gain_used=np.full(200, 8.0))
     assert "gain" not in draw_replay(found._replace(estimates=gains))
     weights = recording.measurements
@@ -185,7 +183,7 @@ def test_figures_can_be_read(result: TuneResult, recording: Recording) -> None:
 
 
 def test_the_true_trajectory_is_all_that_is_known(
-    result: TuneResult, recording: Recording, tmp_path: Path
+    result: Result, recording: Recording, tmp_path: Path
 ) -> None:
     moving = replace(recording, judged=recording.phases["motion"])
     posegsa.replay(result, [moving], out=tmp_path)
@@ -228,7 +226,7 @@ def test_what_is_no_recording_is_named_with_what_is_allowed(
 
 @pytest.mark.parametrize("argument", [{"figures": ["gain"]}, {"overwrite": True}])
 def test_what_is_of_a_folder_is_refused_without_one(
-    result: TuneResult, recording: Recording, argument: dict
+    result: Result, recording: Recording, argument: dict
 ) -> None:
     (name,) = argument
     with pytest.raises(ArgumentError, match=f"{name} without out"):

@@ -1,4 +1,4 @@
-"""`tune_imu`: tuning of [vectors] and [observer] on recordings of inertial sensors."""
+"""`tune_imu`: numbers of [vectors] and [observer] found on recordings of inertial sensors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ TINY = [
 
 
 def shaken(seed: int, **changes: Any) -> Recording:
-    """A body that accelerates and whose gyroscope has a bias."""
+    """A body whose acceleration is that of a motion, too, and whose gyroscope is biased."""
     given = motion(**changes)
     rng = np.random.default_rng(seed)
     R, time = given["truth_rotation"], np.arange(400) / 100
@@ -67,7 +67,7 @@ def test_the_numbers_that_are_named_are_found(
     assert set(result.tuned) == {"vectors.low_pass"}
     assert 0.05 <= result.config.vectors.low_pass < 5.0
     assert result.config.observer == poor.observer
-    # The stated errors are right, on training and on held-out recordings.
+    # What is said of it is so: on the recordings it was tuned on, and on the one it was not.
     for one, scored in zip(recordings, (*result.training, *result.held_out), strict=True):
         made = posegsa.as_imu(one, settings=result.config.vectors)
         found = posegsa.recording_errors(posegsa.run_imu(made, result.config), made).rmse()
@@ -82,7 +82,7 @@ def test_the_numbers_that_are_named_are_found(
     swapped = {"held_out": result.held_out_before, "held_out_before": result.held_out}
     assert "worse" in replace(result, **swapped).summary()
     assert "vectors.low_pass" in result.summary()
-    # The file holds the same filter.
+    # The file is the filter.
     assert config.load_imu(out / "imu.toml") == result.config
     assert result.summary() in (out / "imu.txt").read_text()
     with pytest.raises(RunFolderError, match="already"):
@@ -108,8 +108,8 @@ def test_the_command_tunes_it_and_numbers_stay_where_none_is_better(
     command = ["tune", str(mine), *few, "--iterations", "3", "--quiet", "--out", str(out)]
     assert main(command) == 2
     assert_told(capsys.readouterr().err, "--recording")
-    assert main([*command, "--recording", str(path), "--schedule", "fuzzy"]) == 2
-    assert_told(capsys.readouterr().err, "--schedule")
+    assert main([*command, "--recording", str(path), "--filter", "a:B"]) == 2
+    assert_told(capsys.readouterr().err, "--filter")
     assert main([*command, "--recording", str(path)]) == 0
     said = capsys.readouterr().out
     assert_told(said, "none was better", "No recording was held out")

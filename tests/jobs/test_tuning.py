@@ -1,4 +1,4 @@
-"""The main job through the API: its result and its folder."""
+"""The main job through the API: result, folder, and what must hold of both."""
 
 import dataclasses
 import json
@@ -25,10 +25,8 @@ from posegsa.errors import (
     SearchInterrupted,
 )
 from posegsa.figures import style as figure_style
-from posegsa.judging.evaluation import TUNED
-from posegsa.saving import run as run_folder
-from posegsa.saving.folder import read_text
-from posegsa.saving.records import to_csv
+from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.saving import result as run_folder
 from posegsa.search.build import (
     rule_indices,
     scenario,
@@ -44,7 +42,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A finished run: its result, its folder and its progress messages."""
+    """A finished run: its result, its folder and the progress it told."""
     told: list[Step] = []
     folder = tmp_path_factory.mktemp("run") / "out"
     with pytest.MonkeyPatch.context() as patch:
@@ -61,7 +59,9 @@ def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
     again = np.mean(costs_by_scenario(one, problem.scenarios)[:3])
     # Another batch size and another kernel: float32 rounding over 200 steps, no chaos.
     np.testing.assert_allclose(again, result.best_cost, rtol=1e-4)
-    np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
+    np.testing.assert_allclose(
+        np.mean(result.on_scenarios.training[TUNED]), result.best_cost, rtol=1e-4
+    )
 
 
 def test_training_and_held_out_scenarios_have_different_noise():
@@ -98,12 +98,12 @@ def test_no_keys_or_those_of_another_generator_make_no_scenarios():
 
 def test_history_and_counts(run):
     result, _, _ = run
-    assert len(result.history.best) == 4
-    assert (np.diff(result.history.best) <= 0).all()
-    assert result.history.best[-1] == np.float32(result.best_cost)
-    assert result.evaluations == 24
-    assert result.non_finite == result.history.non_finite.sum() == 0
-    for contender in result.evaluation.contenders.values():
+    assert len(result.search.history.best) == 4
+    assert (np.diff(result.search.history.best) <= 0).all()
+    assert result.search.history.best[-1] == np.float32(result.best_cost)
+    assert result.filter.evaluations == 24
+    assert result.search.non_finite == result.search.history.non_finite.sum() == 0
+    for contender in result.on_scenarios.evaluation.contenders.values():
         assert len(contender.metrics.cost) == 3
 
 
@@ -140,23 +140,24 @@ def test_the_best_constant_gain_is_the_best_of_those_tried(run):
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
     every = Candidate(ConstantGain(jax.numpy.asarray(gains)))
     costs = np.mean(costs_by_scenario(every, training), axis=0)
-    assert result.constant_gain == gains[np.argmin(costs)]
+    found = result.on_scenarios.evaluation.contenders[CONSTANT].filter
+    assert found.numbers["gain"] == [gains[np.argmin(costs)]]
 
 
 def test_the_folder_holds_what_is_promised(run):
     result, folder, _ = run
     data = json.loads((folder / "result.json").read_text())
-    held_out = result.evaluation.contenders[TUNED].metrics.cost
     assert data["schema"] == run_folder.SCHEMA
     assert data["version"] == posegsa.__version__
-    assert data["best_cost"] == result.best_cost
-    assert data["parameters"] == result.parameters.tolist()
-    assert data["evaluations"] == 24
-    assert data["compile_seconds"] > 0
-    assert data["search_seconds"] > 0
-    assert data["non_finite"] == 0
-    assert data["summary"]["held_out_mean"][TUNED] == pytest.approx(np.mean(held_out))
-    assert data["summary"]["held_out_scenarios"] == 3
+    assert data["search"]["best_cost"] == result.best_cost
+    assert data["filter"]["numbers"]["k"] == result.parameters.tolist()
+    assert data["filter"]["evaluations"] == 24
+    assert data["search"]["compile_seconds"] > 0
+    assert data["search"]["search_seconds"] > 0
+    assert data["search"]["non_finite"] == 0
+    costs = data["on_scenarios"]["evaluation"]["contenders"][TUNED]["metrics"]["cost"]
+    assert costs == result.on_scenarios.evaluation.contenders[TUNED].metrics.cost.tolist()
+    assert (folder / "summary.txt").read_text() == result.summary() + "\n"
     assert config.from_dict(data["experiment"]) == result.experiment
     assert {"jax", "numpy", "device"} <= set(data["environment"])
     header, *rows = (folder / "history.csv").read_text().splitlines()
@@ -177,39 +178,14 @@ def test_load_gives_the_same_from_the_folder(run):
     assert (loaded.parameters == result.parameters).all()
     assert loaded.best_cost == result.best_cost
     assert loaded.summary() == result.summary()
-    for name, values in vars(result.trajectory).items():
-        np.testing.assert_array_equal(getattr(loaded.trajectory, name), values)
-    for name, values in result.history._asdict().items():
-        np.testing.assert_array_equal(getattr(loaded.history, name), values)
+    for name, values in vars(result.on_scenarios.trajectory).items():
+        np.testing.assert_array_equal(getattr(loaded.on_scenarios.trajectory, name), values)
+    for name, values in result.search.history._asdict().items():
+        np.testing.assert_array_equal(getattr(loaded.search.history, name), values)
     second = (folder / "trajectory.csv").read_text().splitlines()[2]
     assert second.startswith("0.01,"), "and not 0.009999999776482582"
     error, rate = np.float32([0.1, 0.5]), np.float32([0.0, 0.3])
     assert (loaded.controller(error, rate) == result.controller(error, rate)).all()
-
-
-def test_the_trajectory_of_as_many_samples_as_are_allowed_can_be_read_back(
-    run, tmp_path, monkeypatch
-):
-    result, folder, _ = run
-    longest = {
-        field.name: np.full_like(getattr(result.trajectory, field.name), -1.2345678901234567e-300)
-        for field in dataclasses.fields(result.trajectory)
-    }
-    text = to_csv(type(result.trajectory)(**longest))
-    assert len(text.splitlines()[1]) <= run_folder.MAX_ROW / 1.2
-    shutil.copytree(folder, tmp_path / "run")
-    alter(tmp_path / "run" / "result.json", '"duration": 2.0', '"duration": 90000.0')
-    limits = {}
-
-    def noted(folder: Path, name: str, of: str, limit: int) -> str:
-        limits[name] = limit
-        return read_text(folder, name, of, limit)
-
-    monkeypatch.setattr(run_folder, "read_text", noted)
-    with pytest.raises(RunFolderError, match="199"):
-        posegsa.load(tmp_path / "run")
-    assert limits.pop("trajectory.csv") == run_folder.MAX_ROW * 9_000_000 > run_folder.MAX_BYTES
-    assert set(limits.values()) == {run_folder.MAX_BYTES}
 
 
 def test_the_summary_shows_training_beside_held_out(run):
@@ -221,10 +197,10 @@ def test_the_summary_shows_training_beside_held_out(run):
 def test_float64_is_one_setting_away(run):
     result = posegsa.tune(tiny("run.dtype=float64"))
     assert result.controller.output_terms.dtype == np.float64
-    assert result.history.best.dtype == np.float64
-    assert jax.numpy.ones(1).dtype == np.float32, "the precision of the process is unchanged"
+    assert result.search.history.best.dtype == np.float64
+    assert jax.numpy.ones(1).dtype == np.float32, "the process keeps its precision"
     # The same noise and the same first agents, so the same search up to rounding.
-    assert result.history.best[0] == pytest.approx(run[0].history.best[0], rel=1e-4)
+    assert result.search.history.best[0] == pytest.approx(run[0].search.history.best[0], rel=1e-4)
 
 
 def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch):
@@ -237,7 +213,7 @@ def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch
 
 def test_a_run_is_replaced_when_asked(run, tmp_path, monkeypatch):
     result, _, _ = run
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
     posegsa.save(result, tmp_path)
     with pytest.raises(RunFolderError, match="overwrite"):
         posegsa.save(result, tmp_path)
@@ -252,11 +228,12 @@ def alter(path: Path, old: str, new: str) -> None:
 
 
 def comparable(folder: Path) -> dict:
-    """The data that must agree between two runs: all tables, and the result except times."""
+    """What must agree between two runs: all tables, and the result but for times."""
     data = json.loads((folder / "result.json").read_text())
     for key in ("search_seconds", "compile_seconds"):
-        del data[key]
-    names = ("history.csv", "trajectory.csv", "evaluation.json", "evaluation.txt")
+        del data["search"][key]
+    del data["digest"]
+    names = ("history.csv", "trajectory.csv", "evaluation.txt")
     return {"result": data} | {name: (folder / name).read_bytes() for name in names}
 
 
@@ -274,7 +251,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
 
     with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
         posegsa.tune(tiny(), out=tmp_path, progress=interrupt, figures=[])
-    assert told == [0, 1, 2], "progress also reports finished iterations"
+    assert told == [0, 1, 2], "of what is done it is told too"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with pytest.raises(RunFolderError, match="unfinished run"):
         posegsa.tune(tiny(), out=tmp_path)
@@ -284,7 +261,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
     posegsa.tune(resume=tmp_path, progress=iterations, figures=[])
     assert told == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])
-    # Resumed again, the run is finished and says so without searching.
+    # Once more: it is finished, and says so without searching.
     again = posegsa.tune(tiny(), resume=tmp_path, progress=lambda _: pytest.fail("it searched"))
     assert again.best_cost == run[0].best_cost
 
@@ -311,23 +288,18 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
         (
             lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
-            "schema = 1,.*'0.1'.*schema 4",
+            "schema = 1,.*'0.1'.*schema 5",
         ),
-        (
-            lambda f: (f / "history.csv").write_text("a,b\n1,2\n"),
-            "history.csv: .*columns",
-        ),
-        (lambda f: (f / "trajectory.csv").write_text("a,b\n1,2\n"), "columns"),
-        (lambda f: (f / "trajectory.csv").unlink(), "trajectory"),
         (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
         (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),
-        (lambda f: os.truncate(f / "history.csv", 2**27 + 1), "134217729 bytes"),
-        (lambda f: (f / "history.csv").unlink() or os.mkfifo(f / "history.csv"), "regular file"),
+        (lambda f: os.truncate(f / "result.json", 2**30 + 1), "1073741825 bytes"),
+        (lambda f: (f / "result.json").unlink() or os.mkfifo(f / "result.json"), "regular file"),
         (
             lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),
             "points",
         ),
-        (lambda f: alter(f / "evaluation.json", '"best constant gains"', '"x"'), "contenders.x"),
+        (lambda f: alter(f / "result.json", '"best constant gains": {', '"x": {'), "contenders.x"),
+        (lambda f: alter(f / "result.json", '"seed": null', '"seed": 7'), "was changed"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
@@ -339,7 +311,7 @@ def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
 
 
 def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
-    # As many samples and the same sensors as an example, whose preparation is already compiled.
+    # As many samples, and of the same sensors, as an example has: what prepares them is compiled.
     own = posegsa.Measurements.from_arrays(
         time_step=np.full(900, 0.01),
         angular_velocity=np.zeros((900, 3)),
@@ -369,7 +341,7 @@ def test_a_box_of_zero_width_fixes_its_parameter():
 
 
 def test_generated_configurations_are_tuned_without_nan(run):
-    """Configurations that run the same program as the tests above, to avoid compiling."""
+    """Those that run the same program as the tests above: compiling takes the time."""
     rng, base, tuned = np.random.default_rng(2), tiny(), 0
     program = structure(tuning_problem(base))
     while tuned < 3:
@@ -383,8 +355,9 @@ def test_generated_configurations_are_tuned_without_nan(run):
         ):
             assert not_numbers(posegsa.tune(experiment)) == []
             tuned += experiment != base
-    broken = run[0].history._replace(best=np.full(4, np.nan))
-    assert not_numbers(dataclasses.replace(run[0], history=broken)) == ["history.best"]
+    broken = run[0].search.history._replace(best=np.full(4, np.nan))
+    search = dataclasses.replace(run[0].search, history=broken)
+    assert not_numbers(dataclasses.replace(run[0], search=search)) == ["history.best"]
 
 
 def test_a_bad_seed_names_its_key():
@@ -404,7 +377,7 @@ def test_a_batch_gives_what_single_runs_give(run):
 
 
 def test_a_batch_of_traced_values_is_compiled_once(monkeypatch, caplog):
-    # Other tests check the results.
+    # What is found is judged in other tests.
     monkeypatch.setattr(
         "posegsa.tuning.judge", lambda _, found: SimpleNamespace(best_cost=found.search.best_cost)
     )
@@ -436,7 +409,7 @@ def test_an_empty_batch_is_refused():
         posegsa.tune_batch(tiny(), seeds=[])
 
 
-# Searched rules -----------------------------------------------------------------------------------
+# Rules that are searched --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -451,14 +424,13 @@ def test_a_searched_rule_table_is_that_of_all_that_shows_the_result(searched):
     assert result.experiment.fuzzy.rules == "searched"
     assert rule_indices(printed) == controller.rules
     assert len({term for row in controller.rules for term in row}) > 1
-    np.testing.assert_allclose(np.mean(result.training_costs), result.best_cost, rtol=1e-4)
+    np.testing.assert_allclose(
+        np.mean(result.on_scenarios.training[TUNED]), result.best_cost, rtol=1e-4
+    )
     read = posegsa.load(folder)
     assert read.controller.rules == controller.rules
     names = [[config.TERMS[i] for i in row] for row in controller.rules]
     assert json.loads(posegsa.export_json(read))["controller"]["rules"] == names
-    assert json.loads((folder / "result.json").read_text())["summary"]["rules"] == [
-        *map(list, printed)
-    ]
     shown = [line.split() for line in result.summary().splitlines()]
     for name, row in zip(reversed(config.TERMS), printed, strict=True):
         assert [name, *row] in shown
@@ -468,15 +440,18 @@ def test_a_searched_rule_table_is_that_of_all_that_shows_the_result(searched):
 
 def test_a_rule_table_of_a_folder_is_checked(searched):
     result, folder = searched
+    path = folder / "result.json"
+    whole = path.read_text()
     for wrong, said in (([5.0] * 25, "25 whole numbers"), (None, "rules")):
-        numbers = dict(result.evaluation.contenders[TUNED].filter.numbers)
+        numbers = dict(result.filter.numbers)
         numbers.pop("rules") if wrong is None else numbers.update(rules=wrong)
-        path = folder / "evaluation.json"
-        data = json.loads(path.read_text())
-        data["contenders"][TUNED]["filter"]["numbers"] = numbers
+        data = json.loads(whole)
+        contenders = data["on_scenarios"]["evaluation"]["contenders"]
+        for found in (data, contenders[TUNED]):
+            found["filter"]["numbers"] = numbers
         path.write_text(json.dumps(data))
         with pytest.raises(RunFolderError, match=said):
-            posegsa.load(folder)
+            posegsa.load(folder, edited=True)
 
 
 def test_a_search_that_only_descends_cannot_choose_rules():

@@ -13,19 +13,24 @@ from helpers.experiments import tiny
 from posegsa import config
 from posegsa.judging import baselines
 from posegsa.judging.baselines import (
-    SCHEDULES,
     best_constant,
-    candidate_of,
-    describe,
-    knot_times,
     random_search,
     replayed,
-    schedule_baselines,
-    schedule_space,
     search_baseline,
     searchable,
 )
-from posegsa.judging.evaluation import CONTENDERS, EKF, EKF_VECTORS, TUNED
+from posegsa.judging.description import SCHEDULES, Description, describe
+from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
+    CONSTANT,
+    CONTENDERS,
+    EKF,
+    EKF_VECTORS,
+    RANDOM,
+    REPLAYED,
+    SMOOTH,
+    TUNED,
+)
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.schedules import (
     ConstantGain,
@@ -38,6 +43,7 @@ from posegsa.model.schedules import (
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.schedule_spaces import KNOTS, knot_times, schedule_space
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -73,36 +79,50 @@ def inputs(error, time=0.0) -> ScheduleInputs:
     return ScheduleInputs(jnp.float32(error), jnp.float32(0), jnp.float32(time), jnp.float32(1))
 
 
-def test_each_contender_but_the_tuned_and_the_kalman_filters_is_found_here(problem) -> None:
-    found = schedule_baselines(problem, middle(problem))
-    assert set(found) == {*CONTENDERS} - {TUNED, EKF, EKF_VECTORS}
+OWN_KIND = {"constant": {CONSTANT, REPLAYED}, "smooth": {SMOOTH}, "kalman": {REPLAYED}}
+"""What cannot stand beside a filter of a kind: its own kind, and gains that it has not."""
 
 
-def one_of_each(problem: TuningProblem) -> dict[str, Candidate]:
-    f, tuned = jnp.float32, middle(problem)
-    return {
-        "fuzzy": tuned,
-        "constant": dataclasses.replace(tuned, schedule=ConstantGain(f(20))),
-        "switch": Candidate(SwitchGain(f(80), f(9), f(0.2), f(0.1))),
-        "smooth": dataclasses.replace(tuned, schedule=SmoothGain(f(2), f(50), f(0.3))),
-        "open loop": Candidate(KnotGain(f([0, 0.2, 0.4]), f([4, 3, 2]))),
-    }
+@pytest.mark.parametrize("kind", ["fuzzy", "constant", "smooth", "kalman"])
+def test_each_other_filter_can_stand_beside_a_tuned_one(problem, kind) -> None:
+    settings = ["filter.kind=kalman"] if kind == "kalman" else [f"filter.schedule={kind}"]
+    own = problem._replace(experiment=config.override(problem.experiment, settings))
+    found = baselines.baselines(own, Description(kind, {}, {}, 24))
+    gone = OWN_KIND.get(kind, set()) | {TUNED}
+    if kind != "kalman":
+        gone |= {AS_CONFIGURED}
+    assert set(found) == {*CONTENDERS} - gone
+    kinds = {name: each.experiment.filter.kind for name, each in found.items()}
+    of_its_own = {name: kinds[name] for name in (AS_CONFIGURED, REPLAYED, RANDOM) if name in kinds}
+    assert set(of_its_own.values()) == {own.experiment.filter.kind}
+    kalman = {name for name, each in kinds.items() if each == "kalman"} - set(of_its_own)
+    assert kalman == {EKF, EKF_VECTORS}
+    for name in kalman:
+        learns = found[name].experiment.filter.vector_bias == "estimated"
+        assert learns == (name == EKF_VECTORS)
 
 
-def test_what_is_stored_gives_each_back(tuned_too) -> None:
-    problem = tuned_too
-    every = one_of_each(problem)
-    assert set(every) == {"fuzzy", *SCHEDULES}
-    for kind, one in every.items():
-        stored = describe(one, problem.space.schedules, 24)
-        assert (stored.kind, stored.evaluations) == (kind, 24)
-        assert tuple(stored.also) == one.keys
-        again = candidate_of(stored, problem.space.schedules)
-        assert jax.tree.structure(again) == jax.tree.structure(one)
-        for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(one), strict=True):
-            assert a.dtype == b.dtype
-            np.testing.assert_allclose(a, b, rtol=1e-6)
-        assert describe(again, problem.space.schedules, 24) == stored
+def test_a_baseline_is_found_as_what_it_is(problem) -> None:
+    tuned = describe(middle(problem), problem.experiment, 24)
+    found = baselines.baselines(problem, tuned)
+    gains = found[REPLAYED].search()
+    assert (gains.kind, gains.evaluations) == ("open loop", 0)
+    assert gains == describe(replayed(problem, middle(problem)), problem.experiment, 0)
+    searched = found[SMOOTH].search()
+    assert (searched.kind, searched.evaluations) == ("smooth", 24)
+    assert searched == describe(search_baseline(problem, "smooth"), problem.experiment, 24)
+    kalman = config.override(problem.experiment, ["filter.kind=kalman", "filter.vector=0.3"])
+    own = baselines.baselines(problem._replace(experiment=kalman), Description("kalman", {}, {}, 9))
+    assert own[AS_CONFIGURED].search() == Description("kalman", {}, {}, 0)
+
+
+def test_beside_a_filter_without_a_schedule_is_the_default_observer() -> None:
+    kalman = config.override(tiny(), ["filter.kind=kalman"])
+    beside = baselines.observer_experiment(kalman)
+    assert beside.filter == config.ObserverConfig()
+    assert beside.scenario == kalman.scenario
+    assert [one.key for one in beside.also] == [one.key for one in config.Experiment().also]
+    assert baselines.observer_experiment(tiny()) == tiny()
 
 
 @pytest.mark.parametrize("kind", list(SCHEDULES))
@@ -141,7 +161,7 @@ def test_learning_begins_later_only_where_biases_are_learnt() -> None:
 
 
 def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem) -> None:
-    times = baselines.knot_times(1.99).astype(np.float32)
+    times = knot_times(1.99).astype(np.float32)
     log_gains = np.interp(times, [0.0, 0.8, 1.99], [2.8, 2.0, 1.0]).astype(np.float32)
     knots = dataclasses.replace(middle(problem), schedule=KnotGain(times, log_gains))
     again = replayed(problem, knots)
@@ -207,8 +227,8 @@ def test_the_knot_schedule_passes_its_knots_and_holds_its_ends() -> None:
 @pytest.mark.parametrize("end", [0.5, 14.99, 60.0])
 def test_open_loop_knots_cover_the_run_and_are_dense_at_the_start(end) -> None:
     knots = knot_times(end)
-    assert len(knots) == baselines.KNOTS
+    assert len(knots) == KNOTS
     assert (np.diff(knots) > 0).all()
     assert knots[0] == 0
     assert knots[-1] == pytest.approx(end)
-    assert np.count_nonzero(knots <= min(2.0, end / 2) * (1 + 1e-9)) == baselines.KNOTS // 2 + 1
+    assert np.count_nonzero(knots <= min(2.0, end / 2) * (1 + 1e-9)) == KNOTS // 2 + 1

@@ -1,5 +1,7 @@
 """Errors long after the window that a filter was tuned for."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +11,10 @@ from helpers.messages import assert_told
 from helpers.results import endurance as made
 
 from posegsa import config
-from posegsa.judging.endurance import endurance
+from posegsa.judging.endurance import Endurance, endurance
 from posegsa.judging.metrics import error_tracks
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import scenario_batch
+from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
 
@@ -30,8 +32,13 @@ def constant(gain: float) -> Candidate:
     return Candidate(ConstantGain(jnp.float32(gain)))
 
 
+def long_after(experiment: config.Experiment, settings: Sequence[str] = ()) -> Endurance:
+    problem = tuning_problem(config.override(experiment, settings))
+    return endurance(problem, constant(20), constant(3))
+
+
 def test_windows_double_and_errors_are_root_mean_squares() -> None:
-    found = endurance(RUN, constant(20), constant(3))
+    found = long_after(RUN)
     np.testing.assert_allclose(found.begin, [0, 2, 4, 8])
     np.testing.assert_allclose(found.end, [2, 4, 8, 16])
 
@@ -39,7 +46,7 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
     batch = scenario_batch(longer, quietly(longer), endurance_keys(RUN.run.seed, COUNT))
     for gain, attitude, position, distance in (
         (20, found.attitude, found.position, found.distance),
-        (3, found.constant_attitude, found.constant_position, found.constant_distance),
+        (3, found.other_attitude, found.other_position, found.other_distance),
     ):
         track = error_tracks(constant(gain), batch)
         assert track.position.shape == (COUNT, 1600)
@@ -52,16 +59,16 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
             ):
                 window = np.asarray(errors, np.float64)[:, first:last]
                 assert rms == pytest.approx(np.sqrt(np.mean(window**2)), rel=1e-5)
-    assert found.position[-1] < 0.7 * found.constant_position[-1], "the gains differ"
+    assert found.position[-1] < 0.7 * found.other_position[-1], "the gains differ"
 
 
 def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
     settings = ["run.endurance_times=3", "run.endurance_scenarios=1", "family.duration=[0.1, 0.2]"]
-    found = endurance(config.override(SHORT, settings), constant(20), constant(3))
+    found = long_after(SHORT, settings)
     np.testing.assert_allclose(found.begin, [0, 0.3, 0.6])
     np.testing.assert_allclose(found.end, [0.3, 0.6, 0.9])
     assert (found.position > 0).all()
-    once = endurance(config.override(SHORT, ["run.endurance_times=1"]), constant(20), constant(3))
+    once = long_after(SHORT, ["run.endurance_times=1"])
     assert once.end.tolist() == [0.3]
     assert once.worse() == []
 

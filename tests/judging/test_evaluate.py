@@ -1,8 +1,8 @@
 """`evaluate` on a tiny run, with every baseline."""
 
-import dataclasses
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -17,6 +17,7 @@ from posegsa.cli.command import main
 from posegsa.evaluating import evaluate
 from posegsa.judging import kalman
 from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
     CONSTANT,
     CONTENDERS,
     EKF,
@@ -27,14 +28,16 @@ from posegsa.judging.evaluation import (
     interval,
 )
 from posegsa.saving.records import from_json, to_json
-from posegsa.saving.run import SCHEMA
+from posegsa.saving.result import RESULT, SCHEMA
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.steps import Step
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 
-FILE = Path("evaluation.json")
+FILE = Path("evaluation")
+BESIDE = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
+"""The contenders of a fuzzy gain, which has no numbers but those that are searched."""
 
 
 @pytest.fixture(scope="module")
@@ -60,16 +63,16 @@ def about(name: str, told: list[Step]) -> list[str]:
 
 def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     _, result, told = evaluated
-    contenders = result.evaluation.contenders
-    assert tuple(contenders) == CONTENDERS
-    assert set(about("searching", told)) == {*CONTENDERS} - {TUNED, CONSTANT}, "`tune` found those"
-    assert about("judging", told) == [*CONTENDERS]
+    contenders = result.on_scenarios.evaluation.contenders
+    assert tuple(contenders) == BESIDE
+    assert set(about("searching", told)) == {*BESIDE} - {TUNED, CONSTANT}, "`tune` found those"
+    assert about("judging", told) == [*BESIDE]
     starts = [c.metrics.initial_angle for c in contenders.values()]
     assert all(len(s) == 3 for s in starts)
     for start in starts:
         np.testing.assert_allclose(start, starts[0], atol=1e-3)
     for name, contender in contenders.items():
-        assert (contender.filter.kind == "Kalman") == (name in (EKF, EKF_VECTORS))
+        assert (contender.filter.kind == "kalman") == (name in (EKF, EKF_VECTORS))
         assert np.isfinite(contender.metrics.cost).all()
 
 
@@ -78,9 +81,9 @@ def test_what_was_found_is_not_searched_again(evaluated):
     told: list[Step] = []
     again = evaluate(result, scenarios=3, progress=told.append)
     assert {step.name for step in told} == {"preparing", "judging"}
-    assert about("judging", told) == [*CONTENDERS]
-    for name, contender in again.evaluation.contenders.items():
-        before = result.evaluation.contenders[name]
+    assert about("judging", told) == [*BESIDE]
+    for name, contender in again.on_scenarios.evaluation.contenders.items():
+        before = result.on_scenarios.evaluation.contenders[name]
         assert contender.filter == before.filter
         np.testing.assert_array_equal(contender.metrics.cost, before.metrics.cost)
 
@@ -88,27 +91,28 @@ def test_what_was_found_is_not_searched_again(evaluated):
 def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     """One baseline is missing and must be searched."""
     result, folder = evaluated[1], tmp_path / "run"
-    known = {n: c for n, c in result.evaluation.contenders.items() if n != REPLAYED}
-    before = dataclasses.replace(result.evaluation, contenders=known)
-    posegsa.save(dataclasses.replace(result, evaluation=before), folder, figures=())
-    left = {name: folder / f"{name}.csv" for name in ("history", "trajectory")}
-    for path in left.values():  # numbers in another notation than posegsa writes
-        path.write_text(path.read_text().replace("\n0,", "\n0.0,", 1).replace(",0.0", ",0", 1))
-    before_csv = {name: path.read_bytes() for name, path in left.items()}
+    known = {n: c for n, c in result.on_scenarios.evaluation.contenders.items() if n != REPLAYED}
+    judged = result.on_scenarios
+    before = replace(judged, evaluation=replace(judged.evaluation, contenders=known))
+    posegsa.save(replace(result, on_scenarios=before), folder, figures=())
+    tables = {name: folder / f"{name}.csv" for name in ("history", "trajectory")}
+    before_csv = {name: path.read_bytes() for name, path in tables.items()}
     arguments = ["--scenarios", "3", "--seed", "2", "--figures", "costs,bands,vector_biases"]
     assert main(["evaluate", str(folder), *arguments]) == 0
     said = capsys.readouterr()
     assert f"searching {REPLAYED} ..." in said.err
-    for contender in CONTENDERS:
+    for contender in BESIDE:
         assert contender in said.out
         assert contender in said.err, "long work says what it does"
     assert "judging: done after" in said.err
-    evaluation = json.loads((folder / "evaluation.json").read_text())
-    assert evaluation["summary"]["scenarios"] == 3
-    assert evaluation["seed"] == 2
-    assert posegsa.load(folder).evaluation.scenarios == 3
+    stored = json.loads((folder / RESULT).read_text())["on_scenarios"]["evaluation"]
+    assert stored["seed"] == 2
+    assert tuple(stored["contenders"]) == BESIDE
+    again = posegsa.load(folder).on_scenarios
+    assert again is not None
+    assert again.evaluation.scenarios == 3
     assert "invariant EKF" in (folder / "report.html").read_text()
-    assert {name: path.read_bytes() for name, path in left.items()} == before_csv
+    assert {name: path.read_bytes() for name, path in tables.items()} == before_csv
     drawn = {path.stem for path in (folder / "figures").iterdir()}
     assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
     assert (folder / "evaluation.txt").read_text().strip() in said.out
@@ -117,8 +121,8 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
 def test_the_first_held_out_scenarios_are_those_that_tune_judged_on(evaluated):
     tuned, result, _ = evaluated
     for name in (TUNED, CONSTANT):
-        few = tuned.evaluation.contenders[name].metrics.cost
-        many = result.evaluation.contenders[name].metrics.cost
+        few = tuned.on_scenarios.evaluation.contenders[name].metrics.cost
+        many = result.on_scenarios.evaluation.contenders[name].metrics.cost
         np.testing.assert_allclose(many[: len(few)], few, rtol=1e-4)
 
 
@@ -136,7 +140,7 @@ def test_another_seed_is_another_held_out_set():
 
 
 def test_differences_are_paired(evaluated):
-    evaluation = evaluated[1].evaluation
+    evaluation = evaluated[1].on_scenarios.evaluation
     tuned, constant = (evaluation.contenders[n].metrics.cost for n in (TUNED, CONSTANT))
     found = evaluation.difference(CONSTANT)
     assert found.mean == pytest.approx(np.mean(tuned - constant))
@@ -146,7 +150,7 @@ def test_differences_are_paired(evaluated):
 
 
 def test_json_gives_everything_back(evaluated):
-    evaluation = evaluated[1].evaluation
+    evaluation = evaluated[1].on_scenarios.evaluation
     again = from_json(Evaluation, to_json(evaluation, SCHEMA), SCHEMA, FILE)
     assert again.table() == evaluation.table()
     assert list(again.contenders) == list(evaluation.contenders)
@@ -159,7 +163,7 @@ def test_json_gives_everything_back(evaluated):
 
 
 def test_a_diverged_contender_is_told_and_not_averaged_away(evaluated):
-    evaluation = evaluated[1].evaluation
+    evaluation = evaluated[1].on_scenarios.evaluation
     first = evaluation.contenders[CONSTANT]
     cost = first.metrics.cost.copy()
     cost[2] = np.inf
@@ -167,7 +171,7 @@ def test_a_diverged_contender_is_told_and_not_averaged_away(evaluated):
     diverged[2] = True
     metrics = first.metrics._replace(cost=cost, diverged=diverged)
     contenders = evaluation.contenders | {CONSTANT: first._replace(metrics=metrics)}
-    bad = dataclasses.replace(evaluation, contenders=contenders)
+    bad = replace(evaluation, contenders=contenders)
     assert bad.cost(CONSTANT).mean == math.inf
     assert math.isnan(bad.difference(CONSTANT).low)
     assert "33.3" in bad.table()
@@ -185,14 +189,14 @@ def test_interval_of_known_values():
 
 
 def test_a_percentile_does_not_hide_divergence(evaluated):
-    evaluation = evaluated[1].evaluation
+    evaluation = evaluated[1].on_scenarios.evaluation
     first = evaluation.contenders[CONSTANT]
     cost = first.metrics.cost.copy()
     cost[2] = np.inf
     contenders = evaluation.contenders | {
         CONSTANT: first._replace(metrics=first.metrics._replace(cost=cost))
     }
-    assert dataclasses.replace(evaluation, contenders=contenders).summary(CONSTANT).p95 == math.inf
+    assert replace(evaluation, contenders=contenders).summary(CONSTANT).p95 == math.inf
 
 
 def test_too_few_scenarios_are_refused(evaluated):
@@ -201,8 +205,8 @@ def test_too_few_scenarios_are_refused(evaluated):
 
 
 def test_the_table_holds_every_contender(evaluated):
-    text = evaluated[1].evaluation.table()
-    heads = [line[: len(max(CONTENDERS, key=len))].strip() for line in text.splitlines()]
-    for name in CONTENDERS:
+    text = evaluated[1].on_scenarios.evaluation.table()
+    heads = [line[: len(max(BESIDE, key=len))].strip() for line in text.splitlines()]
+    for name in BESIDE:
         assert heads.count(name) == 2
     assert_told(text.splitlines()[0], "Cost", "3 scenarios")

@@ -6,62 +6,73 @@ import numpy as np
 import pytest
 from helpers.experiments import quietly, tiny
 
+from posegsa.config import KALMAN_ALSO
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import simulate_errors
 from posegsa.judging import kalman
-from posegsa.judging.evaluation import Description
-from posegsa.judging.kalman import BOUNDS, kalman_scenarios, kalman_tracks, tune_kalman
+from posegsa.judging.baselines import variant_of
+from posegsa.judging.description import Description, candidate_of
+from posegsa.judging.kalman import kalman_experiment, tune_kalman
+from posegsa.judging.metrics import error_tracks
+from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.keys import training_keys
+from posegsa.search.population import costs_by_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 TINY = tiny()
 """The experiment of `test_evaluate`, so that its programs are compiled once."""
-NOISES = {name: float(np.sqrt(low * high)) for name, (low, high) in BOUNDS.items()}
+BOUNDS = {one.key: (one.lower, one.upper) for one in KALMAN_ALSO}
+NOISES = {key: float(np.sqrt(low * high)) for key, (low, high) in BOUNDS.items()}
 
 
-def described(noises: dict[str, float]) -> Description:
-    return Description("Kalman", {name: [n] for name, n in noises.items()}, {}, 20)
+@pytest.fixture(scope="module")
+def problem() -> TuningProblem:
+    return tuning_problem(TINY)
 
 
 def test_the_noises_are_all_that_the_filter_has() -> None:
-    assert set(BOUNDS) == set(KalmanNoise._fields)
+    assert [key.removeprefix("filter.") for key in BOUNDS] == [*KalmanNoise._fields]
     assert all(0 < low < high for low, high in BOUNDS.values())
 
 
 @pytest.fixture(scope="module")
-def found():
+def found(problem):
     """Two searches of one generation, with the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
     patch.setattr(kalman, "CHECK_INTERVAL", 20)
     patch.setattr(kalman, "MAX_EVALUATIONS", 40)
-    experiment = tiny()
-    one = quietly(experiment)
-    yield [tune_kalman(experiment, one, vector_biases=False) for _ in range(2)]
+    beside = variant_of(problem, kalman_experiment(TINY, vector_biases=False))
+    yield [tune_kalman(beside) for _ in range(2)]
     patch.undo()
 
 
 def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
     first, again = found
     assert first == again
-    assert first.kind == "Kalman"
-    assert first.also == {}
+    assert first.kind == "kalman"
+    assert first.numbers == {}
     assert first.evaluations in (20, 40)
-    expected = set(BOUNDS) - {"vector_walk", "initial_vector_bias"}
-    assert set(first.numbers) == expected, "there are no such states"
-    for name, (noise,) in first.numbers.items():
-        low, high = BOUNDS[name]
-        assert low * (1 - 1e-6) <= noise <= high * (1 + 1e-6), name
+    expected = set(BOUNDS) - {"filter.vector_walk", "filter.initial_vector_bias"}
+    assert set(first.also) == expected, "there are no such states"
+    for key, noise in first.also.items():
+        low, high = BOUNDS[key]
+        assert low * (1 - 1e-6) <= noise <= high * (1 + 1e-6), key
 
 
 def test_tracks_are_those_of_the_filter_one_by_one() -> None:
     """They are simulated in groups of 16; the last group is padded."""
-    noises = NOISES | {"vector": 0.1, "landmark": 0.1}
-    batch = kalman_scenarios(TINY, quietly(TINY), training_keys(0, 3), vector_biases=False)
+    experiment = kalman_experiment(TINY, vector_biases=False)
+    noises = NOISES | {"filter.vector": 0.1, "filter.landmark": 0.1}
+    batch = scenario_batch(experiment, quietly(experiment), training_keys(0, 3))
     several = jax.device_get(batch).select(np.arange(26) % 3)
-    tracks = kalman_tracks(described(noises), several)
-    noise = KalmanNoise(**{name: jnp.float32(n) for name, n in noises.items()})
-    filter, alone = KalmanFilter(noise, vector_biases=False), jax.jit(simulate_errors)
+    candidate = candidate_of(Description("kalman", {}, noises, 20), experiment)
+    tracks = error_tracks(candidate, several)
+    noise = {key.removeprefix("filter."): jnp.float32(n) for key, n in noises.items()}
+    filter, alone = (
+        KalmanFilter(KalmanNoise(**noise), vector_biases=False),
+        jax.jit(simulate_errors),
+    )
     for i in range(3):
         scenario = jax.tree.map(lambda a, i=i: a[i], (several.samples, several.initial))
         for ours, theirs in zip(tracks, alone(filter, *scenario), strict=True):
@@ -71,13 +82,24 @@ def test_tracks_are_those_of_the_filter_one_by_one() -> None:
     assert not np.allclose(tracks.position[0], tracks.position[1])
 
 
-def test_only_with_vector_biases_are_there_such_states() -> None:
+def test_only_with_vector_biases_are_there_such_states(problem) -> None:
     for vector_biases in (False, True):
-        batch = kalman_scenarios(
-            TINY, quietly(TINY), training_keys(0, 3), vector_biases=vector_biases
-        )
+        experiment = kalman_experiment(TINY, vector_biases=vector_biases)
+        batch = variant_of(problem, experiment).training
         start = batch.filter.start(jax.tree.map(lambda a: a[0], batch.initial), 2)
         assert len(start.covariance) == (18 if vector_biases else 12)
         assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 200), (
             "each, as measured"
         )
+
+
+def test_it_reads_what_was_made_for_an_observer_that_learns_the_vectors_biases() -> None:
+    learning = tuning_problem(tiny("filter.vector_bias=estimated"))
+    experiment = kalman_experiment(learning.experiment, vector_biases=True)
+    batch = variant_of(learning, experiment).training
+    assert batch.samples is learning.training.samples, "nothing is drawn again"
+    again = scenario_batch(experiment, quietly(experiment), training_keys(0, 3))
+    candidate = candidate_of(Description("kalman", {}, NOISES, 0), experiment)
+    agent = jax.tree.map(lambda a: a[None], candidate)
+    costs = [np.asarray(costs_by_scenario(agent, each)) for each in (batch, again)]
+    np.testing.assert_allclose(*costs, rtol=1e-4)

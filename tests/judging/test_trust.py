@@ -21,7 +21,7 @@ def sound():
 
 
 def test_with_the_gain_limit_a_result_is_not_sensitive(sound):
-    trust = sound.trust
+    trust = sound.on_scenarios.trust
     assert not trust.sensitive
     assert trust.cost_float32 == pytest.approx(sound.best_cost, rel=1e-4)
     assert trust.cost_float64 == pytest.approx(trust.cost_float32, rel=1e-3)
@@ -36,7 +36,7 @@ def test_without_it_the_chaos_is_marked():
     settings = ["filter.gain_limit=off"]
     settings += [f"scenario.{one}.weight=30.0" for one in ("vectors.0", "vectors.1", "landmarks.0")]
     result = posegsa.tune(tiny(*settings))
-    assert result.trust.sensitive
+    assert result.on_scenarios.trust.sensitive
     assert any("SENSITIVE" in warning for warning in result.warnings())
     assert "SENSITIVE" in result.summary()
 
@@ -74,8 +74,13 @@ def test_rule_weights_are_mean_firing_strengths(sound):
 
 
 def test_warnings_name_what_went_wrong(sound):
-    trust = dataclasses.replace(sound.trust, uncovered=0.125)
-    result = dataclasses.replace(sound, trust=trust, non_finite=3)
+    judged = sound.on_scenarios
+    trust = dataclasses.replace(judged.trust, uncovered=0.125)
+    result = dataclasses.replace(
+        sound,
+        on_scenarios=dataclasses.replace(judged, trust=trust),
+        search=dataclasses.replace(sound.search, non_finite=3),
+    )
     text = " ".join(result.warnings())
     assert "12.5 %" in text
     assert "3 agents" in text

@@ -16,7 +16,7 @@ from posegsa.config import CostConfig, ObjectiveConfig
 from posegsa.filters.rollout import simulate, simulate_cost
 from posegsa.model.cost import SquaredErrors, sample_error
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import cost_weights, observer
+from posegsa.search.build import cost_weights, filter_of
 from posegsa.search.population import over_scenarios
 
 HAND = CostConfig(
@@ -66,7 +66,7 @@ def test_the_trajectory_form_equals_the_running_form() -> None:
     experiment = paper(*lasting(2.0))
     truth, measurements = sensed(np.full(200, 0.01), [[0.6, 0, 0.8], [0, 1, 0]], [[0.5, 1.4, 1]])
     schedule = FuzzyGain(space().controller(jnp.asarray(search_vectors(1, seed=1)[0])))
-    filter = replace(observer(experiment), schedule=schedule)
+    filter = replace(filter_of(experiment), schedule=schedule)
     scenario = tracked(measurements, truth, filter, "float64")
     weights = cost_weights(experiment.cost, 200, jnp.dtype("float64"))
     given = filter, scenario, start("float64")

@@ -1,4 +1,4 @@
-"""`import posegsa`, help and refused arguments import no heavy packages."""
+"""What is imported when: nothing heavy by `import posegsa`, help or a refused argument."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ atexit.register(lambda: print("loaded:", *sorted({HEAVY} & set(sys.modules))))
 
 
 def loaded(code: str, *options: str) -> set[str]:
-    """The heavy packages that a fresh interpreter with these options has imported at its end."""
+    """The heavy packages that a fresh interpreter, with such options, has imported when it ends."""
     done = subprocess.run(
         [sys.executable, "-W", "error", *options, "-c", SHOW + code],
         capture_output=True,
@@ -66,7 +66,7 @@ def test_help_lists_and_refused_arguments_need_nothing_heavy(arguments):
 
 def test_import_posegsa_needs_nothing_heavy():
     assert loaded("import posegsa; dir(posegsa); posegsa.__version__; posegsa.__all__") == set()
-    assert "numpy" in loaded("import posegsa; posegsa.box"), "the check detects loaded packages"
+    assert "numpy" in loaded("import posegsa; posegsa.box"), "the check sees what is loaded"
 
 
 def test_nothing_is_loaded_to_draw_before_something_is_drawn():
@@ -80,7 +80,7 @@ controller = FuzzyController(
 )
 plot_input_terms(controller)
 """
-    # Its lowest version gives a DeprecationWarning on import with a later pyparsing.
+    # Its lowest version, with a later pyparsing, has a DeprecationWarning as it is imported.
     assert "matplotlib" in loaded(drawn, "-W", "ignore::DeprecationWarning")
 
 

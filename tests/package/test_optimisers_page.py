@@ -1,4 +1,4 @@
-"""docs/optimisers.md: its examples run, and the commands and files it names exist."""
+"""The page on optimisers stays true: its examples run, and what it names exists."""
 
 import re
 from collections.abc import Sequence

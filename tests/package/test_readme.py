@@ -1,4 +1,4 @@
-"""The README: its example runs, its files exist, its commands parse."""
+"""The README stays true: its example runs, its files exist, its commands parse."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ def test_the_example_runs_and_is_short(tmp_path, capsys):
     small.write_text(config.to_toml(tiny()), encoding="utf-8")
     names: dict = {}
     exec(code.replace('"quick"', repr(str(small))), names)  # the README's own text
-    # It converges; with a smaller search than the README's it is less accurate.
+    # It converges, and shows it; a smaller search than the README's comes less near.
     error = names["error"]
     assert error[0] == pytest.approx(120)
     assert error[-1] < 1
@@ -44,7 +44,7 @@ def test_commands_that_it_names_parse():
 
 def test_the_results_are_there():
     (block,) = re.findall(r"<!-- results: begin -->(.*?)<!-- results: end -->", TEXT, re.DOTALL)
-    for words in ("tuned fuzzy gain", "best constant gains", "random search", "invariant EKF"):
+    for words in ("tuned filter", "best constant gains", "random search", "invariant EKF"):
         assert words in block
     page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     for words in ("paper_literal", "best time switch", "training cost", "tuned for"):

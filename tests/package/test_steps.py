@@ -1,4 +1,4 @@
-"""Progress: the reported steps and their listeners."""
+"""Progress: what is told, and to whom."""
 
 import pytest
 

@@ -164,11 +164,13 @@ def test_what_asks_for_a_run_is_told_that_it_is_none(
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "imu.toml").write_text(config.ImuConfig().to_toml(), "utf-8")
-    for given in (mine, mine / "imu.toml"):
+    for given, words in (
+        (mine, (f"posegsa replay {mine / 'imu.toml'} RECORDING", "no export")),
+        (mine / "imu.toml", (f"{mine / 'imu.toml'}: is an attitude filter", "posegsa replay imu")),
+    ):
         assert main(["export", str(given), "--format", "c"]) == 2
         said = capsys.readouterr().err
-        assert f"posegsa replay {mine / 'imu.toml'} RECORDING" in said
-        assert "no export" in said
+        assert all(each in said for each in words), said
         with pytest.raises(RunFolderError, match="filter for inertial sensors"):
             posegsa.load(given)
     other = tmp_path / "other.toml"

@@ -14,6 +14,7 @@ from helpers.messages import assert_told
 from helpers.results import (
     ANGLES,
     FILTERS,
+    OF_THE_OBSERVER,
     PARAMETERS,
     changed,
     consistent,
@@ -31,15 +32,16 @@ from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.figures import evaluation as evaluation_figures
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import (
+    AS_CONFIGURED,
     CONSTANT,
-    CONTENDERS,
     EKF,
     EKF_VECTORS,
     OPEN_LOOP,
+    SMOOTH,
     SWITCH,
     TUNED,
 )
-from posegsa.judging.result import TuneResult
+from posegsa.judging.result import Result
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
 from posegsa.report.words import filter_words, verdict
@@ -101,7 +103,7 @@ def spaced(text: str) -> str:
     return re.sub(r"[ \n]+", " ", text).strip(" ")
 
 
-def page(given: TuneResult | None = None, pictures=None) -> Page:
+def page(given: Result | None = None, pictures=None) -> Page:
     return Page(report_html(given or result(), pictures or {"costs": PICTURE}))
 
 
@@ -157,7 +159,7 @@ def test_the_table_of_costs_is_the_evaluation():
     given = evaluation()
     head, *rows = page(result(evaluation=given)).table("Cost on 40 held-out scenarios")
     assert head[:5] == ["Contender", "Mean", "95 % interval", "Median", "95th percentile"]
-    assert [row[0] for row in rows] == list(CONTENDERS)
+    assert [row[0] for row in rows] == list(OF_THE_OBSERVER)
     for name, mean, ends, median, high, worst, minus, its_ends, diverged in rows:
         costs = given.contenders[name].metrics.cost
         expected = [
@@ -219,12 +221,12 @@ def test_the_verdict_is_that_of_the_paired_interval(shift, facts):
     rng = np.random.default_rng(0)
     difference = shift + 0.01 * rng.permutation(np.linspace(-1, 1, 40))
     given = changed(given, TUNED, cost=given.contenders[CONSTANT].metrics.cost + difference)
-    assert_told(verdict(given), *facts)
+    assert_told(verdict(result(evaluation=given).on_scenarios), *facts)
 
 
 def test_the_verdict_of_one_scenario_is_that_there_is_none():
     given = evaluation((TUNED, CONSTANT), cost=np.array([43.0]))
-    assert "too few" in verdict(given)
+    assert "too few" in verdict(result(evaluation=given).on_scenarios)
 
 
 def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
@@ -237,31 +239,33 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     assert places == sorted(places)
     assert_told(text, "0.2 for each metre", "0.3 from 0 to 1 s", "1 from 4 to 59 s")
     assert_told(text, "bias error, linear", "0.500", "0.250 m/s")
-    assert_told(text, "The schedule is better than constant", "posegsa evaluate RUN")
+    assert_told(
+        text, "The tuned filter is better than the best constant gains", "posegsa evaluate RUN"
+    )
     other = changed(better, TUNED, cost=np.linspace(5, 6, 40))
     text = page(result(evaluation=other, cost="mine.cost")).text
-    assert_told(text, "constant gain of 53.5 1/s", "mine.cost")
+    assert_told(text, "constant: gain = 53.5", "mine.cost")
     assert "posegsa evaluate RUN" not in page().text
 
 
 def test_it_says_which_other_filters_do_better():
     given = changed(evaluation(), TUNED, cost=np.linspace(10, 12, 40))
-    for name in CONTENDERS[1:]:
+    for name in OF_THE_OBSERVER[1:]:
         given = changed(given, name, cost=np.linspace(13, 14, 40))
     text = page(result(evaluation=given)).text
     assert "Other filters are better" not in text
-    assert "The schedule is better than constant" in text
+    assert "The tuned filter is better than the best constant gains" in text
     # Only its median is lower, because it is rarely much worse.
     rare = np.linspace(9, 10, 40)
     rare[-3:] = 500
     given = changed(given, EKF_VECTORS, cost=rare)
     text = page(result(evaluation=given)).text
     assert_told(text, "invariant EKF, vector biases", "lower median", "9.50", "11.00")
-    assert_told(text, "The schedule is better than constant")
+    assert_told(text, "The tuned filter is better than the best constant gains")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
     assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.20 to 1.30")
-    assert "The schedule is better than constant" not in found.text
+    assert "The tuned filter is better than the best constant gains" not in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
 
 
@@ -379,7 +383,7 @@ def test_what_was_run_is_told_in_words(settings, words):
 def test_every_setting_is_explained_where_it_is_shown():
     given = result("filter.law=printed")
     rows = {key: (value, said) for key, value, said in page(given).table("Settings")[1:]}
-    assert rows["filter.law"] == ('"printed"', " ".join(described(config.FilterConfig, "law")))
+    assert rows["filter.law"] == ('"printed"', " ".join(described(config.ObserverConfig, "law")))
     assert rows["scenario.landmarks"][0].startswith("[{position = [0.5, ")
     for key, value in given.experiment.filter:
         assert f"filter.{key}" in rows, value
@@ -402,7 +406,7 @@ def test_the_held_out_set_is_named():
 
 def test_what_the_contenders_are():
     rows = dict(page().table("What each contender is")[1:])
-    assert list(rows) == list(CONTENDERS)
+    assert list(rows) == list(OF_THE_OBSERVER)
     assert_told(rows[CONSTANT], "constant", "gain = 53.5")
     assert_told(rows[TUNED], "fuzzy", "k1 to k22")
     assert_told(rows[SWITCH], "before = 80", "after = 20", "time = 1.5", "learning_time = 0")
@@ -411,6 +415,66 @@ def test_what_the_contenders_are():
     also = description("constant", gain=2)._replace(also={"filter.gamma": 2.5})
     assert_told(filter_words(also), "constant", "gain = 2", "filter.gamma = 2.5")
     assert "posegsa evaluate" in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
+
+
+def without_rules(*names: str, **values) -> Result:
+    """A result whose filter has no rules, beside another one."""
+    judged = evaluation(names, initial_angle=ANGLES)
+    own = judged.contenders[TUNED]._replace(filter=values["filter"])
+    return result(
+        evaluation=replace(judged, contenders=judged.contenders | {TUNED: own}),
+        training=dict.fromkeys(names[:2], np.array([41.0, 43.0])),
+        trust=trust(rule_weights=None, uncovered=None),
+        **values,
+    )
+
+
+def without_configuration(found: Page) -> str:
+    """The text of a page before the settings, which name whatever there is."""
+    return found.text.partition("Every setting and what it means")[0]
+
+
+NO_RULES = ("fuzzy", "Input terms", "Rules", "rules", "Some rule", "k1", "None")
+
+
+def test_a_kalman_filter_is_shown_beside_itself_as_configured():
+    given = without_rules(
+        *(TUNED, AS_CONFIGURED, CONSTANT),
+        experiment=config.override(config.Experiment(), ["filter.kind=kalman"]),
+        filter=FILTERS[EKF],
+        endurance=endurance(attitude=np.array([40.0, 6, 5, 9.5])),
+    )
+    found = page(given)
+    assert not [words for words in (*NO_RULES, "gain K") if words in without_configuration(found)]
+    assert_told(found.text, "Held out: as configured", "the filter as configured", "Kalman filter")
+    assert_told(found.text, "Errors of the tuned filter and of the filter as configured by time")
+    assert_told(found.text, "worse than the filter as configured: attitude")
+    assert ["as configured", "Kalman filter"] in found.table("What each contender is")
+    settings = {key: value for key, value, _ in found.table("Settings")[1:]}
+    assert settings["filter.kind"] == '"kalman"'
+
+
+def test_a_constant_gain_is_shown_beside_a_smooth_one():
+    given = without_rules(
+        *(TUNED, SMOOTH),
+        experiment=config.override(config.Experiment(), ["filter.schedule=constant"]),
+        filter=FILTERS[CONSTANT],
+    )
+    found = page(given)
+    assert not [words for words in NO_RULES if words in without_configuration(found)]
+    assert_told(found.text, "the gain K", "Held out: smooth gain K(e)", "training 42.00")
+
+
+def test_it_says_what_the_filter_was_tuned_on():
+    given = result()
+    assert_told(page(given).text, "tuned on simulations", "minimised the cost on 24 training")
+    judged = replace(given.search, tuned_on="recordings")
+    text = page(replace(given, search=judged)).text
+    assert_told(text, "tuned on recordings", "minimised the cost on recordings")
+    assert "cost on 24 training scenario" not in text
+    text = page(replace(given, search=None)).text
+    assert_told(text, "not searched", "None: the filter has the numbers that were given")
+    assert not [words for words in ("minimised the cost", "were tuned on") if words in text]
 
 
 def test_what_was_tuned_too_is_shown_with_its_bounds():
@@ -436,7 +500,7 @@ def test_endurance_is_shown_by_windows_and_warned_of():
         atol=0.0051,
     )
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert_told(found.text, "worse than constant gains", "attitude from 60 to 120 s")
+    assert_told(found.text, "worse than the best constant gains", "attitude from 60 to 120 s")
 
 
 def test_every_text_that_comes_from_data_is_escaped():
@@ -471,7 +535,7 @@ def test_infinite_costs_and_missing_intervals_are_shown_as_such():
     given = changed(given, CONSTANT, cost=nothing, settling_attitude=nothing)
     bad = result(
         evaluation=given,
-        training_costs=np.array([np.inf, 40.0]),
+        training={TUNED: np.array([np.inf, 40.0]), CONSTANT: np.array([44.0, 46.0])},
         trust=trust(cost_float64=np.inf, cost_perturbed=np.nan, sensitive=True),
     )
     found = page(bad)
@@ -537,7 +601,7 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
 def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
     monkeypatch.setattr(
-        "posegsa.saving.run.draw",
+        "posegsa.saving.result.draw",
         lambda result, _: {
             each.name: figure
             for each in evaluation_figures.FIGURES
@@ -547,7 +611,8 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     first = result(evaluation=evaluation(initial_angle=ANGLES))
     posegsa.save(first, tmp_path, overwrite=True)
     assert (tmp_path / "figures" / "angles.png").exists()
-    posegsa.save(replace(first, evaluation=evaluation(seed=3)), tmp_path, overwrite=True)
+    judged = replace(first.on_scenarios, evaluation=evaluation(seed=3))
+    posegsa.save(replace(first, on_scenarios=judged), tmp_path, overwrite=True)
     assert not (tmp_path / "figures" / "angles.png").exists(), "it would be another evaluation's"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert_told(text, "held-out set number 3")
@@ -555,7 +620,7 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
     (tmp_path / "figures").write_text("a file in the place of a folder")
     with pytest.raises(RunFolderError, match="Not a directory"):
         posegsa.save(result(), tmp_path)

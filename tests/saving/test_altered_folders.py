@@ -1,35 +1,42 @@
-"""Every field of every file of a run, simulated or recorded, and of a comparison, altered.
+"""Every field of what is read of a run, on scenarios and on recordings, and of a comparison.
 
-Each field gets some of the values; other fields of its type get others.
+Each field is altered: it is given a few of the values, other fields of its type others.
 
-The file is refused by name and field, or it gives a result that can be shown. Nothing else
-happens: no other exception, now or later, and no control character in the output.
+What is read is refused with file and field, or it makes a result that can be shown. Nothing else
+happens: no other exception, then or later, and no control character reaches a terminal.
 """
 
+import contextlib
 import copy
 import json
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.results import consistent, description, evaluation
+from helpers.results import K, consistent, description, history, trajectory, trust
+from helpers.stored import sealed
 
 import posegsa
-from posegsa.errors import RunFolderError
-from posegsa.judging.baselines import candidate_of
+from posegsa import config
+from posegsa.config import Experiment
+from posegsa.errors import ArgumentError, ConfigError, RunFolderError
+from posegsa.export import export
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
-from posegsa.judging.evaluation import EKF, OPEN_LOOP, SWITCH, TUNED, Description
-from posegsa.judging.kalman import candidate_of_noises
+from posegsa.judging.description import Description, candidate_of, described_filter
+from posegsa.judging.evaluation import CONSTANT, EKF, OPEN_LOOP, SWITCH, TUNED
 from posegsa.judging.known_sensors import KnownSensors
-from posegsa.judging.recorded import RecordingResult, RecordingScore, SimulatedScore
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, SimulatedScore
+from posegsa.judging.result import FoundBy, Result
 from posegsa.recordings.accuracy import Rmse
 from posegsa.report import report_html
 from posegsa.saving.comparison import load_comparison, write_searches
+from posegsa.saving.records import to_json
+from posegsa.saving.result import SCHEMA
 
 VALUES = (
     None,
@@ -48,17 +55,15 @@ VALUES = (
     [1],
     {"a": 1},
 )
-CELLS = ("", "x", "nan", "inf", "1e308", "-1", "0", "1.5", "\x1b[31m", "true")
 DRAWN = 5
-"""Number of values that each field or cell gets. Many fields have the same type, so each type gets
-all values."""
+"""Values that each field is given: many fields are of one type, which meets all of them."""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The folder of a small result with all contenders, without figures."""
+    """The folder of a small result with every contender, without figures."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("posegsa.saving.run.draw", lambda *_: {})
+    patch.setattr("posegsa.saving.result.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
     patch.undo()
 
@@ -85,32 +90,39 @@ def comparison(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """The folder of a constant gain on recordings, compared with one other filter."""
+    """The folder of a constant gain on recordings, with one other filter beside it."""
     errors = {phase: Rmse(1.0, 0.5, 0.25, 0.1, 20) for phase in ("judged", "moving")}
     origin = {"gyroscope": "measured"}, ["a gap"]
     one = RecordingScore("a walk", 30, 0.3, False, *origin, errors, fingerprint="0" * 64)
     axis = (0.0, 0.0, 1.0)
-    made = RecordingResult(
-        experiment=tiny(),
-        tuned_on="recordings and scenarios",
+    made = Result(
+        experiment=tiny("filter.schedule=constant"),
         filter=description("constant", gain=8.0),
-        position_weight=10.0,
-        best_cost=2.0,
-        training=[one],
-        held_out=[one, one],
-        compile_seconds=1.0,
-        search_seconds=0.5,
+        search=FoundBy(
+            tuned_on="recordings and scenarios",
+            cost="configured",
+            position_weight=10.0,
+            best_cost=float(history(3).best[-1]),
+            non_finite=0,
+            compile_seconds=1.0,
+            search_seconds=0.5,
+            history=history(3),
+        ),
+        on_recordings=OnRecordings(
+            training=[one],
+            held_out=[one, one],
+            simulated=SimulatedScore([1.0, 2.0], [3.0]),
+            baselines={"VQF": [one, one]},
+            sensors=KnownSensors([axis], [2.0], [axis, axis], [1.0, 1.0], attitude_only=False),
+        ),
         environment={"jax": "0.10"},
         version="1.2.3",
-        simulated=SimulatedScore([1.0, 2.0], [3.0]),
-        baselines={"VQF": [one, one]},
-        sensors=KnownSensors([axis], [2.0], [axis, axis], [1.0, 1.0], attitude_only=False),
     )
     return posegsa.save(made, tmp_path_factory.mktemp("recorded") / "out")
 
 
 def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
-    """Every field in plain data; the first entry of a list stands for all."""
+    """Every field in plain data; of a list its first entry stands for all."""
     items = data.items() if isinstance(data, dict) else enumerate(data[:1])
     for key, value in items:
         yield (*before, key)
@@ -119,28 +131,29 @@ def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
 
 
 def some(values: tuple, place: object, count: int = DRAWN) -> list:
-    """A few of the values: random, the same in every run, and different for each place."""
+    """A few of the values: by chance, and the same in every run, but others in another place."""
     rng = np.random.default_rng(zlib.crc32(repr(place).encode()))
     return [values[i] for i in rng.permutation(len(values))[:count]]
 
 
 def alterations(data: Any, path: tuple) -> Iterator[str]:
-    """The file with one field altered or removed, or with an additional field."""
+    """The file with one field altered, removed, or with another one beside it."""
     *above, name = path
     parent = data
     for key in above:
         parent = parent[key]
     own = parent[name]
     cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
-    own_kind = len(path) <= 2 or "filter" in path  # few of them are of the same type
+    own_kind = len(path) <= 2 or "filter" in path  # of which there are not many alike
+    own_kind = own_kind or (len(path) == 3 and path[1] in ("endurance", "trust"))
     for value in (*(VALUES if own_kind else some(VALUES, path)), *cut):
         if value != own or type(value) is not type(own):
             parent[name] = value
-            yield json.dumps(data)
+            yield sealed(data)
     parent[name] = own
     whole = copy.copy(parent)
     del parent[name]
-    yield json.dumps(data)
+    yield sealed(data)
     parent.clear()
     if isinstance(parent, list):
         parent.extend(whole)
@@ -148,112 +161,86 @@ def alterations(data: Any, path: tuple) -> Iterator[str]:
     parent.update(whole)
     if name == next(iter(parent)):
         parent["unknown"] = 1
-        yield json.dumps(data)
+        yield sealed(data)
         del parent["unknown"]
 
 
 def checked(file: Path, text: str, load) -> Any:
-    """The object loaded from a file with this text; None if it is refused correctly."""
+    """What is loaded from a file with this text; None if it is refused as it should be."""
     file.write_text(text, encoding="utf-8")
     try:
         return load(file.parent)
     except RunFolderError as error:
         words = str(error).removeprefix(f"{file.parent}/")
-        assert ".json: " in words or ".csv: " in words, words
+        assert ".json: " in words, words
         assert all(c.isprintable() or c == "\n" for c in words), words
         return None
 
 
-def shown(result: posegsa.TuneResult) -> str:
-    """Check that all texts of a result can be made and have no control characters."""
-    texts = (result.summary(), result.evaluation.table(), posegsa.export_c_gain(result))
+def shown(result: Result) -> str:
+    """A result in all texts that it has; none steers a terminal."""
+    texts = [result.summary(), export(result, "json")]
+    if result.on_scenarios is not None:
+        texts += [result.on_scenarios.evaluation.table(), posegsa.export_c_gain(result)]
     assert all(c.isprintable() or c == "\n" for text in texts for c in text)
-    return "".join(texts) + report_html(result, {})
+    if result.on_scenarios is not None:
+        texts.append(report_html(result, {}))
+    return "".join(texts)
 
 
-def rebuilt(found: Description) -> object:
-    """The filter for a description."""
-    with jax.enable_x64(True):
-        if found.kind == "Kalman":
-            return candidate_of_noises(found, np.dtype(np.float64))
-        return candidate_of(found, posegsa.parameter_space(tiny("run.dtype=float64")))
+def rebuilt(found: Description, experiment: Experiment) -> object:
+    """The filter that a description means; or the error that names what a filter can't have."""
+    if found.kind == "kalman":
+        other = config.override(experiment, ["filter.kind=kalman"])
+        with contextlib.suppress(ConfigError):  # which names the key and the value
+            return described_filter(found, other)
+        return found
+    return candidate_of(found, experiment)
 
 
-@pytest.mark.parametrize("name", ["result.json", "evaluation.json"])
-def test_every_field_of_a_run(run, name):
-    file = run / name
+ON_SCENARIOS = ("on_scenarios", "evaluation", "contenders")
+
+
+def alike(path: tuple) -> bool:
+    """Whether others of its kind stand for a field."""
+    if path[0] == "experiment":  # is checked like any configuration
+        return len(path) > 2
+    if path[:3] == ON_SCENARIOS and len(path) > 4 and path[3] != TUNED:
+        # All contenders are of one type but for the numbers of their filters: of each kind one, and
+        # of the noises of a Kalman filter one.
+        noise = path[3] == EKF and len(path) > 6 and path[6] != "filter.vector"
+        return "filter" not in path or path[3] not in (SWITCH, OPEN_LOOP, EKF) or noise
+    # The scores are of one type, on whatever recordings and of whatever filter.
+    return len(path) > 3 and path[:2] in (
+        ("on_recordings", "held_out"),
+        ("on_recordings", "baselines"),
+    )
+
+
+@pytest.mark.parametrize("name", ["run", "recorded"])
+def test_every_field_of_a_result(name, request):
+    folder = request.getfixturevalue(name)
+    file = folder / "result.json"
     good = file.read_text(encoding="utf-8")
     data, accepted, refused = json.loads(good), 0, 0
     try:
         for path in list(paths(data)):
-            # The summary is not read, the experiment is checked like any configuration, and all
-            # contenders are of one type except for the numbers of their filters: one of each kind,
-            # and one of the Kalman filter's noises.
-            if path[0] == "summary" or (path[0] == "experiment" and len(path) > 2):
+            if alike(path) or path == ("digest",):
                 continue
-            if path[0] == "contenders" and len(path) > 2 and path[1] != TUNED:
-                if "filter" not in path or path[1] not in (SWITCH, OPEN_LOOP, EKF):
-                    continue
-                if path[1] == EKF and len(path) > 4 and path[4] != "vector":
-                    continue
             for altered in alterations(data, path):
                 result = checked(file, altered, posegsa.load)
                 refused += result is None
                 if result is not None and path[0] != "experiment":
                     accepted += 1
                     shown(result)
-                    if "filter" in path:
-                        assert rebuilt(result.evaluation.contenders[path[1]].filter)
+                    if path[:3] == ON_SCENARIOS and "filter" in path:
+                        found = result.on_scenarios.evaluation.contenders[path[3]].filter
+                        assert rebuilt(found, result.experiment)
     finally:
         file.write_text(good, encoding="utf-8")
     assert refused > 100
-    assert 30 < accepted < refused, "accepted: only numbers in place of others and version names"
-    assert shown(posegsa.load(run))
-
-
-@pytest.mark.parametrize("name", ["history.csv", "trajectory.csv"])
-def test_every_column_of_a_run(run, name):
-    file = run / name
-    good = file.read_text(encoding="utf-8")
-    header, *rows = [line.split(",") for line in good.splitlines()]
-    refused = 0
-    try:
-        for column in range(len(header)):
-            for row, count in ((0, 1), (len(rows), DRAWN)):
-                for cell in some(CELLS, (name, column, row), count):
-                    table = copy.deepcopy([header, *rows])
-                    table[row][column] = cell
-                    text = "\n".join(map(",".join, table)) + "\n"
-                    result = checked(file, text, posegsa.load)
-                    refused += result is None
-                    if result is not None:
-                        assert row, "another name of a column was accepted"
-                        shown(result)
-    finally:
-        file.write_text(good, encoding="utf-8")
-    assert refused > 2 * len(header)
-
-
-def test_every_field_of_a_result_on_recordings(recorded):
-    file = recorded / "recorded.json"
-    good = file.read_text(encoding="utf-8")
-    data, accepted, refused = json.loads(good), 0, 0
-    try:
-        for path in list(paths(data)):
-            # All scores are of one type.
-            if len(path) > 2 and path[0] in ("experiment", "held_out", "baselines"):
-                continue
-            for altered in alterations(data, path):
-                result = checked(file, altered, posegsa.load_recorded)
-                refused += result is None
-                if result is not None:
-                    accepted += 1
-                    texts = (result.summary(), posegsa.export.export(result, "json"))
-                    assert all(c.isprintable() or c == "\n" for text in texts for c in text)
-    finally:
-        file.write_text(good, encoding="utf-8")
-    assert refused > 2 * accepted
-    assert posegsa.load_recorded(recorded).summary()
+    assert 30 < accepted < refused, "numbers in the place of others, and names of versions"
+    assert shown(posegsa.load(folder))
 
 
 def test_every_field_of_a_comparison(comparison):
@@ -275,86 +262,112 @@ def test_every_field_of_a_comparison(comparison):
     assert refused > 2 * accepted
 
 
+def altered(folder: Path, path: str, value: Any = None, *, gone: bool = False) -> dict[str, Any]:
+    """The data of a result with one field, below its names with slashes, another or gone."""
+    data = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    *above, name = path.split("/")
+    parent = data
+    for key in above:
+        parent = parent[key]
+    parent[name] = value
+    if gone:
+        del parent[name]
+    return data
+
+
+def load_text(folder: Path, text: str, **options: Any) -> Result:
+    """What is loaded from a folder with another result.json, which then is as before."""
+    file = folder / "result.json"
+    good = file.read_text(encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
+    try:
+        return posegsa.load(folder, **options)
+    finally:
+        file.write_text(good, encoding="utf-8")
+
+
+CONTENDER = "on_scenarios/evaluation/contenders/"
+
+
 @pytest.mark.parametrize(
-    ("name", "path", "value", "said"),
+    ("path", "value", "said"),
     [
-        ("result.json", ("trust", "rule_weights"), None, "trust.rule_weights = None"),
-        ("result.json", ("trust", "rule_weights"), True, "trust.rule_weights = True"),
-        ("result.json", ("trust", "rule_weights"), 0.5, "trust.rule_weights = 0.5"),
-        ("result.json", ("trust", "rule_weights"), "nan", "trust.rule_weights = 'nan'"),
+        ("on_scenarios/trust/rule_weights", True, "trust.rule_weights"),
+        ("on_scenarios/trust/rule_weights", 0.5, "trust.rule_weights"),
+        ("on_scenarios/trust/rule_weights", "nan", "trust.rule_weights"),
+        ("on_scenarios/trust/rule_weights", [], "trust.rule_weights"),
+        ("on_scenarios/training/tuned filter", [1.0], f"training.{CONSTANT}: shape (2,)"),
+        ("on_scenarios/trajectory/yaw", [1.0], "trajectory.yaw"),
+        ("search/history/best", [1.0], "history.mean: shape (40,)"),
+        ("search/history/best", ["x"] * 40, "history.best.0 = 'x'"),
+        ("experiment/run/seed", -1, "run.seed = -1"),
         (
-            "result.json",
-            ("trust", "rule_weights"),
-            [],
-            "trust.rule_weights: shape (0,)",
-        ),
-        ("result.json", ("constant_gain",), "nan", "constant_gain = 'nan'"),
-        ("result.json", ("training_costs",), [1.0], "constant_training_costs: shape (2,)"),
-        ("result.json", ("experiment", "run", "seed"), -1, "run.seed = -1"),
-        (
-            "evaluation.json",
-            ("contenders", "best open-loop gains", "filter", "numbers", "time"),
+            f"{CONTENDER}best open-loop gains/filter/numbers/time",
             ["a", "b"],
-            "contenders.best open-loop gains.filter.numbers.time.1 = 'b': ",
+            "contenders.best open-loop gains.filter.numbers.time.0 = 'a': ",
         ),
         (
-            "evaluation.json",
-            ("contenders", "best time switch", "filter", "numbers", "before"),
+            f"{CONTENDER}best time switch/filter/numbers/before",
             [],
             "contenders.best time switch.filter",
         ),
         (
-            "evaluation.json",
-            ("contenders", "tuned gains replayed", "filter", "numbers", "time"),
+            f"{CONTENDER}tuned gains replayed/filter/numbers/time",
             [0.0, 2.0, 1.0],
             "ascending time",
         ),
+        (f"{CONTENDER}\x1b[31m", {}, "contenders.?[31m.[key] = '\\x1b[31m'"),
         (
-            "evaluation.json",
-            ("contenders", "\x1b[31m"),
-            {},
-            "contenders.?[31m.[key] = '\\x1b[31m'",
-        ),
-        (
-            "evaluation.json",
-            ("contenders", "best open-loop gains", "metrics", "cost"),
+            f"{CONTENDER}best open-loop gains/metrics/cost",
             [1.0],
             "contenders.best open-loop gains.metrics.cost: shape (1,)",
         ),
     ],
 )
-def test_what_once_was_loaded_and_then_crashed_is_refused(run, name, path, value, said):
-    file = run / name
-    good = file.read_text(encoding="utf-8")
-    data = json.loads(good)
-    node = data
-    for key in path[:-1]:
-        node = node[key]
-    node[path[-1]] = value
-    file.write_text(json.dumps(data), encoding="utf-8")
-    try:
-        with pytest.raises(RunFolderError) as refused:
-            posegsa.load(run)
-    finally:
-        file.write_text(good, encoding="utf-8")
+def test_what_once_was_loaded_and_then_crashed_is_refused(run, path, value, said):
+    with pytest.raises(RunFolderError) as refused:
+        load_text(run, sealed(altered(run, path, value)))
     assert said in str(refused.value)
+
+
+def test_a_changed_digit_is_found_and_read_on_demand(run):
+    text = (run / "result.json").read_text(encoding="utf-8")
+    changed = text.replace('"search_seconds": 0.25', '"search_seconds": 0.26')
+    assert sum(a != b for a, b in zip(text, changed, strict=True)) == 1
+    with pytest.raises(RunFolderError, match=r"result\.json: was changed .*edited=True.*--edited"):
+        load_text(run, changed)
+    result = load_text(run, changed, edited=True)
+    assert result.search.search_seconds == 0.26
+    assert posegsa.load(run).search.search_seconds == 0.25
+    wrong = json.dumps(altered(run, "search/non_finite", 3))
+    with pytest.raises(RunFolderError, match=r"search\.history\.non_finite = 0"):
+        load_text(run, wrong, edited=True)  # its parts must fit together all the same
+    with pytest.raises(RunFolderError, match=r"search\.non_finite = -1"):
+        load_text(run, json.dumps(altered(run, "search/non_finite", -1)), edited=True)
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"training_costs": np.ones(3), "constant_training_costs": np.ones(3)}, "training_costs"),
-        ({"also": {"gain.smoothing": 1.0}}, "keys of also"),
-        ({"constant_gain": 54.0}, "filter.gain"),
-        ({"parameters": np.full(22, 0.5)}, "filter.k"),
-        ({"best_cost": 40.0}, "last best"),
-        ({"non_finite": 3}, "non_finite"),
+        ({"training": {TUNED: np.ones(2)}}, "on_scenarios.training = 1; .*: 2"),
+        ({"also": {"gain.smoothing": 1.0}}, "keys of filter.also"),
+        ({"parameters": np.full(22, 0.5)}, f"filter of {TUNED}"),
+        ({"best_cost": 40.0}, "last of search.history.best"),
+        ({"non_finite": 3}, "sum of search.history.non_finite"),
+        ({"trajectory": trajectory(60)}, "length of trajectory"),
+        ({"trust": trust(rule_weights=None)}, "rule_weights, uncovered = .False, True."),
+        ({"trust": trust(uncovered=None)}, "rule_weights, uncovered = .True, False."),
+        (
+            {"filter": description("fuzzy", k=K, rules=[0] * 25), "on_scenarios": None},
+            "filter.numbers: rules only where they were searched",
+        ),
     ],
 )
-def test_files_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
-    monkeypatch.setattr("posegsa.saving.run.draw", lambda *_: {})
-    posegsa.save(consistent(**values), tmp_path)
-    with pytest.raises(RunFolderError, match=rf"{said}.* = .*; in result\.json: "):
+def test_parts_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
+    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    made = consistent(**values)
+    (tmp_path / "result.json").write_text(to_json(made, SCHEMA), encoding="utf-8")
+    with pytest.raises(RunFolderError, match=rf"result\.json: .*{said}"):
         posegsa.load(tmp_path)
 
 
@@ -374,23 +387,62 @@ def test_a_comparison_whose_parts_do_not_fit_together_is_refused(comparison, cha
     data = json.loads(good)
     change(data)
     try:
-        file.write_text(json.dumps(data), encoding="utf-8")
+        file.write_text(sealed(data), encoding="utf-8")
         with pytest.raises(RunFolderError, match=rf"comparison\.json: {said}"):
+            load_comparison(comparison)
+        file.write_text(json.dumps(json.loads(good) | {"subject": "else"}), encoding="utf-8")
+        with pytest.raises(RunFolderError, match=r"comparison\.json: was changed .*run it again"):
             load_comparison(comparison)
     finally:
         file.write_text(good, encoding="utf-8")
 
 
-@pytest.mark.parametrize("missing", ["tuned fuzzy gain", "best constant gains"])
+@pytest.mark.parametrize("missing", [TUNED, CONSTANT])
 def test_a_result_without_its_own_contenders_is_refused(run, missing):
-    file = run / "evaluation.json"
-    good = file.read_text(encoding="utf-8")
-    data = json.loads(good)
-    del data["contenders"][missing]
-    assert missing in evaluation().contenders
-    try:
-        file.write_text(json.dumps(data), encoding="utf-8")
-        with pytest.raises(RunFolderError, match="contenders = "):
-            posegsa.load(run)
-    finally:
-        file.write_text(good, encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"result\.json: on_scenarios.training = "):
+        load_text(run, sealed(altered(run, CONTENDER + missing, gone=True)))
+
+
+# What is not read as it is ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """A filter of the user's own, which is only named here."""
+
+    speed: float
+
+
+def test_a_filter_of_the_users_own_has_to_be_passed(tmp_path, run):
+    own = config.override(tiny(), ["filter.kind=own", "filter.speed=2.0"])
+    made = replace(
+        consistent(samples=4),
+        experiment=own,
+        filter=Description("own", {}, {}, 0),
+        search=None,
+        on_scenarios=None,
+        own=Nothing,
+    )
+    posegsa.save(made, tmp_path)
+    assert "Nothing" not in (tmp_path / "result.json").read_text(encoding="utf-8")
+    with pytest.raises(ArgumentError, match=r"filter: none for .*user's own.*filter=.*--filter"):
+        posegsa.load(tmp_path)
+    back = posegsa.load(tmp_path, filter=Nothing)
+    assert back == made
+    assert back.own is Nothing
+    with pytest.raises(ArgumentError, match=r"filter for .*none: the run is of a filter of"):
+        posegsa.load(run, filter=Nothing)
+
+
+def test_a_folder_of_an_earlier_version_is_told_apart(tmp_path):
+    for name in ("result.json", "recorded.json"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / name).write_text('{"schema": 4, "version": "0.8.0"}', encoding="utf-8")
+    said = r"schema = 4, .*0\.8\.0.*reads schema 5.*run it again"
+    with pytest.raises(RunFolderError, match=said):
+        posegsa.load(tmp_path / "result.json")
+    with pytest.raises(RunFolderError, match=r"recorded\.json: .*before 0\.9.*run it again"):
+        posegsa.load(tmp_path / "recorded.json")
+    with pytest.raises(RunFolderError, match="schema = 4"):
+        posegsa.load(tmp_path / "result.json", edited=True)

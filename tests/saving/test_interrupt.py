@@ -1,4 +1,4 @@
-"""The first signal asks to stop, the second stops; the old handlers are restored."""
+"""The first signal asks to stop, the second stops; what was there before is there after."""
 
 import signal
 import subprocess
@@ -61,7 +61,7 @@ def test_it_raises_where_nothing_is_deferred(number):
     with immediate_signals(told.set), pytest.raises(SearchInterrupted) as stopped:
         signal.raise_signal(number)
     assert stopped.value.signal_number == number
-    assert told.is_set(), "by the thread that the context waits for"
+    assert told.is_set(), "by the thread, which the context waits for"
     assert signal.getsignal(number) is before
 
 

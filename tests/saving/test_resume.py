@@ -1,4 +1,4 @@
-"""A resumed run has the bits of an uninterrupted one."""
+"""A run that is interrupted and goes on is, to the last bit, the run that never stopped."""
 
 import resource
 import signal
@@ -42,7 +42,7 @@ def whole(task):
 
 
 def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
-    """Search with checkpoints; a signal asks to stop after each of these iterations."""
+    """Search with checkpoints; a signal asks to stop once each of these iterations is done."""
     search, asked = None, StopRequest()
     if begun is not None:
         search = begun.checkpoint.search(first_search(task))
@@ -68,7 +68,7 @@ def test_checkpoints_come_at_their_intervals_and_the_last_two_stay(task, whole, 
 
 
 def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
-    """A clock that goes back only delays the next checkpoint."""
+    """Real clocks that are asked here never go back; one that does costs no more than patience."""
     times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
     hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
     with CheckpointWriter(tmp_path, hasty, StopRequest(), clock=lambda: next(times)) as keep:
@@ -77,7 +77,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
 
 
 def test_what_took_long_is_saved_at_once(task, whole, tmp_path):
-    """The process may have to end before the next chunk is done."""
+    """The process may have to end before the next chunk does."""
     rarely = config.override(LONG, ["checkpoint.iterations=1000"])
     with CheckpointWriter(tmp_path, rarely, StopRequest()) as keep:
         for iteration, seconds in enumerate((0.0, 1.0, 2.0, 60.0)):
@@ -100,7 +100,7 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
-    """All iterations are done, but nothing is judged: the run stops as requested."""
+    """All iterations are done, but nothing is judged: who asked to stop gets what was asked for."""
     with pytest.raises(SearchInterrupted, match=r"iteration 8 of 8.*--resume"):
         search_in(tmp_path, task, stop_at=[8])
     begun = newest_checkpoint(tmp_path)
@@ -109,7 +109,7 @@ def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
         search = begun.checkpoint.search(first_search(task))
         found = run_search(task, told.append, search=search, after_chunk=keep).search
     assert_same(found, whole)
-    assert [p.iteration for p in told] == [8], "there is nothing left to search"
+    assert [p.iteration for p in told] == [8], "nothing is left to search"
 
 
 def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path):
@@ -124,7 +124,7 @@ def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path
     with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
         keep(begun.checkpoint.search(first_search(task)), 0.0, 0.0)
     copied.unlink()
-    assert names(tmp_path) == [4, 6], "the newest checkpoint and the one before are kept"
+    assert names(tmp_path) == [4, 6], "what was just written stays, with the one before"
     assert newest_checkpoint(tmp_path).checkpoint.search(first_search(task)).iteration == 6
 
 
@@ -184,11 +184,11 @@ def test_intervals_and_more_iterations_may_differ():
     assert again.search.iterations == 30
     by_chance = config.override(LONG, ["search.optimiser=random_search"])
     more = config.override(by_chance, ["search.iterations=30"])
-    assert experiment_to_resume(by_chance, more) == more, "random search has no schedule"
+    assert experiment_to_resume(by_chance, more) == more, "random search has no schedule to hold"
 
 
 def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
-    """With a real limit of the system on the size of files, for a while."""
+    """By real means: for a while the system refuses to write such files."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def fill_and_clear(progress) -> None:
@@ -235,7 +235,7 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
 
 
 def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
-    """G and K_best are constant from the eighth iteration on; the configuration says so."""
+    """G and K_best hold from the eighth iteration on; the configuration says so."""
     search_in(tmp_path, task)
     begun = newest_checkpoint(tmp_path)
     more = experiment_to_resume(
@@ -247,7 +247,7 @@ def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, t
     assert_same(extended, run_search(longer).search)
     assert (extended.history.best[:8] == whole.history.best).all()
     held, longest = (o.schedule()[0] for o in (more.search, GSA(agents=6, iterations=11)))
-    assert (held[:8] < longest[:8]).all(), "it differs from the longer run"
+    assert (held[:8] < longest[:8]).all(), "it is not the longer run"
 
 
 def test_resume_refuses_what_it_cannot_mean(tmp_path):
@@ -264,7 +264,7 @@ def test_resume_refuses_what_it_cannot_mean(tmp_path):
 
 
 def test_a_checkpoint_says_what_it_is_of(task, tmp_path):
-    """A checkpoint of a search outside a tuning run is refused."""
+    """A checkpoint of a search that is no tuning run's is refused, not guessed at."""
     (tmp_path / "checkpoints").mkdir()
     path = tmp_path / "checkpoints" / "000000001.checkpoint"
     posegsa.save_search(path, first_search(task))

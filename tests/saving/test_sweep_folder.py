@@ -1,4 +1,4 @@
-"""The files of a sweep's runs: every altered field is refused by name, or is usable."""
+"""The files of a sweep's runs: every field that is altered is refused by name, or of use."""
 
 import copy
 import json
@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.experiments import tiny
+from helpers.results import K, description
+from helpers.stored import sealed
 
 import posegsa
 from posegsa.errors import RunFolderError
 from posegsa.figures.sweep import plot_sweep
+from posegsa.judging.description import tuned_experiment
 from posegsa.judging.sweep import Sweep, SweepRun
 from posegsa.saving.sweep import write_sweep_run
 
@@ -30,9 +33,7 @@ def run(seed: int = 0, gamma: float = 5.0, cost: float = 40.0) -> SweepRun:
         held_out_cost=cost + 1,
         held_out_worst=cost + 9,
         diverged=0,
-        parameters=[0.5] * 22,
-        also={},
-        evaluations=24,
+        filter=description("fuzzy", evaluations=24, k=K),
         search_seconds=0.5,
         environment={"jax": "0.10"},
         version="1.2.3",
@@ -50,13 +51,13 @@ def test_every_field_of_a_run_of_a_sweep(tmp_path):
     (file,) = (written(tmp_path / "out", run()) / "runs").iterdir()
     good = json.loads(file.read_text("utf-8"))
     accepted = refused = 0
-    for key in good:
+    for key in good.keys() - {"digest"}:
         for value in VALUES:
             if value == good[key] and type(value) is type(good[key]):
                 continue
             altered = copy.deepcopy(good)
             altered[key] = value
-            file.write_text(json.dumps(altered), "utf-8")
+            file.write_text(sealed(altered), "utf-8")
             words, found = "", None
             try:
                 found = posegsa.load_sweep(tmp_path / "out")
@@ -70,28 +71,37 @@ def test_every_field_of_a_run_of_a_sweep(tmp_path):
                 accepted += 1
                 texts = (found.table(), found.csv(), found.runs_csv())
                 assert all(c.isprintable() or c == "\n" for text in texts for c in text)
-    assert refused > 6 * accepted
-    file.write_text(json.dumps(good | {"values": {"filter.gamma": 6.0}}), "utf-8")
+    assert refused > 6 * accepted > 0
+    file.write_text(sealed(good | {"values": {"filter.gamma": 6.0}}), "utf-8")
     with pytest.raises(RunFolderError, match="another experiment"):
+        posegsa.load_sweep(tmp_path / "out")
+    file.write_text(json.dumps(good | {"version": "1.2.4"}), "utf-8")
+    with pytest.raises(RunFolderError, match=r"was changed .*run it again"):
+        posegsa.load_sweep(tmp_path / "out")
+    file.write_text(json.dumps(good | {"schema": 1}), "utf-8")
+    with pytest.raises(RunFolderError, match=r"schema = 1, .*reads schema 2"):
         posegsa.load_sweep(tmp_path / "out")
 
 
 def test_a_rule_table_that_was_searched_is_kept(tmp_path):
-    table = [["VL", "L", "M", "S", "VS"]] * 5
-    found = replace(run(), rules=table)
-    assert posegsa.load_sweep(written(tmp_path, found)).runs == (found,)
-    assert tiny().replace(**{"fuzzy.rules": found.rules}).fuzzy.rules == tuple(map(tuple, table))
+    searched = tiny("fuzzy.rules=searched")
+    filter = description("fuzzy", k=K, rules=[0, 1, 2, 3, 4] * 5)
+    found = replace(run(), base=searched, filter=filter)
+    (back,) = posegsa.load_sweep(written(tmp_path, found)).runs
+    assert back == found
+    row = ("VS", "S", "M", "L", "VL")[::-1]
+    assert tuned_experiment(back.experiment, back.filter).fuzzy.rules == (row,) * 5
 
 
 def test_folders_of_different_sweeps_are_not_merged(tmp_path):
     one, other = written(tmp_path / "a", run()), written(tmp_path / "b", run(seed=1))
-    third = posegsa.judging.sweep.SweepRun(**{**vars(run(2)), "base": tiny("filter.substeps=3")})
+    third = replace(run(2), base=tiny("filter.substeps=3"))
     with pytest.raises(RunFolderError, match="another experiment"):
         posegsa.merge_sweeps([one, written(tmp_path / "c", third)])
     merged = posegsa.merge_sweeps([one, other])
     assert [each.seed for each in merged.runs] == [0, 1]
     assert posegsa.load_sweep(one) == merged
-    # A run that is in both folders counts once.
+    # A run that is in both counts once.
     shutil.copytree(one / "runs", other / "runs", dirs_exist_ok=True)
     assert posegsa.merge_sweeps([other, one]) == merged
 

@@ -11,9 +11,10 @@ from helpers.experiments import LEARNT, paper
 
 from posegsa import config
 from posegsa.config.tunable import tunable
+from posegsa.filters.observer import Observer
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import (
-    observer,
+    filter_of,
     parameter_space,
     search_space,
     tuning_problem,
@@ -48,7 +49,9 @@ def test_a_number_of_its_own_is_that_of_the_configuration(experiment, key) -> No
     assert candidate.values_by_key() == {key: 0.37}
 
     def settings(of: config.Experiment):
-        return replace(observer(of), schedule=ConstantGain(jnp.asarray(9.0)))
+        filter = filter_of(of)
+        assert isinstance(filter, Observer)
+        return replace(filter, schedule=ConstantGain(jnp.asarray(9.0)))
 
     changed = config.with_tuned(experiment, candidate.values_by_key())
     assert changed == config.override(experiment, [f"{key}=0.37"]) != experiment
@@ -73,8 +76,9 @@ def test_a_key_of_something_else_is_refused() -> None:
     for key in ("scenario.velocity_noise", "filter.vector_bias_gain"):
         candidate = Candidate(ConstantGain(jnp.float32(9)), (jnp.float32(1),), (key,))
         off = config.override(LEARNING, ["filter.vector_bias=off"])
-        with pytest.raises(ValueError, match=key):
-            candidate.applied(observer(off))
+        name = key.removeprefix("filter.")
+        with pytest.raises(ValueError, match=f"{name}: not a number of this filter"):
+            candidate.applied(filter_of(off))
 
 
 @pytest.mark.usefixtures("x64")

@@ -24,7 +24,10 @@ def found() -> str:
     """The result of a search, to the last bit; one gain and attitude only, to compile quickly."""
     experiment = config.from_dict(
         {
-            "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
+            "filter": {
+                **{"schedule": "constant", "vector_bias": "off"},
+                **{"cross_vector": False, "substeps": 1},
+            },
             "parameters": {"also": []},
             "search": {"optimiser": "random_search", "agents": 11, "iterations": 3},
         }
@@ -32,7 +35,7 @@ def found() -> str:
     attitude = motion(100, velocity=None, landmarks=None, landmark_references=None)
     flight = Recording.from_arrays(name="flight", **attitude)
     begun = [flight.off(40, seed=seed) for seed in range(3)]  # 33 simulations, an odd number
-    search = run_search(recorded_problem(experiment, begun, "constant", 1.0)).search
+    search = run_search(recorded_problem(experiment, begun, 1.0)).search
     history = (search.history.best, search.history.mean, search.history.worst)
     return f"{np.stack(history).tobytes().hex()} {float(search.best_cost).hex()}"
 

@@ -1,5 +1,6 @@
 """Recordings as scenarios of a search: costs by hand, padding without effect, tuned keys."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,14 +17,17 @@ from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
+from posegsa.search.build import filter_of, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.recorded import recorded_batch, recorded_problem, settings_on, with_effect_on
+from posegsa.search.recorded import recorded_batch, recorded_problem, with_effect_on
 from posegsa.search.run import on_all_devices
 
 BASE: dict[str, Any] = {
-    "filter": {"vector_bias": "off", "cross_vector": False, "substeps": 1},
+    "filter": {
+        **{"schedule": "constant", "vector_bias": "off"},
+        **{"cross_vector": False, "substeps": 1},
+    },
     "parameters": {"also": []},
 }
 PROJECTED = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
@@ -43,13 +47,17 @@ def recordings() -> list[Recording]:
     ]
 
 
+def sensors_of(recording: Recording) -> tuple[int, int]:
+    m = recording.measurements
+    return np.shape(m.vectors)[1], np.shape(m.landmarks)[1]
+
+
 def cost_by_hand(recording: Recording, gain: float, position_weight: float) -> float:
     """The cost, computed with NumPy from the filter's estimates."""
     experiment = config.from_dict(BASE)
-    sensors = [
-        np.shape(a)[1] for a in (recording.measurements.vectors, recording.measurements.landmarks)
-    ]
-    filter = Observer(ConstantGain(jnp.float32(gain)), settings_on(experiment, *sensors))
+    filter = filter_of(experiment, None, sensors_of(recording))
+    assert isinstance(filter, Observer)
+    filter = replace(filter, schedule=ConstantGain(jnp.float32(gain)))
     estimates = posegsa.run_filter(filter, recording)
     errors = posegsa.recording_errors(estimates, recording)
     chord = np.degrees(2 * np.sin(np.radians(errors.attitude.total) / 2))
@@ -83,21 +91,25 @@ def test_what_is_not_judged_counts_for_nothing(recordings: list[Recording]) -> N
     np.testing.assert_array_equal(costs[0], costs[1])
 
 
-def also(*keys: str) -> config.Experiment:
+def also(*keys: str, schedule: str = "fuzzy") -> config.Experiment:
     listed = [{"key": key, "lower": 0.1, "upper": 1.0} for key in keys]
-    data = BASE | {"parameters": {"also": listed}}
-    return config.from_dict(data | {"filter": BASE["filter"] | {"gamma": [1.0, 1.0]}})
+    filter = BASE["filter"] | {"gamma": [1.0, 1.0], "schedule": schedule}
+    return config.from_dict(BASE | {"parameters": {"also": listed}, "filter": filter})
+
+
+def kept(experiment: config.Experiment, vectors: int, landmarks: int, **strict: bool) -> list[str]:
+    found = with_effect_on(experiment, vectors, landmarks, **strict)
+    return [one.key for one in found.also]
 
 
 @pytest.mark.quick
 def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
-    kept = with_effect_on(config.Experiment(), vectors=2, landmarks=0, schedule="constant")
-    assert [one.key for one in kept.also] == [
-        "filter.gamma",
-        "filter.vector_bias_gain",
-    ]
-    kept = with_effect_on(config.Experiment(), vectors=0, landmarks=4, schedule="smooth")
-    assert [one.key for one in kept.also] == [
+    constant, smooth = (
+        config.override(config.Experiment(), [f"filter.schedule={kind}"])
+        for kind in ("constant", "smooth")
+    )
+    assert kept(constant, 2, 0) == ["filter.gamma", "filter.vector_bias_gain"]
+    assert kept(smooth, 0, 4) == [
         "scenario.landmarks.0.weight",
         "filter.length",
         "filter.gamma",
@@ -105,27 +117,58 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         "gain.error_scale",
     ]
     # The numbers of the configuration "landmarks" were not chosen by a user either.
-    kept = with_effect_on(config.load("landmarks"), vectors=0, landmarks=3, schedule="constant")
-    assert [one.key for one in kept.also] == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
-    with pytest.raises(ConfigError, match=r"1 vector, 0 landmarks.*fuzzy or smooth"):
-        with_effect_on(also("gain.smoothing"), vectors=1, landmarks=0, schedule="constant")
-    for key, schedule in (
-        ("scenario.landmarks.0.weight", "fuzzy"),
-        ("scenario.vectors.1.weight", "fuzzy"),
-        ("gain.smoothing", "constant"),
-        ("filter.gamma.1", "fuzzy"),
-    ):
-        with pytest.raises(ConfigError, match=f"'{key}'"):
-            with_effect_on(also(key), vectors=1, landmarks=0, schedule=schedule)  # type: ignore[arg-type]  # a string of the list above
+    landmarks = config.override(config.load("landmarks"), ["filter.schedule=constant"])
+    assert kept(landmarks, 0, 3) == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
+    own = ("scenario.landmarks.0.weight", "scenario.vectors.1.weight", "filter.gamma.1")
+    for key in own:
+        with pytest.raises(ConfigError, match=f"'{key}'.*1 vector and 0 landmarks"):
+            with_effect_on(also(key), vectors=1, landmarks=0)
+    assert kept(also(*own, "filter.gamma.0"), 1, 0, strict=False) == ["filter.gamma.0"]
+    with pytest.raises(ConfigError, match=r'"gain.smoothing"\s.*no effect'):
+        also("gain.smoothing", schedule="constant")
+
+
+@pytest.mark.quick
+def test_of_a_kalman_filters_noises_only_those_with_an_effect_are_tuned() -> None:
+    kalman = config.override(config.Experiment(), ["filter.kind=kalman"])
+    every = [one.key for one in config.KALMAN_ALSO]
+    assert kept(kalman, 2, 1) == every
+    of_landmarks = (
+        "velocity",
+        "linear_walk",
+        "landmark",
+        "initial_position",
+        "initial_linear_bias",
+    )
+    gone = {f"filter.{name}" for name in of_landmarks}
+    assert kept(kalman, 2, 0) == [key for key in every if key not in gone]
+    gone = {"filter.vector", "filter.vector_walk", "filter.initial_vector_bias"}
+    assert kept(kalman, 0, 1) == [key for key in every if key not in gone]
+    asked = kalman.replace(
+        **{"parameters.also": [{"key": "filter.vector", "lower": 1, "upper": 2}]}
+    )
+    with pytest.raises(ConfigError, match=r"'filter.vector'.*0 vectors and 1 landmark"):
+        with_effect_on(asked, vectors=0, landmarks=1)
+
+
+@pytest.mark.quick
+def test_all_numbers_of_the_users_own_filter_are_tuned() -> None:
+    settings = ["filter.kind=own", "filter.landmark=2.0"]
+    own = config.override(config.Experiment(), settings)
+    numbers = [{"key": "filter.landmark", "lower": 1.0, "upper": 3.0}]
+    own = own.replace(**{"parameters.also": numbers})
+    assert kept(own, 2, 0) == ["filter.landmark"]
 
 
 @pytest.mark.quick
 def test_weights_are_those_of_the_first_sensors() -> None:
-    settings = settings_on(config.Experiment(), vectors=1, landmarks=3)
-    assert settings.landmark_weights is not None
-    assert len(settings.landmark_weights) == 3
-    assert settings.vectors.weights is not None
-    assert len(settings.vectors.weights) == 1
+    weights = ["scenario.vectors.0.weight=2.0", "scenario.landmarks.0.weight=0.25"]
+    experiment = config.override(config.Experiment(), weights)
+    filter = filter_of(experiment, None, (1, 3))
+    assert isinstance(filter, Observer)
+    settings = filter.settings
+    assert [float(w) for w in settings.landmark_weights or ()] == [0.25, 1, 1]
+    assert [float(w) for w in settings.vectors.weights or ()] == [2]
 
 
 @pytest.mark.quick
@@ -140,14 +183,14 @@ def test_recordings_too_large_for_the_memory_are_refused(
     monkeypatch.setattr(memory, "COMPILER", 0)
     monkeypatch.setattr(memory, "available", lambda: own["recordings"])
     with pytest.raises(MemoryLimitError, match=r"recordings = 2\n.* 400 samples"):
-        recorded_problem(experiment, recordings, "constant", 1.0)
+        recorded_problem(experiment, recordings, 1.0)
 
 
 @pytest.mark.quick
 def test_the_true_pose_is_no_signal_on_recordings(recordings: list[Recording]) -> None:
     oracle = config.override(config.Experiment(), ["gain.signal=pose"])
     with pytest.raises(ConfigError, match="true pose"):
-        recorded_problem(oracle, recordings, "constant", 1.0)
+        recorded_problem(oracle, recordings, 1.0)
 
 
 # Recordings and simulated scenarios ---------------------------------------------------------------
@@ -176,8 +219,8 @@ def one_landmark() -> Recording:
 
 @PROJECTED
 def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Recording) -> None:
-    problem = recorded_problem(mixed(), [one_landmark], "constant", 100.0)
-    assert problem.scenarios.bias.shape[0] == 5
+    problem = recorded_problem(mixed(), [one_landmark], 100.0)
+    assert problem.simulated.bias.shape[0] == 5
     assert problem.beside is not None
     costs = np.asarray(costs_by_scenario(GAINS, problem.beside))
     assert costs.shape == (2, 2)
@@ -200,7 +243,7 @@ def test_a_simulated_scenario_counts_by_its_root_mean_squares(one_landmark: Reco
 
 @PROJECTED
 def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) -> None:
-    problem = recorded_problem(mixed(share=0.25), [one_landmark], "constant", 100.0)
+    problem = recorded_problem(mixed(share=0.25), [one_landmark], 100.0)
     assert problem.beside is not None
     vectors = jnp.log(jnp.array([[4.0], [9.0]], jnp.float32))
     apart = [
@@ -213,7 +256,7 @@ def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) 
 @PROJECTED
 def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recording) -> None:
     short = mixed("family.duration=[0.05, 0.05]", "cost.transient_weight=0.0")
-    problem = recorded_problem(short, [one_landmark], "constant", 100.0)
+    problem = recorded_problem(short, [one_landmark], 100.0)
     assert problem.beside is not None
     np.testing.assert_array_equal(costs_by_scenario(GAINS, problem.beside), 0.0)
 
@@ -227,6 +270,6 @@ def test_recordings_with_other_sensors_are_refused_beside_scenarios(
         (recordings[::-1], r"attitude has no position \(attitude only\)"),
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
-            recorded_problem(mixed(), given, "constant", 1.0)
+            recorded_problem(mixed(), given, 1.0)
     with pytest.raises(ConfigError, match=r"simulated_share = 0.25.*0.0 without recordings"):
         tuning_problem(mixed())

@@ -1,0 +1,163 @@
+"""The filter: the observer, the invariant Kalman filter, or a user's own."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+
+from posegsa.config.schedule import DEFAULT_ALSO
+from posegsa.config.tunable import AlsoTuned
+from posegsa.filters.observer import GainLaw, Law
+from posegsa.settings.choice import Choice
+from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
+from posegsa.settings.violations import Violation
+
+ScheduleKind = Literal["fuzzy", "constant", "smooth"]
+"""What sets the observer's gain."""
+
+_OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
+
+
+class ObserverConfig(Section):
+    """[filter]: the paper's nonlinear observer, its gain set by a schedule."""
+
+    kind: Literal["observer"] = "observer"
+    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    schedule: ScheduleKind = "fuzzy"
+    """What sets the gain K: "fuzzy", the controller of k1..k22; "constant", one gain; "smooth", a
+    gain K(e) = low + (high - low) e^2 / (e^2 + half^2)."""
+
+    law: Law = "gradient"
+    """Innovation and bias law: "gradient", for which the Lyapunov argument holds, or "printed" as
+    in the paper, which can diverge."""
+    gamma: Annotated[NonNegative | tuple[NonNegative, NonNegative], Tunable()] = 2.5
+    """Gain of the bias law [1/s^2]: one for both biases, or one for b_Omega and one for b_V."""
+    substeps: Annotated[int, Field(strict=True, ge=1, le=64)] = 2
+    """Number of inner steps per sample, with the measurement held."""
+    gamma_law: GainLaw = "quadratic"
+    """How gamma depends on the gain K after its limit: constant, or proportional to K or K^2.
+    `gamma` is its value at K = 10/s."""
+    bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
+    """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
+    from data sheets, or "off" for none. They keep the estimate from running away if measurements
+    stop before it has converged; an estimate far beyond its bound is reset to 0."""
+    length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
+    """Unit of length [m], which weighs attitude against position in the gain. About the distance of
+    the landmarks from the origin lets both converge equally fast."""
+    gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
+    """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
+    steps above 2 are unstable. "off" means no limit."""
+    normalise_vectors: Flag = True
+    """Whether all vectors, measured (less their estimated biases) and known, are normalised to
+    length one."""
+    cross_vector: Flag = True
+    """Whether v_1 x v_2, of the first two vectors as measured, is used as a further vector."""
+    cross_vector_weight: Annotated[NonNegative, Tunable("cross_vector", True)] = 0.5
+    """Weight s^R of that vector, no unit."""
+    vector_bias: Literal["off", "estimated"] = "estimated"
+    """Whether the constant biases of the vectors are estimated."""
+    vector_bias_gain: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.2
+    """Gain gamma_c of their bias law [1/s]."""
+    vector_bias_law: GainLaw = "linear"
+    """How gamma_c depends on the gain K after its limit; vector_bias_gain is its value at K =
+    10/s."""
+    vector_bias_leak: Annotated[NonNegative, _OF_VECTOR_BIAS] = 0.0
+    """Rate at which an estimate decays [1/s]."""
+    vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
+    """Maximum length of an estimated bias, in the vector's unit."""
+    excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.3
+    """Angular velocity [rad/s] above which all of vector_bias_gain is used. Below it the gain falls
+    with the fourth power, because at rest a bias is indistinguishable from an attitude error."""
+    excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
+    """Time constant of the low-pass filter of that angular velocity [s]."""
+
+    def _conflicts(self) -> Iterator[Violation]:
+        if self.law == "printed" and self.length != 1.0:
+            yield Violation("length", 'allowed: 1.0, because law = "printed"', self.length)
+
+
+class KalmanConfig(Section):
+    """[filter]: the invariant extended Kalman filter.
+
+    The numbers are what it believes of its sensors and of its start: standard deviations, and
+    densities of white noise. A noise of standard deviation s in each sample of length dt has the
+    density s sqrt(dt). By default they are those of the default scenario's sensors.
+    """
+
+    kind: Literal["kalman"] = "kalman"
+    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    vector_bias: Literal["off", "estimated"] = "estimated"
+    """Whether the constant biases of the vectors are estimated, as states."""
+    angular_velocity: Annotated[Positive, Tunable()] = 0.02
+    """Density of the angular velocity's noise [rad/sqrt(s)]."""
+    velocity: Annotated[Positive, Tunable()] = 0.01
+    """Density of the velocity's noise [m/sqrt(s)]."""
+    angular_walk: Annotated[Positive, Tunable()] = 0.0001
+    """Random walk of the angular velocity's bias [rad/s/sqrt(s)]."""
+    linear_walk: Annotated[Positive, Tunable()] = 0.0001
+    """Random walk of the velocity's bias [m/s/sqrt(s)]."""
+    vector_walk: Annotated[Positive, _OF_VECTOR_BIAS] = 0.0001
+    """Random walk of the vectors' biases, in their unit [1/sqrt(s)]."""
+    vector: Annotated[Positive, Tunable()] = 0.1
+    """Noise of each component of a vector, in its unit."""
+    landmark: Annotated[Positive, Tunable()] = 0.1
+    """Noise of each coordinate of a landmark [m]."""
+    initial_attitude: Annotated[Positive, Tunable()] = 1.0
+    """Initial attitude error about each axis [rad]."""
+    initial_position: Annotated[Positive, Tunable()] = 3.0
+    """Initial position error along each axis [m]."""
+    initial_angular_bias: Annotated[Positive, Tunable()] = 0.1
+    """Initial error of each component of the angular velocity's bias [rad/s]."""
+    initial_linear_bias: Annotated[Positive, Tunable()] = 0.3
+    """Initial error of each component of the velocity's bias [m/s]."""
+    initial_vector_bias: Annotated[Positive, _OF_VECTOR_BIAS] = 0.1
+    """Initial error of each component of the vectors' biases, in their unit."""
+
+
+class OwnConfig(Section):
+    """[filter]: a filter of the user's own, with its numbers by name.
+
+    The class is passed by the caller (`tune(..., filter=MyFilter)`, `--filter module:MyFilter`). It
+    is never imported because a file names it.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["own"] = "own"
+    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    __pydantic_extra__: dict[str, Annotated[Number, Tunable()]] = Field(init=False)
+    """The numbers; each can be tuned."""
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers by name."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+FilterConfig = ObserverConfig | KalmanConfig | OwnConfig
+ONE_FILTER = Choice("kind", {"observer": ObserverConfig, "kalman": KalmanConfig, "own": OwnConfig})
+"""The filters that [filter] can select."""
+
+KALMAN_ALSO = tuple(
+    AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
+    for name, lower, upper in (
+        ("angular_velocity", 0.002, 5.0),
+        ("velocity", 0.001, 2.0),
+        ("angular_walk", 1e-5, 1.0),
+        ("linear_walk", 1e-5, 1.0),
+        ("vector_walk", 1e-6, 0.3),
+        ("vector", 0.03, 3.0),
+        ("landmark", 0.03, 3.0),
+        ("initial_attitude", 0.003, 10.0),
+        ("initial_position", 0.02, 50.0),
+        ("initial_angular_bias", 0.003, 3.0),
+        ("initial_linear_bias", 0.01, 5.0),
+        ("initial_vector_bias", 0.001, 1.0),
+    )
+)
+"""The numbers of a Kalman filter that are tuned by default."""
+ALSO_OF_KIND: Mapping[str, tuple[AlsoTuned, ...]] = {
+    "observer": DEFAULT_ALSO,
+    "kalman": KALMAN_ALSO,
+}
+"""What is tuned by default, by kind of filter; of a user's own nothing is."""

@@ -1,0 +1,71 @@
+{% extends 'filter.h' %}
+{% block memory %}
+{% for field in memory %}
+    posegsa_real {{ field.declared }}; /* {{ field.about }} */
+{% endfor %}
+{% if uses_time %}
+    posegsa_real time; /* since the first sample [s] */
+{% endif %}
+{% endblock %}
+{% block memory_is_fine %}
+{% for field in memory %}
+           posegsa_are_within({{ "" if field.size else "&" }}state->{{ field.name }}, {{ field.size or 1 }}, POSEGSA_C(INFINITY)) &&
+{% endfor %}
+           posegsa_are_finite(state->bias_linear, 3);
+{% endblock %}
+{% block init_variables %}
+    posegsa_state first, begun, *const next = &begun;
+    const posegsa_state *const now = &first;
+    posegsa_real largest = 0, square = 0;
+    int i;
+{% endblock %}
+{% block init_state %}
+    for (i = 0; i < 3; ++i) {
+        first.position[i] = position[i];
+    }
+{% if uses_time %}
+    begun.time = 0;
+{% endif %}
+    {{ calls.start }}
+    if (!posegsa_is_estimate(next)) {
+        return POSEGSA_NOT_FINITE;
+    }
+    *state = begun;
+{% endblock %}
+{% block advance %}
+{% if uses_reach %}
+    for (i = 0; i < POSEGSA_LANDMARKS; ++i) {
+        const posegsa_real *const y = seen->landmarks[i];
+        farthest = posegsa_max(farthest, y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
+    }
+{% endif %}
+
+    {{ calls.advance }}
+{% if uses_time %}
+    next->time = now->time + dt;
+{% endif %}
+
+{% endblock %}
+{% block step_variables %}
+{% if uses_reach %}
+    posegsa_real farthest = 0; /* square of the distance to the farthest landmark [m^2] */
+{% endif %}
+    int i;
+{% endblock %}
+{% block more_functions %}
+{% if states %}
+
+/* The variance of an error state of the Kalman filter, in its unit squared: of the attitude (i from
+ * 0 to 2), the position (3 to 5), the biases of the angular velocity (6 to 8) and of the velocity (9
+ * to 11){{ ", and then of the vectors' biases" if learns }}. */
+static inline posegsa_real posegsa_variance(const posegsa_state *state, int i)
+{
+    return state->covariance[i * POSEGSA_ERROR_STATES - i * (i - 1) / 2];
+}
+{% endif %}
+{% endblock %}
+{% block more_counts %}
+{% if states %}
+    POSEGSA_ERROR_STATES = {{ states }},
+{% endif %}
+{% endblock %}

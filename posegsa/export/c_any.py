@@ -1,0 +1,359 @@
+"""Any filter's step as C: its own functions are traced whole, and its state becomes a struct.
+
+The struct has the estimate under the same names for every filter. What else the state holds comes
+after it, named after its path in the state. Numbers that the state and the estimate share are
+stored once; what an estimate computes of its state is computed after each step.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from posegsa.arguments import fitting, refuse
+from posegsa.export.c_step import (
+    Piece,
+    References,
+    constants,
+    directions_of,
+    known_places,
+    numbered,
+    one_measurement,
+    rotation_matrix,
+    sample_of,
+    vec3,
+)
+from posegsa.export.c_text import KEYWORDS, comment, wrapped
+from posegsa.export.scalar_c import Known, passed_on
+from posegsa.export.scalar_loops import written_in_loops
+from posegsa.filters.base import Filter, Samples
+from posegsa.filters.kalman import KalmanFilter
+from posegsa.model.estimate import FilterState
+from posegsa.model.sample import Sample
+from posegsa.model.vectors import VectorSamples
+from posegsa.words import counted
+
+_ESTIMATE = ("attitude", "position", "bias_angular", "bias_linear", "vector_bias", "turning")
+"""Fields of the struct that every state may have."""
+_TAKEN = {*_ESTIMATE, "time", *KEYWORDS}
+_KNOWN_FIELDS = {
+    "covariance": "upper triangle by rows: attitude, position, biases [their units squared]"
+}
+"""What the Kalman filter's fields hold."""
+
+
+@dataclass(frozen=True)
+class _Field:
+    """A number of the struct, or an array of them, beside the estimate."""
+
+    name: str
+    about: str
+    size: int
+    """How many numbers an array has; 0 if it is none."""
+
+    @property
+    def declared(self) -> str:
+        return f"{self.name}[{self.size}]" if self.size else self.name
+
+    @property
+    def leaves(self) -> list[str]:
+        """Its numbers, in C."""
+        return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
+
+
+def any_filter(
+    filter: Filter, vectors: ArrayLike | None, landmarks: ArrayLike | None
+) -> dict[str, Any]:
+    """The values of `any_filter.h`.
+
+    Args:
+        filter: No `Observer`.
+        vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
+        landmarks: (m, 3) p_i, inertial frame [m].
+
+    Raises:
+        ArgumentError: The filter can't be written as scalar arithmetic.
+        MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
+    """
+    v, p = known_places(vectors, landmarks)
+    with jax.enable_x64(True):
+        known, crossed = _references(_in_float64(filter), v, p)
+    step = _Step(filter, known, crossed)
+    states = 0
+    if isinstance(filter, KalmanFilter):
+        states = 12 + 3 * step.learnt
+    codes = [piece.code for piece in step.pieces.values()]
+    return {
+        "title": "a pose filter",
+        "attitude_only": False,
+        "purpose": comment(_purpose(filter, known, states)),
+        "vectors": len(v),
+        "landmarks": len(p),
+        "learns": step.learnt > 0,
+        "turning": step.turning,
+        "states": states,
+        "memory": step.memory,
+        "uses_time": any(code.mentions("now->time") for code in codes),
+        "uses_reach": any(code.mentions("farthest") for code in codes),
+        "constants": constants(step.pieces.values(), step.numbers, known),
+        "functions": sorted({"sqrt"}.union(*(code.functions for code in codes))),
+        "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
+        "calls": {key: piece.call for key, piece in step.pieces.items()},
+    }
+
+
+class _Step:
+    """A filter's functions as C, and the struct of its state."""
+
+    def __init__(self, filter: Filter, known: References, crossed: bool) -> None:
+        self._vectors = len(known.vectors)
+        leaves, self._filter_structure = jax.tree.flatten(filter)
+        self.numbers = _named_numbers(filter)
+        assert len(leaves) == len(self.numbers)
+        self._given = [number for number, _ in self.numbers]
+        with jax.enable_x64(True), fitting("filter_to_c: filter"):
+            wide = _in_float64(filter)
+            zero = jnp.zeros(())
+            initial = _initial(zero, zero + 1)
+            state = jax.eval_shape(lambda start: wide.start(start, self._vectors), initial)
+            self._check_state(state)
+            estimate = jax.eval_shape(lambda s: wide.ready().estimate(s), state)
+            self._check_estimate(estimate)
+            sample = wide.prepare(one_measurement(known.vectors, known.landmarks))
+            now = Samples(zero, sample, None)
+            after = jax.eval_shape(lambda s, n: wide.ready().step(s, n)[0], state, now)
+        if _shapes(after) != _shapes(state):
+            refuse(
+                "filter: its step returns a state of another structure, or of other types, than "
+                "its start",
+                "the same records of real scalars",
+            )
+        self.learnt = len(estimate.vector_biases)
+        self.turning = len(estimate.turning) > 0
+        self._structure = jax.tree.structure(state)
+        leaves = jax.tree.leaves(_estimate_in_c("->", self.learnt, self.turning))
+        self.memory, self._state, self._computed = self._laid_out(state, leaves)
+        self.pieces = self._written(
+            sample_of(
+                self._vectors,
+                len(known.landmarks),
+                crossed=crossed,
+                velocity=vec3("seen->velocity"),
+                farthest="farthest",
+            )
+        )
+
+    def _check_state(self, state: Any) -> None:
+        for path, leaf in jax.tree_util.tree_leaves_with_path(state):
+            if leaf.shape or not jnp.issubdtype(leaf.dtype, jnp.floating):
+                what = f"an array of shape {leaf.shape}" if leaf.shape else f"of type {leaf.dtype}"
+                refuse(
+                    f"filter: its state's {_words(path)} is {what}",
+                    "real scalars (a counter too is a real number), in tuples where they are many",
+                )
+
+    def _check_estimate(self, estimate: Any) -> None:
+        count = len(estimate.vector_biases) if isinstance(estimate, FilterState) else -1
+        if count not in (0, self._vectors):
+            refuse(
+                f"filter: its estimate is a {type(estimate).__name__}"
+                + (f" with biases of {count} vectors" if count > 0 else ""),
+                f"a FilterState, with biases of {self._vectors} vectors or of none",
+            )
+        expected = _estimate_in_c("", count, len(estimate.turning) > 0)
+        if jax.tree.structure(estimate) != jax.tree.structure(expected):
+            refuse("filter: its estimate has another number of components", "a FilterState")
+
+    def _laid_out(
+        self, state: Any, estimate: list[str]
+    ) -> tuple[list[_Field], list[str], list[str | None]]:
+        """The fields beside the estimate, and the text that each number of the state has in C.
+
+        The third are the numbers of the estimate that are not in the state, and None for others.
+        """
+        paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(state)]
+        own = [f"state_{i}" for i in range(len(paths))]
+        shared = passed_on(self._estimate, (self._given, own))
+        texts: dict[str, str] = {}
+        computed: list[str | None] = list(estimate)
+        for i, (leaf, name) in enumerate(zip(shared, estimate, strict=True)):
+            if leaf in own and leaf not in texts:
+                texts[leaf], computed[i] = name, None
+        groups: dict[str, list[str]] = {}
+        for leaf, path in zip(own, paths, strict=True):
+            if leaf not in texts:
+                groups.setdefault(_field_name(path), []).append(leaf)
+        fields = []
+        for name, leaves in groups.items():
+            field = _Field(
+                name=name,
+                about=_KNOWN_FIELDS.get(name, "of the filter's own state"),
+                size=len(leaves) if len(leaves) > 1 else 0,
+            )
+            fields.append(field)
+            texts |= {leaf: f"->{text}" for leaf, text in zip(leaves, field.leaves, strict=True)}
+        return fields, [texts[leaf] for leaf in own], computed
+
+    def _estimate(self, given: Any, state: Any) -> Any:
+        return self._ready(given).estimate(jax.tree.unflatten(self._structure, state))
+
+    def _ready(self, given: Any) -> Any:
+        return jax.tree.unflatten(self._filter_structure, given).ready()
+
+    def _written(self, sample: Sample) -> dict[str, Piece]:
+        """The C of start and step; each ends with what the estimate computes of the state."""
+
+        def start(given: Any, attitude: Any, place: Any, zero: Any) -> Any:
+            initial = _initial(zero, zero)._replace(attitude=attitude, place=place)
+            filter = jax.tree.unflatten(self._filter_structure, given)
+            state = filter.start(initial, self._vectors)
+            return jax.tree.leaves(state), filter.ready().estimate(state)
+
+        def advance(given: Any, leaves: Any, time: Any, sample: Any) -> Any:
+            ready = self._ready(given)
+            state = jax.tree.unflatten(self._structure, leaves)
+            after, _ = ready.step(state, Samples(time, sample, None))
+            return jax.tree.leaves(after), ready.estimate(after)
+
+        before = [f"now{text}" for text in self._state]
+        results = (
+            [f"next{text}" for text in self._state],
+            [text and f"next{text}" for text in self._computed],
+        )
+        attitude, place = numbered("now->attitude", 4), vec3("now->position")
+        begun = written_in_loops(start, (self._given, attitude, place, 0.0), results)
+        given = (self._given, before, "now->time", sample)
+        after = written_in_loops(advance, given, results)
+        pieces = [
+            Piece.of("start", "the state before the first sample", begun),
+            Piece.of("advance", "the state at the next sample", after),
+            rotation_matrix(),
+        ]
+        return {piece.name: piece for piece in pieces}
+
+
+def _in_float64(filter: Filter) -> Filter:
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), filter)
+
+
+def _initial(zero: Any, one: Any) -> FilterState:
+    """An estimate at the origin."""
+    zeros = (zero, zero, zero)
+    return FilterState((one, zero, zero, zero), zeros, zeros, zeros)
+
+
+def _estimate_in_c(pointer: str, learnt: int, turning: bool) -> FilterState:
+    """The estimate with its fields of the struct."""
+    return FilterState(
+        attitude=numbered(f"{pointer}attitude", 4),
+        place=vec3(f"{pointer}position"),
+        bias_angular=vec3(f"{pointer}bias_angular"),
+        bias_linear=vec3(f"{pointer}bias_linear"),
+        vector_biases=tuple(vec3(f"{pointer}vector_bias[{i}]") for i in range(learnt)),
+        turning=vec3(f"{pointer}turning") if turning else (),
+    )
+
+
+def _shapes(tree: Any) -> Any:
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+
+def _words(path: Any) -> str:
+    """A path in a pytree for a reader: `covariance[0][1]`."""
+    return jax.tree_util.keystr(path).lstrip(".") or "only number"
+
+
+def _field_name(path: Any) -> str:
+    """The name of the field that a number of the state belongs to: its path up to an index."""
+    text = jax.tree_util.keystr(path)
+    head = re.match(r"(\.\w+)*", text)
+    name = re.sub(r"\W+", "_", head.group() if head else "").strip("_") or "memory"
+    return f"{name}_of_filter" if name in _TAKEN else name
+
+
+def _named_numbers(filter: Filter) -> list[tuple[Known, str]]:
+    """The filter's numbers with their names in C, and their comments."""
+    found: list[tuple[Known, str]] = []
+    taken: set[str] = set()
+    kind = type(filter).__name__
+    for path, leaf in jax.tree_util.tree_leaves_with_path(filter):
+        value = np.asarray(leaf)
+        if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
+            what = f"an array of shape {value.shape}" if value.ndim else f"of type {value.dtype}"
+            refuse(
+                f"filter: its {_words(path)} is {what}",
+                "one made of real scalars (what is no number is static)",
+            )
+        name = re.sub(r"\W+", "_", _words(path)).strip("_")
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        found.append((Known(f"posegsa_filter_{name}", float(value)), f"{_words(path)} of {kind}"))
+    return found
+
+
+def _references(filter: Filter, v: np.ndarray, p: np.ndarray) -> tuple[References, bool]:
+    """The references as a filter prepares them, and whether it uses a cross product of vectors."""
+    rng = np.random.default_rng(0)
+    exact = one_measurement(v, p)
+    measured = exact._replace(
+        time_step=jnp.asarray(0.5),
+        **{
+            name: jnp.asarray(rng.uniform(0.5, 1.5, np.shape(getattr(exact, name))))
+            for name in (
+                *("angular_velocity", "velocity", "vectors", "vector_weights"),
+                *("landmarks", "landmark_weights"),
+            )
+        },
+    )
+    with fitting("filter_to_c: filter.prepare"):
+        sample = filter.prepare(measured)
+    allowed = (
+        "what posegsa.model.sample.prepare makes with VectorSettings(each_agent=True); what is "
+        "computed of it belongs into the step"
+    )
+    if not isinstance(sample, Sample):
+        refuse(f"filter.prepare: it returns a {type(sample).__name__}", allowed)
+    prepared = sample.vectors
+    if not isinstance(prepared, VectorSamples):
+        if len(v):
+            refuse("filter.prepare: it sums up the vectors", allowed)
+        nothing = jnp.zeros(())
+        prepared = VectorSamples((), (nothing, nothing, nothing))
+    directions = directions_of(prepared)
+    of_measurement = (
+        [sample.time_step, *sample.angular_velocity, *sample.velocity, sample.reach],
+        [[*one.measured, *one.known, one.factor] for one in prepared.each],
+        [[*one.body, *one.inertial, one.factor] for one in sample.landmarks],
+    )
+    m = jax.tree.map(np.asarray, measured)
+    farthest = np.square(m.landmarks).sum(-1).max(initial=0.0)
+    expected = (
+        [m.time_step, *m.angular_velocity, *m.velocity, farthest],
+        [[*m.vectors[i], *v[i], m.vector_weights[i]] for i in range(len(v))],
+        [[*m.landmarks[i], *p[i], m.landmark_weights[i]] for i in range(len(p))],
+    )
+    same = jax.tree.structure(of_measurement) == jax.tree.structure(expected)
+    pairs = zip(jax.tree.leaves(of_measurement), jax.tree.leaves(expected), strict=True)
+    if not same or not all(np.allclose(a, b, rtol=1e-12, atol=0) for a, b in pairs):
+        refuse("filter.prepare: it changes what was measured", allowed)
+    return References(vectors=v, directions=directions, landmarks=p), bool(directions[-1].any())
+
+
+def _purpose(filter: Filter, known: References, states: int) -> list[str]:
+    """A description of the filter's inputs and outputs."""
+    sensors = [
+        counted(len(known.vectors), "vector") if len(known.vectors) else "",
+        counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",
+    ]
+    kind = f"Filter: {type(filter).__name__}"
+    kind += f" with {states} states" if states else ""
+    return wrapped(
+        f"From measured angular and linear velocity, {' and '.join(s for s in sensors if s)} of "
+        f"known direction or place it estimates attitude and position. {kind}."
+    )

@@ -1,0 +1,209 @@
+"""What a tuned filter is worth on recordings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from posegsa.errors import RecordingError
+from posegsa.filters.rollout import Estimates
+from posegsa.judging.evaluation import CONSTANT
+from posegsa.judging.known_sensors import StoredSensors
+from posegsa.judging.replay import HEADS, error_rows, replayed_on
+from posegsa.recordings.accuracy import AnyNumber, Rmse
+from posegsa.recordings.fingerprint import fingerprint
+from posegsa.recordings.recording import Recording
+from posegsa.words import text_table
+
+
+def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
+    """Errors by phase that were read, if those of all that is judged are among them."""
+    if "judged" not in errors:
+        raise ValueError(
+            f"its phases are {', '.join(errors) or 'none'}; allowed: judged among them"
+        )
+    return errors
+
+
+NOT_CUT = 0.99
+"""Share of the gain asked for from which on it counts as used."""
+MOSTLY = 0.5
+"""Share of samples above which a result warns that the gain limit sets the gain."""
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class RecordingScore(NamedTuple):
+    """A filter on one recording."""
+
+    name: str
+    samples: int
+    duration: float
+    """[s]"""
+    attitude_only: bool
+    sources: dict[str, str]
+    """What is measured and what was made from the truth, in words."""
+    notes: list[str]
+    """What was bridged, dropped or left out."""
+    errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
+    """Root mean squares by phase, "judged" first."""
+    fingerprint: str
+    """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
+    limited: Share | None = None
+    """Share of the samples with a measurement in which the gain limit cut what the schedule asked
+    for; None of a filter without a gain K."""
+
+
+class SimulatedScore(NamedTuple):
+    """A filter that was tuned on recordings and simulated scenarios, on the latter."""
+
+    training: Annotated[list[AnyNumber], Field(min_length=1)]
+    """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
+    held_out: Annotated[list[AnyNumber], Field(min_length=1)]
+    """The same on scenarios that only judge."""
+
+    def text(self, share: float) -> str:
+        """Both for a person, with the share of the scenarios in what was minimised."""
+        rows = [
+            [label, f"{np.mean(costs):.4g}", f"{np.max(costs):.4g}", str(len(costs))]
+            for label, costs in (("tuned on", self.training), ("held out", self.held_out))
+        ]
+        title = f"Simulated scenarios, {share:g} of what was minimised, cost [deg]"
+        return text_table([[title, "mean", "worst", "scenarios"], *rows])
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnRecordings:
+    """A tuned filter on recordings, beside others."""
+
+    training: list[RecordingScore]
+    """On each recording that it was tuned on."""
+    held_out: list[RecordingScore]
+    """On recordings that only judge; empty if there were none."""
+    baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
+    """Other filters on the same held-out recordings, by name (`evaluate`)."""
+    simulated: SimulatedScore | None = None
+    """On simulated scenarios, if these were tuned on too."""
+    sensors: StoredSensors | None = None
+    """What the recordings that it was tuned on know of their sensors, for exports and streams; None
+    where they differ in that, or there are none."""
+
+    def text(self, simulated_share: float) -> str:
+        """A short text; it always says whether recordings were held out.
+
+        Args:
+            simulated_share: What share of the objective simulated scenarios had.
+        """
+        alone = (
+            "No recording was held out: these errors say how well the filter fits the recordings "
+            "that it was tuned on, not how good it is on others."
+        )
+        parts = [
+            self.table() if self.training or self.held_out else "",
+            "" if self.held_out else alone,
+            "" if self.simulated is None else self.simulated.text(simulated_share),
+            self.origins(),
+        ]
+        return "\n\n".join(part for part in parts if part)
+
+    def warnings(self) -> list[str]:
+        """What a reader must know before trusting the filter."""
+        found = [behind] if (behind := self._behind_constant()) else []
+        shares = [each.limited for each in self.held_out or self.training]
+        cut = [share for share in shares if share is not None]
+        if cut and np.mean(cut) > MOSTLY:
+            found.append(
+                "the schedule asks for more than the gain limit allows in "
+                f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "
+                "sets the gain, not the schedule, and a constant gain may do as well (`posegsa "
+                "evaluate` shows it beside)"
+            )
+        return found
+
+    def _behind_constant(self) -> str:
+        """That the best constant gains err less on what was held out, in all that is judged."""
+        others = self.baselines.get(CONSTANT)
+        if not (others and self.held_out):
+            return ""
+        own, constant = mean_errors(self.held_out), mean_errors(others)
+        pairs = [(own.total, constant.total, "deg")]
+        if own.position is not None and constant.position is not None:
+            pairs.append((own.position, constant.position, "m"))
+        if not all(a > b for a, b, _ in pairs):
+            return ""
+        errors = " and ".join(f"{a:.3g} {unit} instead of {b:.3g}" for a, b, unit in pairs)
+        return f"on what was held out it errs more than the best constant gains, {errors}"
+
+    def table(self) -> str:
+        """Root mean square errors by recording and phase, and those of other filters."""
+        heads = ["", *HEADS]
+        blocks = {"tuned on": self.training, "held out": self.held_out}
+        blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
+        rows = [
+            [title if first == 0 else "", *row]
+            for title, scores in blocks.items()
+            for first, row in enumerate(_rows(scores))
+        ]
+        if not any(row[-1] for row in rows):
+            heads, rows = heads[:-1], [row[:-1] for row in rows]
+        return text_table([heads, *rows])
+
+    def origins(self) -> str:
+        """What of the recordings is measured and what synthetic, and what was bridged."""
+        lines = []
+        for one in (*self.training, *self.held_out):
+            words = [f"{quantity}: {text}" for quantity, text in one.sources.items()]
+            lines += [f"{one.name}: {text}" for text in (*words, *one.notes)]
+        return "\n".join(dict.fromkeys(lines))
+
+
+def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
+    """A row for each phase of each recording, and the mean of what is judged of several."""
+    rows = [row for one in scores for row in error_rows(one.name, one.errors.items())]
+    if len(scores) > 1:
+        mean = mean_errors(scores)
+        rows += error_rows("mean", [("judged", mean)])
+    return rows
+
+
+def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
+    """Means over recordings of the root mean squares of what is judged."""
+    judged = [one.errors["judged"] for one in scores]
+    positions = [one.position for one in judged if one.position is not None]
+    return Rmse(
+        total=float(np.mean([one.total for one in judged])),
+        heading=float(np.mean([one.heading for one in judged])),
+        inclination=float(np.mean([one.inclination for one in judged])),
+        position=float(np.mean(positions)) if positions else None,
+        samples=sum(one.samples for one in judged),
+    )
+
+
+def score(recording: Recording, estimates: Estimates) -> RecordingScore:
+    """A filter's estimates of a recording with a truth, judged."""
+    errors = replayed_on(recording, estimates).errors
+    if errors is None:
+        raise RecordingError(f"{recording.name}: has no truth, so that nothing can be judged")
+    return RecordingScore(
+        name=recording.name,
+        samples=recording.samples,
+        duration=recording.duration,
+        attitude_only=recording.attitude_only,
+        sources=recording.sources,
+        notes=list(recording.notes),
+        errors=errors.rmse(),
+        fingerprint=fingerprint(recording),
+        limited=_limited(recording, estimates),
+    )
+
+
+def _limited(recording: Recording, estimates: Estimates) -> float | None:
+    """`RecordingScore.limited` of a filter's estimates."""
+    m = recording.measurements
+    weights = np.concatenate([m.vector_weights, m.landmark_weights], axis=1)
+    asked, used = (np.asarray(g, np.float64) for g in (estimates.gain, estimates.gain_used))
+    seen = (np.asarray(weights) > 0).any(axis=1) & np.isfinite(asked) & np.isfinite(used)
+    if not seen.any():
+        return None
+    return float(np.mean(used[seen] < NOT_CUT * asked[seen]))

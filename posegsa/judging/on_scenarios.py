@@ -1,0 +1,93 @@
+"""What a tuned filter is worth on drawn scenarios."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from posegsa.judging.endurance import Endurance
+from posegsa.judging.evaluation import TUNED, Evaluation, called
+from posegsa.judging.trajectory import Trajectory
+from posegsa.judging.trust import Trust
+from posegsa.settings.arrays import Numbers
+from posegsa.words import counted, text_table
+
+Costs = Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnScenarios:
+    """A tuned filter on drawn scenarios, beside others."""
+
+    training: dict[str, Costs]
+    """(S,) cost on each training scenario, infinite where a run diverged: of the tuned filter, and
+    of the one filter that always stands beside it."""
+    evaluation: Evaluation
+    """Both filters (after `evaluate`, all baselines) on held-out scenarios."""
+    endurance: Endurance
+    """Both filters long after the time that they were tuned for."""
+    trust: Trust
+    trajectory: Trajectory
+    """The tuned filter on the first held-out scenario."""
+
+    @property
+    def beside(self) -> str:
+        """The name of the filter that always stands beside the tuned one."""
+        return next(name for name in self.training if name != TUNED)
+
+    def text(self, endurance_scenarios: int) -> str:
+        """A short text.
+
+        Args:
+            endurance_scenarios: On how many scenarios the filters were run for longer.
+        """
+        last = self.trajectory
+        settled = last.time >= 0.5 * last.time[-1]
+        unseen = f"({counted(self.evaluation.scenarios, 'unseen scenario')})"
+        rows = [["mean cost", "training", "held out", "worst", unseen]]
+        for name, training in self.training.items():
+            found = self.evaluation.contenders[name]
+            gain = found.filter.numbers.get("gain", [])
+            label = f"{name} {gain[0]:.4g}/s" if gain and name != TUNED else name
+            costs = (np.mean(training), np.mean(found.metrics.cost), np.max(found.metrics.cost))
+            bad = np.count_nonzero(found.metrics.diverged)
+            rows.append([label, *(f"{c:.4g}" for c in costs), f"diverged on {bad}" if bad else ""])
+        parts = [
+            text_table(rows),
+            "On one unseen scenario, second half: attitude error "
+            f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
+            f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
+            f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
+            self.endurance.table(self.beside, endurance_scenarios),
+        ]
+        if self.trust.rule_weights is not None:
+            parts.append(
+                f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or "
+                "more of the weight."
+            )
+        return "\n\n".join(parts)
+
+    def warnings(self) -> list[str]:
+        """What a reader must know before trusting the filter."""
+        found, t = [], self.trust
+        if t.sensitive:
+            found.append(
+                f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
+                f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
+                "agree within 1 %. The simulation is chaotic: do not trust this filter"
+            )
+        if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
+            found.append(f"the tuned filter diverged on {counted(bad, 'held-out scenario')}")
+        if t.uncovered:
+            found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
+        if worse := self.endurance.worse():
+            found.append(
+                f"past the time that it was tuned for it is worse than {called(self.beside)}: "
+                f"{', '.join(worse)}"
+            )
+        return found
+
+
+@np.errstate(over="ignore")  # a filter may diverge to any number
+def _rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a**2)))

@@ -1,0 +1,228 @@
+"""A result in its folder: one file that counts, and tables, figures and a report made from it."""
+
+import reprlib
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from posegsa import steps
+from posegsa.arguments import check_callable, check_type, refuse
+from posegsa.config import SEARCHED, OwnConfig
+from posegsa.errors import RunFolderError
+from posegsa.figures import result as result_figures
+from posegsa.figures.choice import chosen_figures
+from posegsa.figures.result import draw
+from posegsa.figures.style import png
+from posegsa.judging.evaluation import TUNED
+from posegsa.judging.result import Result
+from posegsa.report import report_html
+from posegsa.saving import imu
+from posegsa.saving.checkpointing import checkpoint_paths
+from posegsa.saving.folder import (
+    FIGURES,
+    MAX_BYTES,
+    RESULT,
+    as_path,
+    holds_run,
+    locked_folder,
+    read_text,
+    replace_files,
+)
+from posegsa.saving.records import from_json, to_csv, to_json
+from posegsa.search.build import OwnFilter
+
+SCHEMA = 5
+"""Version of the format of result.json."""
+
+SUMMARY, TABLE, REPORT = "summary.txt", "evaluation.txt", "report.html"
+HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
+_FIGURE = f"{FIGURES}/{{}}.png"
+RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
+FILES = (REPORT, RESULT, SUMMARY, TABLE, HISTORY, TRAJECTORY)
+RUN_FILES = [*FILES, *RUN_FIGURES]
+"""All files of a finished run except checkpoints; `load` reads result.json alone."""
+MAX_SAMPLE = 2**10
+"""Maximum size of a sample of the trajectory: it has 26 numbers of at most 25 characters."""
+
+
+def save(
+    result: Result,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    figures: Iterable[str] | None = None,
+) -> Path:
+    """Write a result to a folder: result.json, and tables, figures and a report made from it.
+
+    Args:
+        result: From `tune`, `evaluate` or `configured`.
+        folder: Where; created if missing.
+        overwrite: Replace another run's files there.
+        figures: Names of those to draw; by default all that have something to show.
+
+    Returns:
+        The folder.
+
+    Raises:
+        RunFolderError: The folder contains a run already, or cannot be written.
+        ArgumentError: There is no figure with such a name.
+    """
+    check_type("result", result, Result)
+    names = run_figures(figures)
+    with locked_folder(folder, overwrite=overwrite) as locked:
+        write_result(result, locked, names)
+    return locked
+
+
+def run_figures(figures: Iterable[str] | None) -> list[str]:
+    """Names of a run's figures from a user, checked; None is all.
+
+    Raises:
+        ArgumentError: There is no such figure.
+    """
+    return chosen_figures(figures, result_figures.NAMES)
+
+
+def write_result(
+    result: Result,
+    folder: Path,
+    figures: list[str] | None = None,
+    *,
+    own_checkpoints: bool = False,
+) -> None:
+    """Write all files of a result at once, to a folder that the caller has locked.
+
+    Args:
+        result: What is written.
+        folder: Where.
+        figures: Names of those that are drawn, by default all; others that are there go.
+        own_checkpoints: Whether the checkpoints in the folder are this result's; else they go.
+
+    Raises:
+        RunFolderError: They can't be written; the folder is as it was.
+    """
+    texts, pictures = {RESULT: to_json(result, SCHEMA)}, {}
+    texts[SUMMARY] = result.summary() + "\n"
+    if result.search is not None:
+        texts[HISTORY] = to_csv(result.search.history, counted="iteration")
+    if result.on_scenarios is not None:
+        steps.begin("writing" if figures == [] else "drawing")
+        drawn = list(draw(result, figures).items())
+        pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
+        texts[TABLE] = result.on_scenarios.evaluation.table() + "\n"
+        texts[TRAJECTORY] = to_csv(result.on_scenarios.trajectory)
+        texts[REPORT] = report_html(result, pictures)
+    files = {name: text.encode("utf-8") for name, text in texts.items()}
+    files |= {_FIGURE.format(name): picture for name, picture in pictures.items()}
+    stale = [*RUN_FILES]
+    if not own_checkpoints:
+        stale += [str(path.relative_to(folder)) for path in checkpoint_paths(folder)]
+    replace_files(folder, files, remove=stale)
+
+
+def written(result: Result, figures: list[str] | None = None) -> list[str]:
+    """The names of the files that `write_result` writes of a result, for a person."""
+    names = [RESULT, SUMMARY]
+    if result.search is not None:
+        names.append(HISTORY)
+    if result.on_scenarios is not None:
+        names = [REPORT, *names, TABLE, TRAJECTORY]
+        names += [] if figures == [] else [f"{FIGURES}/"]
+    return names
+
+
+def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = False) -> Result:
+    """Read a result from its folder: result.json alone.
+
+    Args:
+        folder: That of a run.
+        filter: The user's own filter, where the result is of one: it is never imported because a
+            file names it.
+        edited: Read a file that was changed after posegsa wrote it. What is made from it (tables,
+            figures, report) is not made again.
+
+    Raises:
+        RunFolderError: It is not a run's folder; or the file is damaged, was changed, has another
+            format or contradicts itself, which names the field.
+        ArgumentError: `filter` is missing, or has no effect.
+    """
+    check_callable("filter", filter if callable(filter) else None)
+    path = as_path("folder", folder)
+    if path.name == imu.FILTER or ((path / imu.FILTER).exists() and not holds_run(path)):
+        file = path if path.name == imu.FILTER else path / imu.FILTER
+        raise RunFolderError(
+            f"{path}: a filter for inertial sensors, and no run; `posegsa replay {file} RECORDING` "
+            "runs it, in Python run_imu with config.load_imu(...). Its vectors are made in Python, "
+            "so that it has no export (docs/imu.md says what can be exported of it)"
+        )
+    if path.is_file():
+        raise RunFolderError(f"{path}: is a file; allowed: the folder of a run")
+    if (path / "recorded.json").exists() and not (path / RESULT).exists():
+        raise RunFolderError(
+            f"{path / 'recorded.json'}: written by a version of posegsa before 0.9; this version "
+            "has all in result.json: run it again, or read it with the version that wrote it"
+        )
+    text = read_text(path, RESULT, of="finished run", limit=MAX_RESULT)
+    how = "load(folder, edited=True), --edited"
+    source = path / RESULT
+    result = from_json(Result, text, SCHEMA, source, edited=edited, if_on_purpose=how)
+    _refuse_disagreement(source, result)
+    if isinstance(result.experiment.filter, OwnConfig):
+        if filter is None:
+            refuse(
+                f"filter: none for {path}, a run of a filter of the user's own",
+                "the filter, or its class (filter=..., --filter module:Class)",
+            )
+        return replace(result, own=filter)
+    if filter is not None:
+        refuse(f"filter for {path}", "none: the run is of a filter of posegsa")
+    return result
+
+
+MAX_RESULT = 8 * MAX_BYTES
+"""Maximum size of result.json: with long trajectories and many scenarios it is large."""
+
+
+def _refuse_disagreement(source: Path, result: Result) -> None:
+    """Raise a RunFolderError where parts of a result do not fit together."""
+    experiment = result.experiment
+    checks = []
+    if result.search is not None:
+        also, history = sorted(one.key for one in experiment.also), result.search.history
+        last = float(history.best[-1]) if len(history.best) else result.search.best_cost
+        failed = int(history.non_finite.sum())
+        checks += [
+            ("keys of filter.also", sorted(result.also), also),
+            ("last of search.history.best", last, result.search.best_cost),
+            ("sum of search.history.non_finite", failed, result.search.non_finite),
+        ]
+    if result.on_scenarios is not None:
+        judged, samples = result.on_scenarios, experiment.scenario.samples
+        last = round(float(judged.evaluation.time[-1]) / experiment.scenario.sampling_time)
+        contenders = judged.evaluation.contenders
+        own = contenders[TUNED].filter.numbers if TUNED in contenders else None
+        both = [name for name in judged.training if name in contenders]
+        rules = [one is not None for one in (judged.trust.rule_weights, judged.trust.uncovered)]
+        checks += [
+            ("on_scenarios.training", [*judged.training], both),
+            ("number of on_scenarios.training", len(both), 2),
+            (f"on_scenarios: filter of {TUNED}", own, result.filter.numbers),
+            ("on_scenarios: sample of the last time", last, samples - 1),
+            ("on_scenarios: length of trajectory", len(judged.trajectory.time), samples),
+            (
+                "on_scenarios.trust: rule_weights, uncovered",
+                rules,
+                [result.filter.kind == "fuzzy"] * 2,
+            ),
+        ]
+    for field, found, needed in checks:
+        if found != needed:
+            found, needed = reprlib.repr(found), reprlib.repr(needed)
+            raise RunFolderError(f"{source}: {field} = {found}; needed by the rest: {needed}")
+    fuzzy = result.filter.kind == "fuzzy"
+    if fuzzy and ("rules" in result.filter.numbers) != (experiment.fuzzy.rules == SEARCHED):
+        raise RunFolderError(f"{source}: filter.numbers: rules only where they were searched")
+    try:
+        _ = result.candidate, result.tuned
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise RunFolderError(f"{source}: filter.numbers: {error}") from None

@@ -1,0 +1,99 @@
+"""The search spaces of gain schedules with a few numbers, none of which needs a repair."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from posegsa import config
+from posegsa.model.schedules import (
+    ConstantGain,
+    GainSchedule,
+    KnotGain,
+    SmoothGain,
+    SwitchGain,
+)
+from posegsa.search.candidates import SimpleSpace
+
+SIMPLE = ("constant", "smooth")
+"""Kinds of schedules that an experiment can have instead of a controller."""
+GAINS = (0.5, 200.0)
+"""Range of a baseline's gain [1/s]; it is extended to the controller's maximum."""
+LEAST_GAIN = 1e-3
+"""Lowest gain of a baseline [1/s] if the controller's range starts at 0."""
+KNOTS = 16
+"""Number of knots of the open-loop gains."""
+
+
+def _constant(vector: Array) -> GainSchedule:
+    return ConstantGain(jnp.exp(vector[0]))
+
+
+def _switch(vector: Array) -> GainSchedule:
+    before, after, time = jnp.exp(vector[:3])
+    return SwitchGain(before, after, time, learning_time=vector[3])
+
+
+def _smooth(vector: Array) -> GainSchedule:
+    low, high, half = jnp.exp(vector)
+    return SmoothGain(low, high, half)
+
+
+def _open_loop(end: float, log_gain: Array) -> GainSchedule:
+    return KnotGain(jnp.asarray(knot_times(end), log_gain.dtype), log_gain)
+
+
+def knot_times(end: float) -> np.ndarray:
+    """Times (KNOTS,) of the open-loop gains' knots [s]: dense in the transient, then even."""
+    dense, turn = KNOTS // 2, min(2.0, 0.5 * end)
+    early = np.geomspace(0.03 * turn, turn, dense)
+    return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
+
+
+Ends = tuple[float, float]
+
+
+def schedule_space(
+    kind: str, experiment: config.Experiment, lowest: float | None = None
+) -> SimpleSpace:
+    """The search space of one kind of schedule for an experiment.
+
+    Gains are searched by their logarithm, over GAINS and the controller's range. Times of a switch
+    go up to half of a scenario. The scaled error at half gain goes from 0.003 to 1.
+
+    Args:
+        kind: "constant", "smooth", "switch" or "open loop".
+        experiment: Its controller's range, and its duration, are looked at.
+        lowest: Least gain [1/s], where it is to be another one.
+    """
+    end = experiment.scenario.duration
+    offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
+    least = lowest or min(GAINS[0], max(offset + low, LEAST_GAIN))
+    gain = (math.log(least), math.log(max(GAINS[1], offset + high)))
+    half = (math.log(0.003), 0.0)
+    switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
+    # Without estimated biases there is nothing to switch on later.
+    learning = (
+        0.0,
+        0.5 * end if getattr(experiment.filter, "vector_bias", "off") == "estimated" else 0.0,
+    )
+    boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
+        "constant": ([gain], _constant),
+        "switch": ([gain, gain, switch, learning], _switch),
+        "smooth": ([gain, gain, half], _smooth),
+        "open loop": ([gain] * KNOTS, _at(end)),
+    }
+    bounds, make = boxes[kind]
+    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
+    return SimpleSpace(lower, upper, make)
+
+
+_AT: dict[float, Callable[[Array], GainSchedule]] = {}
+
+
+def _at(end: float) -> Callable[[Array], GainSchedule]:
+    """`_open_loop` up to a time; always the same function, so that JAX reuses its program."""
+    return _AT.setdefault(end, partial(_open_loop, end))

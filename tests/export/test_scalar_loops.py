@@ -1,0 +1,197 @@
+"""Functions of many scalars as loops over arrays in C: the same numbers, whatever their order."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.compiled_c import COMPILERS, WARNINGS, needs_cc, sanitizers
+
+from posegsa.export.scalar_c import Code
+from posegsa.export.scalar_loops import written_in_loops
+
+HEAD = """
+#include <math.h>
+#include <stdio.h>
+#ifndef POSEGSA_REAL
+#define POSEGSA_REAL double
+#endif
+typedef POSEGSA_REAL posegsa_real;
+#define POSEGSA_C(x) ((posegsa_real)(x))
+#define posegsa_tanh(x) POSEGSA_C(tanh(x))
+"""
+N = 12
+X, Y = (tuple(f"{name}[{i}]" for i in range(N)) for name in "xy")
+Scalars = tuple[jax.Array, ...]
+
+
+def computed(folder: Path, codes: list[Code], given: np.ndarray, *options: str) -> np.ndarray:
+    """(functions, numbers) what each function sets x and y to, from x and y in `given`."""
+    text = HEAD
+    for i, code in enumerate(codes):
+        text += f"static void f{i}(posegsa_real *x, posegsa_real *y)\n{{\n    (void)x, (void)y;\n"
+        text += f"{code.text(4)}\n}}\n"
+    text += f"int main(void)\n{{\n    posegsa_real g[{2 * N}], a[{2 * N}];\n    int i;\n"
+    text += "    if (fread(g, sizeof g, 1, stdin) != 1) return 1;\n"
+    for i in range(len(codes)):
+        text += f"    for (i = 0; i < {2 * N}; ++i) a[i] = g[i];\n    f{i}(a, a + {N});\n"
+        text += "    fwrite(a, sizeof a, 1, stdout);\n"
+    source = folder / "loops.c"
+    source.write_text(text + "    return 0;\n}\n")
+    command = [COMPILERS[0], "-std=c99", "-O1", *WARNINGS, *sanitizers(COMPILERS[0]), *options]
+    subprocess.run([*command, str(source), "-o", str(folder / "loops"), "-lm"], check=True)
+    done = subprocess.run(
+        [folder / "loops"], input=given.tobytes(), capture_output=True, check=True
+    )
+    return np.frombuffer(done.stdout, given.dtype).reshape(len(codes), 2 * N)
+
+
+def expected(function: Callable[..., tuple[Scalars, Scalars]], given: np.ndarray) -> np.ndarray:
+    with jax.enable_x64(given.dtype == np.float64):
+        x, y = (tuple(jnp.asarray(part)) for part in np.split(given, 2))
+        return np.array(jax.tree.leaves(jax.jit(function)(x, y)))
+
+
+GIVEN = np.random.default_rng(0).normal(size=2 * N)
+
+
+def swapped(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """A loop that hands each number on to another place, in circles of two, three and one."""
+
+    def turn(carried: Scalars, z: jax.Array) -> tuple[Scalars, None]:
+        a, b, c, d, e, f, *rest = carried
+        return (b, a, d, e, c, f + z, *rest), None
+
+    return jax.lax.scan(turn, x, jnp.stack(y[:5]))[0], y
+
+
+def reversed_on_the_spot(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """Results that are arguments too, in another order."""
+    return x[::-1], tuple(a + b for a, b in zip(x, y[::-1], strict=True))
+
+
+def half_of_a_truth(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """A loop that carries truths, and constants that are computed before it."""
+    scale = x[0] * x[1]
+
+    def turn(carried: tuple, z: jax.Array) -> tuple[tuple, None]:
+        seen, total, unused = carried
+        return (seen | (z > 0.5), total + jax.lax.select(seen, z * scale, z), unused + z), None
+
+    seen, total, _ = jax.lax.scan(turn, (x[0] > 5, x[2], x[3]), jnp.stack(y))[0]
+    return (total, jax.lax.select(seen, x[1], x[2]), *x[2:]), y
+
+
+def loop_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    def inner(carried: Scalars, z: jax.Array) -> tuple[Scalars, None]:
+        return tuple(0.5 * b + z for b in (*carried[1:], carried[0])), None
+
+    def outer(carried: Scalars, z: jax.Array) -> tuple[Scalars, None]:
+        once, _ = jax.lax.scan(inner, carried, jnp.stack([z, x[0], carried[3]]))
+        return tuple(a - 0.1 * b for a, b in zip(once, carried, strict=True)), None
+
+    return jax.lax.scan(outer, x, jnp.stack(y))[0], y
+
+
+def sums_so_far(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """Each needs the one before: no array that could be computed at once."""
+    found = [x[0]]
+    for one in x[1:]:
+        found.append(0.5 * found[-1] * found[-1] + one)
+    return tuple(found), tuple(a * found[3] for a in y)
+
+
+BY_HAND = [swapped, reversed_on_the_spot, half_of_a_truth, loop_in_a_loop, sums_so_far]
+
+
+def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
+    """A function of a few rounds, each of which changes the numbers by neighbours far and near."""
+    rng = np.random.default_rng(seed)
+    rounds = [
+        (rng.integers(6), rng.permutation(N).tolist(), int(rng.integers(N)), float(rng.normal()))
+        for _ in range(rng.integers(2, 6))
+    ]
+    looped, crossed = rng.random() < 0.6, rng.random() < 0.5
+
+    def changed(x: Scalars, y: Scalars) -> Scalars:
+        for kind, order, at, factor in rounds:
+            shifted = x[at:] + x[:at]
+            match kind:
+                case 0:
+                    x = tuple(x[i] for i in order)
+                case 1:  # as a Kalman filter's covariance is cut
+                    gain = tuple(factor * a + 0.1 * b for a, b in zip(x, shifted, strict=True))
+                    part = tuple(0.2 * g for g in gain[: 1 + at // 4])
+                    x = tuple(a - part[i % len(part)] * gain[i] for i, a in enumerate(x))
+                case 2:
+                    x = tuple(jnp.tanh(x[i] + factor * y[k]) for k, i in enumerate(order))
+                case 3:
+                    x = tuple(a + 0.3 * b for a, b in zip(x, shifted, strict=True))
+                case 4:
+                    x = x[:at] + tuple(0.5 * a - y[0] for a in x[at:])
+                case _:
+                    x = tuple(0.5 * a + x[at] * b for a, b in zip(x, y, strict=True))
+        return tuple(jnp.tanh(a) if i % 5 == 0 else a for i, a in enumerate(x))
+
+    def function(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+        if not looped:
+            after = changed(x, y)
+        else:
+            rows = [jnp.stack(y[i : i + 3]) for i in range(4)]
+            after, _ = jax.lax.scan(
+                lambda x, z: (changed(x, (*z, *y[4:])), None), changed(x, y), rows
+            )
+        return (after, x) if crossed else (after, y)
+
+    return function
+
+
+@needs_cc
+def test_loops_and_orders_of_every_kind_compute_what_jax_does(tmp_path):
+    codes = [written_in_loops(f, (X, Y), (X, Y)) for f in BY_HAND]
+    got = computed(tmp_path, codes, GIVEN)
+    want = np.stack([expected(f, GIVEN) for f in BY_HAND])
+    np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
+
+
+@needs_cc
+def test_made_up_functions_compute_what_jax_does(tmp_path):
+    """Some overwrite arrays, some need copies, some can't be arrays at all."""
+    functions = [made_up(seed) for seed in range(40)]
+    codes = [written_in_loops(f, (X, Y), (X, Y)) for f in functions]
+    got = computed(tmp_path, codes, GIVEN)
+    want = np.stack([expected(f, GIVEN) for f in functions])
+    np.testing.assert_allclose(got, want, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.quick
+def test_what_is_computed_alike_is_a_loop():
+    def function(x: Scalars, y: Scalars) -> Scalars:
+        return tuple(a - y[0] * b for a, b in zip(x, y, strict=True))
+
+    code = written_in_loops(function, (X, Y), tuple(f"z[{i}]" for i in range(N)))
+    assert code.statements == ("for (int k = 0; k < 12; ++k) { z[k] = x[k] - y[0] * y[k]; }",)
+
+
+@pytest.mark.quick
+def test_the_text_does_not_grow_with_the_turns_of_a_loop():
+    def length(count: int) -> int:
+        def function(x: Scalars, y: Scalars) -> Scalars:
+            return jax.lax.scan(lambda x, z: (tuple(a * z for a in x), None), x, jnp.stack(y))[0]
+
+        y = tuple(f"seen->y[{i}]" for i in range(count))
+        return len(written_in_loops(function, (X, y), X).text(4))
+
+    assert length(9) == length(2)
+
+
+@pytest.mark.quick
+def test_a_unit_of_rounding_is_that_of_the_type():
+    def function(x: jax.Array) -> jax.Array:
+        return x * float(jnp.finfo(x.dtype).eps)
+
+    (statement,) = written_in_loops(function, ("x",), "y").statements
+    assert "sizeof(posegsa_real) < sizeof(double) ? POSEGSA_C(1.1920929e-07) :" in statement
