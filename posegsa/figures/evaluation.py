@@ -129,12 +129,20 @@ def plot_bands(evaluation: Evaluation) -> Figure:
     """
     time, bands = evaluation.time, {n: evaluation.contenders[n].bands for n in _drawn(evaluation)}
     parts = style.time_parts(time)
-    labels = (style.ATTITUDE_ERROR, style.POSITION_ERROR, "Gain used $K$ [1/s]")
+    labels = dict(
+        zip(
+            Bands._fields,
+            (style.ATTITUDE_ERROR, style.POSITION_ERROR, "Gain used $K$ [1/s]"),
+            strict=True,
+        )
+    )
+    if not any(np.isfinite(each.gain).any() for each in bands.values()):
+        del labels["gain"]  # none of these filters has one
     widths = (2, 3) if len(parts) > 1 else (1,)
     figure, axes = style.grid(
         len(labels), len(parts), 6.4, sharex="col", sharey="row", width_ratios=widths
     )
-    for row, field, label in zip(axes, Bands._fields, labels, strict=True):
+    for row, (field, label) in zip(axes, labels.items(), strict=True):
         row[0].set_ylabel(label)
         values = {name: np.asarray(getattr(band, field)) for name, band in bands.items()}
         for ax, part in zip(row, parts, strict=True):

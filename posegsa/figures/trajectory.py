@@ -58,11 +58,14 @@ def plot_errors(trajectory: Trajectory) -> Figure:
     caption="Where the two curves differ, the gain limit keeps the filter's step stable. If the "
     "gain jumps between a few levels, the schedule acts as a switch.",
 )
-def plot_gain(trajectory: Trajectory) -> Figure:
+def plot_gain(trajectory: Trajectory) -> Figure | None:
     """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
 
     The second panel enlarges the first second; a run shorter than two has the first panel only.
+    None for a filter without a gain.
     """
+    if np.isnan(trajectory.gain).all() and not np.isnan(trajectory.attitude_error).all():
+        return None
     time = trajectory.time
     parts = style.time_parts(time)[::-1]
     figure, axes = style.panels(len(parts), 4.6 if len(parts) > 1 else 3.4, sharex=False)
