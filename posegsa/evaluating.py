@@ -84,6 +84,11 @@ def evaluate(
     check_callable("cost", cost)
     if result.search is not None and result.search.tuned_on == "scenarios":
         check_same_cost(cost, result.search.cost)
+    elif cost is not None and recordings is not None:
+        refuse(
+            "cost with recordings, for a result not tuned on scenarios",
+            "recordings, training and others",
+        )
     if recordings is not None:
         given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None}
         for name in (name for name, stated in given.items() if stated):

@@ -51,7 +51,7 @@ def judged_beside_baselines(
         own = [own_score(result, one) for one in recordings]
         if training:
             baselines = _tuned_on(result, recordings, training)
-        elif result.on_scenarios is not None and before is None:
+        elif result.on_scenarios is not None and not (before and before.training):
             baselines = _tuned_on_scenarios(result, recordings, cost)
         else:
             baselines = {}

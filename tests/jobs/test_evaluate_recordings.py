@@ -105,9 +105,11 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
     assert again == ekf.errors["judged"]
 
 
-def test_what_cannot_be_judged_is_refused(result: Result) -> None:
+def test_what_cannot_be_judged_is_refused(result: Result, recordings: list[Recording]) -> None:
     with pytest.raises(ArgumentError, match="recordings: none"):
         posegsa.evaluate(result, recordings=[])
+    with pytest.raises(ArgumentError, match="cost with recordings"):
+        posegsa.evaluate(result, recordings=recordings, cost=lambda track, time: 0.0)  # type: ignore[arg-type]  # refused before it is called
     with pytest.raises(ArgumentError, match="recordings = 'bench'"):
         posegsa.evaluate(result, recordings="bench")  # type: ignore[call-overload]  # wrong on purpose
 
@@ -180,6 +182,10 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected
     assert expected != judged.baselines[EKF][0].errors
+    # A further judgement on recordings has them, too.
+    further = judged_on(posegsa.evaluate(result, recordings=recordings[0]))
+    assert list(further.baselines) == [CONSTANT, EKF]
+    assert further.baselines[EKF][0].errors == judged.baselines[EKF][0].errors
 
 
 def test_weights_go_in_order_whatever_a_run_was_tuned_on(
