@@ -76,7 +76,7 @@ class Exported:
 
 
 def exported(result: Result) -> list[Exported]:
-    """The tuned filter, and that for its attitude alone."""
+    """The tuned filter, for the pose and for the attitude only."""
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     with jax.enable_x64(True):
         one = scenario(experiment)
@@ -141,7 +141,7 @@ def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[
 
 
 def on_this_machine(one: Exported, real: str, folder: Path) -> list[str]:
-    """A row: time a step and sizes."""
+    """A table row: time per step and sizes."""
     passes = PASSES // 10 if one.name.startswith("Kalman") else PASSES
     times, (state, measurement, _) = run_here(one, real, passes, folder)
     took = f"{min(times):.0f} ns ({statistics.median(times):.0f} ns)"
@@ -226,7 +226,7 @@ def markdown(head: list[str], lines: list[list[str]]) -> str:
 
 
 def tables(result: Result) -> str:
-    """All measurements."""
+    """All measurements as Markdown."""
     filters = exported(result)
     here, board = [], []
     emulated = all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm")))

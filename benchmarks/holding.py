@@ -63,7 +63,7 @@ def lasting(duration: float) -> list[str]:
 
 
 def rest(result: Result) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last minute of ten at rest, with the law and without."""
+    """Attitude RMS [deg] over the last of ten minutes at rest, with and without learning."""
     tuned, gains = result.tuned, Candidate(result.schedule)
     found = []
     for law in ([], LAW_OFF):
@@ -86,7 +86,7 @@ def rest(result: Result) -> tuple[float, float]:
 
 
 def rest_after_motion(result: Result) -> tuple[float, float]:
-    """Attitude RMS [deg] over the last minute of two at rest, and over 20 s before the rest."""
+    """Attitude RMS [deg] over the last of two minutes at rest, and over 20 s before the rest."""
     settings = [*lasting(180.0), "scenario.rest=[[60.0, 180.0]]"]
     angle = degrees(tracks(config.override(result.tuned, settings), Candidate(result.schedule), 32))
     return rms(angle[:, 12000:]), rms(angle[:, 4000:6000])
@@ -118,7 +118,7 @@ def without_noise(result: Result) -> dict[str, float]:
 
 
 def step_ratio(result: Result, repetitions: int = 7) -> tuple[float, float]:
-    """Best time [s] of a population of 100 agents on 8 scenarios of 15 s, with the law and without.
+    """Best time [s] of 100 agents on 8 scenarios of 15 s, with and without learning vector biases.
 
     The same agents, by turns.
     """

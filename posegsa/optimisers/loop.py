@@ -29,13 +29,13 @@ class History(NamedTuple):
     """The costs of each iteration; NaN (0 for the count) from `Search.iteration` on."""
 
     best: Annotated[Array, Columns("best", rows="iterations", allow="infinite")]
-    """(iterations,) best cost so far; inf before any finite one."""
+    """(iterations,) best cost so far; inf before the first finite cost."""
     mean: Annotated[Array, Columns("mean", rows="iterations", allow="any")]
     """(iterations,) mean of the iteration's finite costs; NaN if there were none."""
     worst: Annotated[Array, Columns("worst", rows="iterations", allow="any")]
     """(iterations,) largest of the iteration's finite costs; NaN if there were none."""
     non_finite: Annotated[Array, Columns("non_finite", rows="iterations", dtype=int)]
-    """(iterations,) int32, number of its evaluations that were not finite."""
+    """(iterations,) int32, number of the iteration's evaluations that were not finite."""
 
 
 class Search(NamedTuple):

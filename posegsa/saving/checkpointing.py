@@ -38,7 +38,7 @@ ROUNDING = ("posegsa", "jax", "numpy", "platform", "device")
 
 
 class RecordedTask(NamedTuple):
-    """What a run on recordings is tuned on and for; the recordings themselves are not included."""
+    """The task of a run on recordings; the recordings themselves are not included."""
 
     position_weight: NonNegative
     training: list[str]
@@ -59,7 +59,7 @@ class About(NamedTuple):
     cost: str
     """The name of the cost that is minimised (`search.population.cost_name`)."""
     recorded: RecordedTask | None
-    """What is tuned on, if that is recordings."""
+    """The task of a run on recordings; None for a run on simulated scenarios."""
 
 
 class CheckpointedRun(NamedTuple):

@@ -55,7 +55,7 @@ class TuningProblem(NamedTuple):
     cost: TrackCost | None = None
     """A user's own cost of a simulation; None for the configured one."""
     beside: ScenarioBatch | None = None
-    """Simulated scenarios that a search on recordings sees beside them; None if it sees none."""
+    """Simulated scenarios that a search on recordings also uses, or None."""
     own: OwnFilter | None = None
     """The user's own filter, if it is one."""
 
@@ -67,14 +67,14 @@ class TuningProblem(NamedTuple):
 
     @property
     def held_out(self) -> ScenarioBatch:
-        """The scenarios that only judge."""
+        """The scenarios that only evaluate the result."""
         return self.simulated.select(slice(self.experiment.run.training_scenarios, None))
 
 
 def tuning_problem(
     experiment: config.Experiment, cost: TrackCost | None = None, own: OwnFilter | None = None
 ) -> TuningProblem:
-    """An experiment's scenarios and parameter space.
+    """Build an experiment's scenarios and parameter space.
 
     Args:
         experiment: What is searched.
@@ -110,7 +110,7 @@ def tuning_problem(
 def all_scenarios(
     experiment: config.Experiment, one: Scenario, filter: Filter | None = None
 ) -> ScenarioBatch:
-    """The training scenarios of an experiment, then those held out."""
+    """The training scenarios of an experiment, then the held-out ones."""
     run = experiment.run
     return scenario_batch(
         experiment,

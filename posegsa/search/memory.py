@@ -89,8 +89,8 @@ def _needs_recorded(experiment: config.Experiment, recorded: RecordedSize) -> di
             del shares[name]
     size = np.dtype(experiment.run.dtype).itemsize
     vectors = recorded.vectors + _crossed(experiment)
-    # What is measured, the truth and what counts, filled up and joined in NumPy's float64; the same
-    # at the run's precision, and what the loop reads of it.
+    # Measurements, truth and masks, padded and stacked in NumPy's float64; the same at the run's
+    # precision, and the loop's inputs.
     given = 20 + 7 * recorded.vectors + 7 * recorded.landmarks
     read = 25 + 7 * (vectors + recorded.landmarks) + 8 * recorded.landmarks
     per_sample = 2 * 8 * given + size * (given + 2 * read)

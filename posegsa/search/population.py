@@ -97,7 +97,7 @@ class ScenarioBatch(NamedTuple):
     bias: Array
     """(S, 6) true velocity bias at the end [rad/s, m/s]; only to judge its estimate."""
     vector_bias: Array
-    """(S, n, 3) true biases of the vectors, likewise."""
+    """(S, n, 3) true biases of the vectors; only to judge their estimates."""
     begin: Array | None
     """(S,) time at which the estimate starts [s], before which nothing counts; None where that is
     the first sample."""

@@ -41,7 +41,7 @@ from posegsa.search.population import ScenarioBatch
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
-"""Weight of the position's RMSE beside the attitude's where none is given: 1 cm is 1 deg."""
+"""Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
 LOWEST_GAIN = 1e-3
 """Lowest constant or smooth gain that is searched on recordings [1/s]: they are of any rate."""
 _EYE = np.eye(3)
@@ -102,7 +102,7 @@ def tuned_on_recordings(
     *,
     strict: bool = True,
 ) -> config.Experiment:
-    """`with_effect_on` these recordings."""
+    """`with_effect_on`, with the sensors of the recordings."""
     return with_effect_on(experiment, *_most_sensors(recordings), strict=strict)
 
 
@@ -183,7 +183,7 @@ def with_effect_on(
 
 @cache
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
-    """The numbers that are tuned where a user states none: by default, and by "landmarks"."""
+    """The numbers that are tuned by default, and by the configuration "landmarks"."""
     configured = config.load("landmarks").parameters.also
     return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *configured)
 

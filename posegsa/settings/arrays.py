@@ -85,8 +85,8 @@ class Columns(Numbers):
     Args:
         names: Names of the columns, with units.
         rows: The name of its length.
-        each: There is a set of these columns for each of several things, such as vectors; "#" in a
-            name is replaced by the number of the thing.
+        each: Whether there is a set of these columns for each of several items, for example
+            vectors; "#" in a name is replaced by the number of the item.
         numbers: Keyword arguments of `Numbers`.
     """
 

@@ -1,4 +1,4 @@
-"""Experiments with single values replaced, from Python as from the command line."""
+"""Experiments with single values replaced, from Python and from the command line."""
 
 import pytest
 
@@ -26,7 +26,7 @@ def test_bounds_fit_another_gain_range_as_they_do_in_a_file(ends: tuple[float, f
     assert Experiment().replace(**{"parameters.gain_range": ends}).parameters == in_a_file
     set_so = config.override(Experiment(), [f"parameters.gain_range={list(ends)}"])
     assert set_so.parameters == in_a_file
-    # What is stated stays.
+    # A value that is set is kept.
     own = [*in_a_file.upper[:-1], ends[1]]
     changed = Experiment().replace(
         **{

@@ -15,13 +15,13 @@ from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evo
 pytestmark = pytest.mark.quick
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
-FILES = sorted(set(CONFIGS.glob("*.toml")) - {CONFIGS / "imu.toml"})  # no experiment
+FILES = sorted(set(CONFIGS.glob("*.toml")) - {CONFIGS / "imu.toml"})  # not an experiment
 WHOLE = ("paper", "paper_literal", "recommended")
 PI = 3.141592653589793
 
 
 def leaves(data: Any, path: str = "") -> dict[str, Any]:
-    """Every value of nested plain data by its dotted path."""
+    """All values of nested plain data by dotted path."""
     if isinstance(data, dict):
         items = data.items()
     elif isinstance(data, list | tuple):
@@ -174,7 +174,7 @@ def test_an_experiment_is_frozen_and_hashable() -> None:
 
 
 def sections(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """The model and the models that its fields hold, however deep."""
+    """The model and all models nested in its fields."""
 
     def models(annotation: Any) -> set[type[BaseModel]]:
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -229,7 +229,7 @@ def test_what_a_file_leaves_out_keeps_its_default(tmp_path: Path) -> None:
     ],
 )
 def test_a_setting_changes_one_value(setting: str, value: Any) -> None:
-    base = override(Experiment(), ["parameters.also=[]"])  # of gamma, which may become two
+    base = override(Experiment(), ["parameters.also=[]"])  # without gamma, which may become a pair
     changed: Any = override(base, [setting])
     for key in setting.partition("=")[0].strip().split("."):
         changed = changed[int(key)] if key.isdecimal() else getattr(changed, key)
@@ -331,7 +331,7 @@ def experiments(draw: st.DrawFn) -> Experiment:
             },
             "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},
             "fuzzy": {"rules": draw(st.tuples(*[row] * 5)), "no_rule": draw(words["no_rule"])},
-            # What may be tuned too depends on the sensors.
+            # Which further numbers can be tuned depends on the sensors.
             "parameters": {"also": []},
             "cost": {"transient_window": draw(windows), "steady_window": draw(windows)},
             "search": draw(searches),

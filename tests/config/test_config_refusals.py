@@ -13,7 +13,7 @@ pytestmark = pytest.mark.quick
 
 
 def refusal(function: Any, *arguments: Any, **keywords: Any) -> str:
-    """The text of the ConfigError that a call raises, its line breaks undone."""
+    """The text of the ConfigError that a call raises, without line breaks."""
     with pytest.raises(ConfigError) as caught:
         function(*arguments, **keywords)
     text = str(caught.value)
@@ -27,7 +27,7 @@ def setting_refusal(*texts: str) -> str:
     return refusal(override, override(Experiment(), BASE), texts)
 
 
-# Values: the key, the value, what is allowed -----------------------------------------------------
+# Values: the key, the value, what is allowed ------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def points(*positions: tuple[float, float, float]) -> list[dict[str, Any]]:
 
 def sensors(vectors: list[Any], landmarks: list[Any], cross: bool = False) -> dict[str, Any]:
     scenario = {"vectors": vectors, "landmarks": landmarks}
-    also: dict[str, Any] = {"also": []}  # what may be tuned too depends on the sensors
+    also: dict[str, Any] = {"also": []}  # which further numbers can be tuned depends on the sensors
     return {"scenario": scenario, "filter": {"cross_vector": cross}, "parameters": also}
 
 
@@ -236,7 +236,7 @@ def sensors(vectors: list[Any], landmarks: list[Any], cross: bool = False) -> di
         sensors([ALONG, AGAINST], points((0, 0, 0), (1, 0, 0))),
         sensors([], points((0, 0, 0), (1, 0, 0), (0, 1, 0))),
         sensors([UP], points((0, 0, 0), (1, 0, 1), (2, 0, 2))),
-        sensors([ALONG, UNUSED], points((0, 0, 0)), cross=True),  # v_1 and v_1 x v_2 are two
+        sensors([ALONG, UNUSED], points((0, 0, 0)), cross=True),  # v_1 and v_1 x v_2
     ],
 )
 def test_observable_sensors_are_accepted(data: dict[str, Any]) -> None:

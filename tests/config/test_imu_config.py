@@ -1,4 +1,4 @@
-"""The attitude filter for inertial sensors as a file."""
+"""Configuration files of the attitude filter for inertial sensors."""
 
 import tomllib
 from pathlib import Path

@@ -37,7 +37,7 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_folder_of_that_name_is_no_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Such as that of a run, `posegsa tune quick --out quick`."""
+    """For example the folder of `posegsa tune quick --out quick`."""
     monkeypatch.chdir(tmp_path)
     Path("quick").mkdir()
     assert config.load("quick").search.agents == 32

@@ -1,4 +1,4 @@
-"""[[parameters.also]]: which numbers a search may tune too, and what is refused."""
+"""[[parameters.also]]: which further numbers a search may tune, and which are refused."""
 
 import tomllib
 
@@ -14,12 +14,12 @@ from posegsa.filters.kalman import KalmanNoise
 pytestmark = pytest.mark.quick
 
 PLAIN = config.override(config.Experiment(), BASE)
-"""Without learnt biases, and nothing tuned too."""
+"""An experiment without estimated biases and without further tuned numbers."""
 LEARNT = {
     *("filter.vector_bias_gain", "filter.vector_bias_leak", "filter.vector_bias_bound"),
     *("filter.excitation", "filter.excitation_time"),
 }
-"""Of the law of the vectors' biases."""
+"""An experiment that tunes a number of the law of the vectors' biases."""
 ALWAYS = {
     *("filter.gamma.0", "filter.gamma.1", "filter.gain_limit", "filter.length"),
     *("gain.position_weight", "gain.smoothing", "gain.error_scale", "gain.rate_scale"),
@@ -29,7 +29,7 @@ CROSS = {"filter.cross_vector_weight"}
 
 
 def also(*entries: dict) -> list[str]:
-    """The setting that asks for further numbers."""
+    """The setting that tunes these further numbers."""
     tables = ", ".join(
         "{" + ", ".join(f"{name} = {value!r}" for name, value in entry.items()) + "}"
         for entry in entries
@@ -38,7 +38,7 @@ def also(*entries: dict) -> list[str]:
 
 
 def refusal(*entries: dict, base: config.Experiment | None = None) -> str:
-    """What is said of them, on one line."""
+    """The error about these further numbers, on one line."""
     with pytest.raises(ConfigError) as caught:
         config.override(base or PLAIN, also(*entries))
     return " ".join(str(caught.value).split())
@@ -86,12 +86,12 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        "filter.substeps",  # a whole number, and static
+        "filter.substeps",  # an integer, and static
         "filter.vector_bias_gain",  # no bias is estimated
-        "scenario.vectors.2.weight",  # there are two
-        "scenario.velocity_noise",  # of the world, not of the filter
+        "scenario.vectors.2.weight",  # only two vectors
+        "scenario.velocity_noise",  # a property of the world, not of the filter
         "../scenario",
-        "filter.gamma",  # a pair here: each has its own key
+        "filter.gamma",  # a pair here; each number has its own key
     ],
 )
 def test_a_number_without_effect_is_refused(key) -> None:
@@ -106,7 +106,7 @@ OF_BIAS = {"filter.vector_bias_gain"}
 
 
 def keys_of(experiment: config.Experiment) -> set[str]:
-    """What is tuned beside k1..k22, by what the search sees; written out it is the same."""
+    """The further tuned numbers for several error signals; written out they are the same."""
     written = config.from_dict(tomllib.loads(config.to_toml(experiment)))
     assert written == experiment
     assert written.also == experiment.also
@@ -154,7 +154,7 @@ def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:
 
 
 def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:
-    own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default's bounds
+    own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default bounds
     assert_told(refusal(own), 'parameters.also.0.key = "filter.excitation"')
 
 

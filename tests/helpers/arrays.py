@@ -1,4 +1,4 @@
-"""Arrays: made at a precision, and compared to the last bit."""
+"""Arrays: conversion to a dtype, and comparison to the last bit."""
 
 from typing import Any
 

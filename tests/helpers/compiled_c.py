@@ -30,7 +30,7 @@ def need(compiler: str) -> str:
 
 @cache
 def sanitizers(compiler: str) -> tuple[str, ...]:
-    """What makes a compiler watch memory and undefined behaviour; nothing where it can't."""
+    """The options that check memory and undefined behaviour; none if they are unsupported."""
     command = [compiler, "-x", "c", "-", *SANITIZERS, "-o", "/dev/null"]
     empty = "int main(void) { return 0; }"
     done = subprocess.run(command, input=empty, text=True, check=False, capture_output=True)
@@ -38,7 +38,7 @@ def sanitizers(compiler: str) -> tuple[str, ...]:
 
 
 def compile_c(folder: Path, header: str, source: Path, *options: str, compiler: str) -> Path:
-    """A program of an exported header and a source that includes it, without a warning."""
+    """Compile, without warnings, an exported header and a source that includes it."""
     (folder / "posegsa.h").write_text(header, encoding="ascii")
     program = folder / "program"
     command = [compiler, *options, *WARNINGS, "-I", str(folder), str(source), "-o", str(program)]
@@ -47,7 +47,7 @@ def compile_c(folder: Path, header: str, source: Path, *options: str, compiler: 
 
 
 class States(NamedTuple):
-    """What a filter in C holds before each of N samples, (N, ...), by names as in Python."""
+    """The state of a C filter before each of N samples, (N, ...), with names as in Python."""
 
     code: np.ndarray
     rotation: np.ndarray
@@ -57,11 +57,11 @@ class States(NamedTuple):
     gain: np.ndarray
     gain_used: np.ndarray
     raw: np.ndarray
-    """(N, numbers) the state as it is in memory."""
+    """The states (N, numbers) in the order of the memory."""
 
 
 class Layout(NamedTuple):
-    """What the state of an exported filter consists of."""
+    """The layout of an exported filter's state."""
 
     vectors: int
     landmarks: int
@@ -69,7 +69,7 @@ class Layout(NamedTuple):
     time: bool = False
 
     def fields(self) -> dict[str, int]:
-        """Its fields in order, and how many numbers each has."""
+        """The fields in order, and the number of values of each."""
         moves, n = 3 if self.landmarks else 0, self.vectors
         return {
             "attitude": 4,
@@ -113,7 +113,7 @@ def run_c(program: Path, layout: Layout, start: np.ndarray, rows: np.ndarray) ->
 
 
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) of (N, 4), w first."""
+    """Rotations (N, 3, 3) from quaternions (N, 4), w first."""
     w, x, y, z = quaternions.astype(np.float64).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

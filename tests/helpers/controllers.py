@@ -23,7 +23,7 @@ def search_vectors(count: int, seed: int = 0) -> np.ndarray:
 
 
 def corner_vectors(count: int, seed: int = 0) -> np.ndarray:
-    """The same with entries on an end of their box: half of them, or in every second vector all.
+    """Such vectors with entries at their bounds: half of them, or in every second vector all.
 
     The first two vectors are the upper and the lower bounds themselves.
     """
@@ -51,20 +51,20 @@ def fuzzy(
 
 
 INPUTS, OUTPUTS = (terms[0] for terms in repaired_terms(search_vectors(1, seed=5)))
-"""Terms with nothing special about them."""
+"""Ordinary terms."""
 GAPPED = [[0, 0, 0.1], [0.2, 0.2, 0.3], [0.25, 0.4, 0.6], [0.5, 0.6, 0.8], [0.7, 1, 1]]
-"""Input terms that leave (0.1, 0.2) to no rule."""
+"""Input terms for which no rule fires in (0.1, 0.2)."""
 
 
 def evaluated(controller: FuzzyController, error: object, rate: object, *last: float) -> np.ndarray:
-    """Gains at the controller's dtype of errors and rates given as any numbers."""
+    """Gains, in the controller's dtype, for errors and rates of any type."""
     dtype = controller.output_terms.dtype
     return np.asarray(controller(*(jnp.asarray(x, dtype) for x in (error, rate, *last))))
 
 
 @cache
 def compiled_gain() -> Callable[..., Array]:
-    """Gains (B,) of terms (B, 5, 3), errors and rates (B,)."""
+    """Gains (B,) for terms (B, 5, 3), errors and rates (B,)."""
     return jax.jit(jax.vmap(lambda i, o, e, r: FuzzyController(i, o, RULES, (0.0, 100.0))(e, r)))
 
 

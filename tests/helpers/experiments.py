@@ -26,7 +26,7 @@ LEARNT = (
     *("filter.gamma_law=quadratic", "filter.substeps=2", "gain.smoothing=1.5"),
     *("filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"),
 )
-"""The laws of the recommended filter, and all numbers that a filter may have."""
+"""The laws of the recommended filter, with all optional numbers of a filter."""
 
 
 def paper(*settings: str, dtype: str = "float64") -> config.Experiment:
@@ -50,7 +50,7 @@ def space(*settings: str, dtype: str = "float64") -> ParameterSpace:
 
 
 def searched(*settings: str, dtype: str = "float64") -> SearchSpace[ParameterSpace]:
-    """What a search of the paper's experiment with single values changed looks for."""
+    """The tuning problem of the paper's experiment with single values changed."""
     experiment = paper(*settings, dtype=dtype)
     return search_space(experiment, parameter_space(experiment))
 
@@ -63,7 +63,7 @@ def posed(experiment: config.Experiment, scenarios: int = 1) -> ScenarioBatch:
 
 
 def without_limit(limited: ScenarioBatch) -> ScenarioBatch:
-    """The same problem with every gain applied as it is."""
+    """The same problem without gain limit."""
     assert isinstance(limited.filter, Observer)
     settings = limited.filter.settings
     free = dataclasses.replace(settings, gain_limit=jnp.full_like(settings.gain_limit, jnp.inf))
@@ -95,7 +95,7 @@ TINY = [
     "run.training_scenarios=3",
     "run.held_out_scenarios=3",
 ]
-"""As many scenarios to train on as held out: what has one shape is compiled once."""
+"""As many training as held-out scenarios, so that both use one compiled program."""
 
 
 def tiny(*settings: str) -> config.Experiment:

@@ -1,4 +1,4 @@
-"""What a figure shows."""
+"""The content of a figure."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the tests of the filter share: settings, states, measurements that fit or that do not."""
+"""Settings, states and measurements, consistent or not, for the tests of the filter."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -42,7 +42,7 @@ def vector_settings(
     normalise: bool = False,
     each_agent: bool = False,
 ) -> VectorSettings:
-    """What is made of vectors; by default they are used as they are, without a cross product."""
+    """The vectors' settings; by default measured vectors are used as they are, no cross product."""
     return VectorSettings(
         weights=None if weights is None else tuple(jnp.asarray(s, dtype) for s in weights),
         cross_weight=jnp.asarray(cross_weight or 0.0, dtype),
@@ -87,7 +87,7 @@ def settings(
     length: float | None = None,
     bias_bounds: tuple[float, float] | None = None,
 ) -> FilterSettings:
-    """The filter's settings; by default it takes measurements, and their weights, as they are."""
+    """The filter's settings; by default measurements and weights are used as they are."""
     return FilterSettings(
         law=law,
         gamma_law=gamma_law,
@@ -108,19 +108,19 @@ def settings(
 
 
 def prepared(m: Measurements) -> Sample:
-    """What the filter reads of measurements that it takes as they are."""
+    """The filter's input for measurements that are used as they are."""
     return prepare(m, vector_settings(m.time_step.dtype))
 
 
 def innovated(state: FilterState, sample: Sample) -> Innovation:
-    """U and L of a filter that takes measurements as they are."""
+    """U and L for measurements that are used as they are."""
     return innovation(state, sample, see(state, sample, settings(sample.time_step.dtype)))
 
 
 def observed(
     state: FilterState, sample: Sample, gain: Array, chosen: FilterSettings
 ) -> tuple[FilterState, Array]:
-    """One sample of the filter, all that is learnt at its full gain."""
+    """One step of the filter, with full gains of the bias laws."""
     return observe(state, sample, see(state, sample, chosen), Gains(gain), chosen)
 
 
@@ -140,14 +140,14 @@ jitted_state = jax.jit(initial_state, static_argnames="learnt_vectors")
 
 
 def prepared_for(m: Measurements, chosen: FilterSettings) -> Sample:
-    """What a filter of these settings reads of measurements."""
+    """The input of a filter with these settings."""
     return prepared_vectors(m, chosen.vectors)
 
 
 def state_of(
     T: np.ndarray, b: np.ndarray | None = None, dtype: Any = np.float64, learnt_vectors: int = 0
 ) -> FilterState:
-    """The filter's state of poses (..., 4, 4) and biases (..., 6), in NumPy and by SciPy."""
+    """The filter's state for poses (..., 4, 4) and biases (..., 6), by NumPy and SciPy."""
     b = np.zeros((*T.shape[:-2], 6)) if b is None else b
     rotation = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3))
     q = rotation.as_quat(canonical=True, scalar_first=True).reshape(*T.shape[:-2], 4)
@@ -181,7 +181,7 @@ def random_estimates(
 
 
 def with_vector_biases(state: FilterState, count: int, length: float = 0.3) -> FilterState:
-    """The same state, with some estimate of the biases of `count` vectors and of the turning."""
+    """The same state, with estimates of `count` vectors' biases and of the angular velocity."""
     rng = np.random.default_rng(9)
 
     def vec3(size: float) -> se3.Vec3:
@@ -221,7 +221,7 @@ def leaves_close(got: Any, want: Any, **tolerance: float) -> None:
 
 
 def random_samples(count: int, seed: int = 0) -> tuple[Measurements, Array, FilterState]:
-    """Inconsistent measurements of 3 vectors and 2 landmarks, and poses that fit none of them."""
+    """Inconsistent measurements of 3 vectors and 2 landmarks, and unrelated poses."""
     rng = np.random.default_rng(seed)
     m = as_arrays(random_measurements(rng, count, 3, 2), np.float64)
     T, _, state = random_estimates(rng, count)
@@ -229,7 +229,7 @@ def random_samples(count: int, seed: int = 0) -> tuple[Measurements, Array, Filt
 
 
 def fitting(T: np.ndarray, vectors: np.ndarray, landmarks: np.ndarray) -> Measurements:
-    """One sample without error, seen from T: unit weights, no velocity, 0.01 s (in NumPy)."""
+    """One exact sample at pose T: unit weights, no velocity, 0.01 s (in NumPy)."""
     R, P, zero = T[:3, :3], T[:3, 3], np.zeros(3)
     return Measurements(
         *(np.array(0.01), zero, zero),

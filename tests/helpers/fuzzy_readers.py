@@ -1,6 +1,6 @@
-"""Controllers for other fuzzy tools: which ones are tried, on which inputs, and what must come out.
+"""Controllers for other fuzzy tools: test cases, inputs and expected outputs.
 
-The readers themselves are other people's: Debian's `fuzzylite` (fis, fll), and from PyPI
+The readers are third-party programs: Debian's `fuzzylite` (fis, fll), and from PyPI
 pyfuzzylite before 8, which needs no NumPy (fll).
 """
 
@@ -29,7 +29,7 @@ VERTICAL = np.array(
         *(10.03, 20.13, 20.13, 40.0, 30.0, 45.17, 45.17, 60.0, 70.0, 90.0, 65.0),
     ]
 )
-"""Terms with vertical edges inside the universe, none on a sample of the output."""
+"""Terms with vertical edges inside the universe, but not at a sample of the output."""
 WIDE = (f"parameters.lower={[0.0] * 22}", f"parameters.upper={[1.0] * 11 + [100.0] * 11}", *GAPS)
 
 CASES = {"covering": (K, ()), "gaps": (DRAWN[0], GAPS), "vertical": (VERTICAL, WIDE)}
@@ -42,13 +42,13 @@ def controller(case: str) -> FuzzyController:
 
 
 def inputs(count: int = 150) -> np.ndarray:
-    """Errors and rates (n, 2) over all of [0, 1], more of them small; none on a term's corner."""
+    """Errors and rates (n, 2) in [0, 1], more of them small; none at a term's corner."""
     rng = np.random.default_rng(3)
     return rng.uniform(0.001, 0.999, (count, 2)) ** [[1.0, 2.0]]
 
 
 def heights(one: FuzzyController, given: np.ndarray) -> np.ndarray:
-    """Heights of the output terms (n, terms), by the reference."""
+    """Heights of the output terms (n, terms), from the reference."""
     terms, rules = np.asarray(one.input_terms), np.array(one.rules)
     return np.array([reference.firing_heights(e, r, terms, rules) for e, r in given])
 
@@ -67,7 +67,7 @@ def by_samples(
 
 
 def by_midpoints(one: FuzzyController, given: np.ndarray, parts: int) -> np.ndarray:
-    """Centroid by a sum over the middles of equal parts of the output's range, as fuzzylite's."""
+    """Centroid by a midpoint sum over the output's range, like fuzzylite's."""
     low, high = one.output_range
     return by_samples(one, given, low + (high - low) * (np.arange(parts) + 0.5) / parts)
 
@@ -85,7 +85,7 @@ def exact(one: FuzzyController, given: np.ndarray) -> np.ndarray:
 
 
 def with_fuzzylite(text: str, form: str, given: np.ndarray, folder: Path) -> np.ndarray:
-    """What Debian's fuzzylite reads in a text of this format, row by row."""
+    """The outputs of Debian's fuzzylite for a controller in this format, row by row."""
     source, rows, out = folder / f"gain.{form}", folder / "rows.fld", folder / "out.fld"
     source.write_text(text, encoding="utf-8")
     rows.write_text("\n".join(f"{e!r} {r!r}" for e, r in given.tolist()), encoding="utf-8")

@@ -1,6 +1,6 @@
-"""Configurations and API calls as a careless or hostile user might make them, by the thousand.
+"""Thousands of configurations and API calls as a careless or hostile user might make them.
 
-The tests judge some thousands of them at the validators and tune a few; the campaign of
+The tests validate some thousands of them and tune a few; the campaign of
 `benchmarks/faults.py` runs all that are accepted, most of them as whole tunes.
 """
 
@@ -26,7 +26,7 @@ HOSTILE: tuple[Any, ...] = (
     *([], {}, [[]], [1, 2], [1.0, 2.0, 3.0], [float("nan")] * 3, ["VL"] * 5, {"a": 1}, b"bytes"),
     *((0.0,) * 22, [0.0] * 22, [1.0] * 22, [[1, 0, 0], [0, 1, 0], [0, 0, 1]], object, 1j, {1, 2}),
 )
-"""What may stand where something else should."""
+"""Values that may replace any other."""
 
 WORDS = ("gradient", "printed", "measured", "pose", "exact", "sampled", "sum", "trapezoid", "hold")
 WORDS += ("midrange", "mean", "median", "worst", "cvar", "mean_std", "gsa", "random_search", "all")
@@ -35,7 +35,7 @@ WORDS += ("pso", "de", "rand/1/bin", "best/1/bin", "adam", "gsa+adam", "spacing"
 
 
 def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
-    """Every place in nested plain data, inner ones too."""
+    """Every path in nested plain data, also of inner containers."""
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         yield (*path, key)
@@ -44,7 +44,7 @@ def places(data: Any, path: tuple = ()) -> Iterator[tuple]:
 
 
 def changed(rng: np.random.Generator, value: Any) -> Any:
-    """A value in the place of another: near it, of its kind, or anything."""
+    """A replacement for a value: close to it, of the same kind, or anything."""
     kind = rng.integers(5)
     if kind == 0:
         return copy.deepcopy(HOSTILE[rng.integers(len(HOSTILE))])
@@ -63,7 +63,7 @@ def changed(rng: np.random.Generator, value: Any) -> Any:
 
 
 def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str, Any]:
-    """The plain data of an experiment with up to four things changed."""
+    """The plain data of an experiment with up to four changes."""
     data = base.model_dump(mode="json")
     for _ in range(rng.integers(1, 5)):
         every = list(places(data))
@@ -82,7 +82,7 @@ def configuration(rng: np.random.Generator, base: config.Experiment) -> dict[str
 
 
 def structure(task: TuningProblem) -> tuple[Any, ...]:
-    """What a search is compiled for: tasks in which it is equal run the same program."""
+    """The key of a compiled search: tasks with equal keys run the same program."""
     leaves, tree = jax.tree.flatten((task.training, task.space))
     return (
         tree,
@@ -93,10 +93,10 @@ def structure(task: TuningProblem) -> tuple[Any, ...]:
 
 
 def not_numbers(result: posegsa.Result) -> list[str]:
-    """What of a result is NaN and should not be.
+    """The fields of a result that are NaN but should not be.
 
-    NaN may stand where there is nothing to tell: for the mean cost of an iteration in which a cost
-    was not finite, and for what is measured of a run whose own cost is not finite.
+    NaN is allowed where a number is undefined: for the mean cost of an iteration in which a cost
+    was not finite, and for the metrics of a run whose own cost is not finite.
     """
     judged = result.on_scenarios
     assert judged is not None
@@ -127,7 +127,7 @@ def not_numbers(result: posegsa.Result) -> list[str]:
 
 
 def some_result() -> posegsa.Result:
-    """A result as far as its schedule and experiment go; it was never tuned."""
+    """A result with only a schedule and an experiment; it was never tuned."""
     experiment = tiny()
     parameters = np.mean([experiment.parameters.lower, experiment.parameters.upper], axis=0)
     controller = posegsa.parameter_space(experiment).controller(parameters)
@@ -136,10 +136,10 @@ def some_result() -> posegsa.Result:
 
 @cache
 def stream_filter() -> posegsa.PoseFilter:
-    """One filter for all that is tried on it; its gain needs no signal."""
+    """One filter for all calls; its gain needs no error signal."""
     return posegsa.PoseFilter(
         posegsa.Observer(
-            posegsa.ConstantGain(np.float32(5.0)),  # type: ignore[arg-type]  # NumPy's will do
+            posegsa.ConstantGain(np.float32(5.0)),  # type: ignore[arg-type]  # a NumPy array instead
             posegsa.filter_settings(tiny()),
         ),
         rotation=np.eye(3),
@@ -157,15 +157,15 @@ class Call(NamedTuple):
 
 
 def call(rng: np.random.Generator, result: posegsa.Result) -> Call:
-    """A call of a public function, some of whose arguments are not what they should be.
+    """A call of a public function with some wrong arguments.
 
-    None of them compiles anything when it is refused, and few do when it is not.
+    A refused call compiles nothing, and most accepted ones do not either.
     """
     key, folder = jax.random.key(0), Path(tempfile.gettempdir())
     experiment, controller = result.experiment, result.controller
 
     def any_of(*good: Any) -> Any:
-        """One of these, mostly; else anything."""
+        """Usually one of these, otherwise anything."""
         pool = good if rng.random() < 0.85 else HOSTILE
         return pool[rng.integers(len(pool))]
 
@@ -173,12 +173,12 @@ def call(rng: np.random.Generator, result: posegsa.Result) -> Call:
         return HOSTILE[rng.integers(len(HOSTILE))]
 
     def no_count() -> Any:
-        """What is no number of anything."""
+        """A value that is not a valid count."""
         bad = (0, 0.0, -1, -5, 10**12, "x", "2", 2.5, True, [2], float("nan"), {}, np.ones(2))
         return bad[rng.integers(len(bad))]
 
     def array(*shape: int) -> Any:
-        """An array of this shape, mostly."""
+        """Usually an array of this shape."""
         values = rng.normal(size=shape)
         match rng.integers(50):
             case 0:
@@ -296,7 +296,7 @@ def call(rng: np.random.Generator, result: posegsa.Result) -> Call:
         "override settings": lambda: config.override(experiment, hostile()),
         "to_toml": lambda: config.to_toml(any_of(experiment)),
         "tune": lambda: posegsa.tune(
-            # A class is no experiment, so that nothing is ever searched here.
+            # A class is not an experiment, so nothing is searched here.
             any_of(posegsa.Experiment, {}, 5),
             seed=any_of(None, 1),
             iterations=any_of(None, 1),

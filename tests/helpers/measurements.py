@@ -1,6 +1,6 @@
-"""Poses, measurements and truth: drawn at random, or of the paper's motion.
+"""Poses, measurements and truth: random, or of the paper's motion.
 
-The reference (`reference`) knows nothing of the package; what translates between them is here too.
+`reference` is independent of the package; the functions that translate between them are here.
 """
 
 from typing import NamedTuple
@@ -47,7 +47,7 @@ def random_measurements(
 ) -> Measurements:
     """Measurements that fit no pose, with uneven time steps, lengths and weights, in float64.
 
-    A share `missing` of vectors and landmarks has weight 0, and NaN for its value.
+    A share `missing` of the vectors and landmarks has weight 0 and is NaN.
     """
 
     def sightings(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,7 +65,7 @@ def random_measurements(
 
 
 class World(NamedTuple):
-    """One scenario for one noise key, in all the forms that a test may want."""
+    """One scenario for one noise key, in all forms that tests use."""
 
     truth: Truth
     measurements: Measurements
@@ -110,7 +110,7 @@ def reference_sample(measurements: Measurements, k: int) -> reference.Sample:
 
 
 def reference_samples(measurements: Measurements) -> list[reference.Sample]:
-    """The measurements, one record a sample."""
+    """The measurements, one record per sample."""
     m = jax.tree.map(np.asarray, measurements)
     return [reference_sample(m, k) for k in range(len(m.time_step))]
 
@@ -123,7 +123,7 @@ def pose_matrix(rotation: ArrayLike, position: ArrayLike) -> np.ndarray:
 
 
 def reference_start(c: config.ScenarioConfig) -> np.ndarray:
-    """T_est(0), the printed rotation projected in another way than the package does it: polar."""
+    """T_est(0); unlike the package, it projects the printed rotation by a polar decomposition."""
     rotation, _ = scipy.linalg.polar(np.array(c.initial_rotation_estimate))
     return pose_matrix(rotation, c.initial_position_estimate)
 
@@ -144,7 +144,7 @@ def motion(c: config.ScenarioConfig, time: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def reference_truth(c: config.ScenarioConfig, step: np.ndarray | None = None) -> np.ndarray:
-    """The true poses (N, 4, 4), at even time steps or those given (N,)."""
+    """The true poses (N, 4, 4), at even or given time steps (N,)."""
     step = np.full(c.samples, c.sampling_time) if step is None else step
     start = pose_matrix(c.initial_rotation, c.initial_position)
     return reference.integrate_truth(*motion(c, np.cumsum(step) - step), step, start)
@@ -158,13 +158,13 @@ def sensed(
     missing: float = 0.0,
     vector_bias: float = 0.0,
 ) -> tuple[np.ndarray, Measurements]:
-    """True poses (N, 4, 4) of the paper's motion and what other sensors say of it, by NumPy alone.
+    """True poses (N, 4, 4) of the paper's motion and measurements of other sensors, in NumPy.
 
     Args:
         step: (N,) time steps [s].
         vectors: (n, 3) of any length.
         landmarks: (m, 3) [m].
-        missing: share of vectors and landmarks that have weight 0, and NaN for their value.
+        missing: share of the vectors and landmarks that have weight 0 and are NaN.
         vector_bias: standard deviation of each component of the vectors' constant biases.
     """
     rng, N = np.random.default_rng(0), len(step)
@@ -190,7 +190,7 @@ def sensed(
 
 
 def tracked(measurements: Measurements, truth: np.ndarray, filter: Filter, dtype: str) -> Samples:
-    """What a simulation reads, of measurements and true poses (N, 4, 4)."""
+    """The input of a simulation, from measurements and true poses (N, 4, 4)."""
     rotation, position = (jnp.asarray(T, dtype) for T in (truth[:, :3, :3], truth[:, :3, 3]))
     return jax.jit(samples_of)(filter, as_arrays(measurements, dtype), rotation, position)
 

@@ -1,12 +1,12 @@
-"""What a message must tell: the field, the value, what is allowed; in whatever sentence."""
+"""Checks that a message states the field, the value and what is allowed, in any wording."""
 
 import re
 
 
 def assert_told(text: str, *facts: str) -> None:
-    """Check that a message has each of these names, numbers and words as a word of its own.
+    """Check that a message has each of these names, numbers and words as a separate word.
 
-    A bound of 1 is then not found in the value -1 or 0.1. Line breaks are as good as spaces.
+    A bound of 1 is then not found in the value -1 or 0.1. Line breaks count as spaces.
     """
     said = " ".join(text.split())
     for fact in facts:

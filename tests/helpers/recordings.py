@@ -1,4 +1,4 @@
-"""Short recorded motions, as the arrays that a recording is made of."""
+"""Short recorded motions as arrays."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -15,9 +15,9 @@ LANDMARKS = np.array([[3.0, 1.0, 2.0], [-2.0, 4.0, 1.0], [1.0, -3.0, 0.5]])
 
 
 def motion(samples: int = 400, **changes: Any) -> dict[str, Any]:
-    """Arguments of `from_arrays`: a body that rests for 1 s, then turns; without noise.
+    """Arguments of `from_arrays`: a body that rests for 1 s, then rotates; without noise.
 
-    The gyroscope's bias is 0.02 rad/s about x. `None` takes an argument away.
+    The gyroscope's bias is 0.02 rad/s about x. `None` removes an argument.
     """
     time = np.arange(samples) / RATE
     moving = np.clip(time - 1.0, 0.0, None)
@@ -44,7 +44,7 @@ def motion(samples: int = 400, **changes: Any) -> dict[str, Any]:
 
 
 def bench(samples: int = 200, **changes: Any) -> dict[str, Any]:
-    """`motion` with the sensors of the default scenario: both vectors, and one landmark."""
+    """`motion` with the sensors of the default scenario: two vectors and one landmark."""
     seen = motion(samples)["landmarks"][:, :1]
     return motion(samples, **{"landmarks": seen, "landmark_references": LANDMARKS[:1]} | changes)
 
@@ -57,12 +57,12 @@ def short_parts() -> Iterator[None]:
         yield
 
 
-# Of an inertial sensor ----------------------------------------------------------------------------
+# An inertial sensor -------------------------------------------------------------------------------
 
 FIELD = np.array([0.0, 20.0, -40.0])
-"""East, north, up [uT]."""
+"""Magnetic field: east, north, up [uT]."""
 BIAS = np.array([0.01, -0.02, 0.015])
-"""Of the gyroscope [rad/s]."""
+"""Bias of the gyroscope [rad/s]."""
 ENU_TO = {
     "ENU": np.eye(3),
     "NED": np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1.0]]),
@@ -80,11 +80,11 @@ def inertial_motion(
     frame: str = "ENU",
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Arguments of `posegsa.imu`: a body that rests, then turns about changing axes.
+    """Arguments of `posegsa.imu`: a body that rests, then rotates about changing axes.
 
-    The angular velocity at a sample is the mean since the one before, as gyroscopes that integrate
-    give it. `shaking` is the amplitude of a translation's acceleration [m/s^2] at 0.7 Hz, `noise` a
-    factor on the noise of all sensors.
+    The angular velocity at a sample is the mean since the previous one, as measured by integrating
+    gyroscopes. `shaking` is the amplitude of a translation's acceleration [m/s^2] at 0.7 Hz,
+    `noise` a factor on the noise of all sensors.
     """
     samples = round((rest + moving) * rate)
     time = np.arange(samples) / rate

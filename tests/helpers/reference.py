@@ -1,7 +1,7 @@
 """Independent NumPy float64 reference of the whole chain, the oracle of the test suite.
 
-Written from the paper's equations and the conventions below alone, with matrices and loops, for
-reading and not for speed; it shares no code with the package and must stay that way.  Equation
+Written only from the paper's equations and the conventions below, with matrices and loops, for
+readability, not speed; it shares no code with the package and must stay that way.  Equation
 numbers are the paper's.
 
 Conventions: inertial frame I, body frame B; T = [[R, P], [0, 1]] maps B to I, P is in
@@ -55,30 +55,30 @@ class Sample:
     p: Array  # (L, 3) known landmarks in I, m
     sL: Array  # (L,) landmark weights, 0: not measured
     vB: Array  # (n, 3) measured vectors in B, as measured (Eq. 2) or as used (`used_vectors`)
-    vI: Array  # (n, 3) known vectors in I, likewise
+    vI: Array  # (n, 3) known vectors in I, raw or as used
     sR: Array  # (n,) vector weights, 0: not measured
 
 
 @dataclass(frozen=True)
 class VectorBias:
-    """The numbers of the law by which the vectors' biases are learnt."""
+    """The numbers of the law that estimates the vectors' biases."""
 
     gain: float  # gamma_c, 1/s
-    leak: float  # rate at which an estimate is forgotten, 1/s
+    leak: float  # rate at which an estimate decays, 1/s
     bound: float  # largest length of an estimate, in the vector's unit
-    excitation: float  # w_0, angular velocity from which on all of the gain is used, rad/s
+    excitation: float  # w_0, angular velocity above which the full gain is used, rad/s
     excitation_time: float  # time constant of the low-pass filter of the angular velocity, s
     law: GammaLaw = "fixed"  # how gamma_c follows the gain
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What `run` records at each sample, before that sample's update."""
+    """The records of `run` at each sample, before that sample's update."""
 
     T_est: Array  # (N, 4, 4) pose estimate
     b_est: Array  # (N, 6) estimated velocity bias, rad/s and m/s
     c_est: Array  # (N, n, 3) estimated bias of each vector, in its unit
-    gain: Array  # (N,) K asked for, before any gain limit
+    gain: Array  # (N,) requested K, before any gain limit
     e: Array  # (N,) error signal, smoothed, neither scaled nor clipped
     rate: Array  # (N,) its change since the sample before, neither scaled nor clipped
     attitude_error: Array  # (N,) ||R_err||_I, in [0, 1]
@@ -130,7 +130,7 @@ def innovation(
 ) -> Array:
     """U (6,) of Eq. 9, in I: the sums over landmarks and over vectors, each halved.
 
-    y, p (L, 3), m; sL (L,); vB, vI (n, 3); sR (n,).  Entries of weight 0 are not looked at.
+    y, p (L, 3), m; sL (L,); vB, vI (n, 3); sR (n,).  Entries of weight 0 are ignored.
     """
     U = np.zeros(6)
     for i in np.flatnonzero(sL):
@@ -196,9 +196,9 @@ def learn_vector_biases(
 
     dc/dt = gamma_c (v^B - c - R_est^T v^I) - leak c, by one step of Euler's; gamma_c is multiplied
     by learning, by 1, K_used / 10 or its square, and by min(1, (|w| / w_0)^4), w the low-passed
-    measured angular velocity (backward Euler) less its estimated bias; the step is 1 at most. What
-    is missing stays. Where a bias is longer than the bound, by
-    a factor x, it is multiplied by max(0, (3 - x^2) / 2).
+    measured angular velocity (backward Euler) less its estimated bias; the step is 1 at most. The
+    biases of missing vectors do not change. A bias that is longer than the bound by a factor x is
+    multiplied by max(0, (3 - x^2) / 2).
     """
     dt, R = sample.dt, T_est[:3, :3]
     turning = (law.excitation_time * turning + dt * sample.omega) / (law.excitation_time + dt)
@@ -215,7 +215,7 @@ def learn_vector_biases(
 
 
 def within(b: Array, bound: float) -> Array:
-    """A bias that is x > 1 times as long as its bound, brought back by max(0, (3 - x^2) / 2)."""
+    """A bias, multiplied by max(0, (3 - x^2) / 2) if it is x > 1 times as long as its bound."""
     x = np.linalg.norm(b) / bound
     return b * max(0.0, (3 - x**2) / 2) if x > 1 else b
 
@@ -239,9 +239,9 @@ def filter_step(
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
     and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of
     omega, y the farthest landmark.  gain_limit is c of K_used = min(K, c / (dt/n L)).  bias_bounds
-    are the largest lengths of the biases of omega and v.  Each
-    of the n inner steps evaluates everything at its own start, the measurement held; the velocity
-    (Y_m - b_est) dt enters with the last one only.  The sample's vectors are those that are used.
+    are the largest lengths of the biases of omega and v.  Each of the n inner steps evaluates
+    everything at its own start, with the same measurement; the velocity (Y_m - b_est) dt enters
+    only with the last one.  The sample's vectors are those that are used.
     """
     s, h = sample, sample.dt / substeps
     measured = (s.y, s.p, s.sL, s.vB, s.vI, s.sR)
@@ -452,7 +452,7 @@ def run(
     time constant `smoothing` in s) that starts at its first value.  "pose": of true errors.
     gain_function(error, rate, last gain) -> K sees e / error_scale and |e_k - e_{k-1}| rate_scale,
     "per_second" over the time between the two, each clipped to [0, 1], the rate 0 at sample 0.  The
-    last gain is the K asked for at the sample before, 1 + (lower + upper) / 2 at sample 0.
+    last gain is the K requested at the sample before, 1 + (lower + upper) / 2 at sample 0.
     learning(time) is the factor on vector_bias' gain.  as_used goes to `used_sample`, step_options
     to `filter_step`.
     """

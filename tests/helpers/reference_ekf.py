@@ -1,6 +1,6 @@
-"""Independent NumPy float64 reference of the invariant Kalman filter, for reading, not for speed.
+"""Independent NumPy float64 reference of the invariant Kalman filter; readable, not fast.
 
-Matrix form: one update with everything that was measured, one inverse, Joseph's form. It shares no
+Matrix form: one update with all measurements, one inverse, Joseph's form. It shares no
 code with the package and must stay that way. Conventions as in `reference`; the error is
 left-invariant, T = T_est exp(xi^), and the states are [xi; b; c_1; ...], rotation first.
 """
@@ -42,7 +42,7 @@ def start(T: Array, b: Array, learnt: int, noise: Noise) -> State:
 
 
 def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Array, Array]:
-    """All that was measured: H, measured and expected values, covariance of the noise.
+    """All measurements: H, measured and expected values, covariance of the noise.
 
     Measurements of weight 0 are left out.
     """
@@ -68,7 +68,7 @@ def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Arr
 
 
 def update(state: State, s: Sample, noise: Noise) -> State:
-    """After all measurements of a sample."""
+    """The state after all measurements of a sample."""
     H, measured, expected, N = linearised(state, s, noise)
     if not len(H):
         return state
@@ -84,7 +84,7 @@ def update(state: State, s: Sample, noise: Noise) -> State:
 
 
 def propagate(state: State, s: Sample, noise: Noise) -> State:
-    """At the next sample."""
+    """The state at the next sample."""
     u = (np.concatenate([s.omega, s.v]) - state.b) * s.dt
     A = adjoint(se3_exp(-u))
     F = np.eye(len(state.Sigma))
@@ -97,7 +97,7 @@ def propagate(state: State, s: Sample, noise: Noise) -> State:
 
 
 def run(samples: list[Sample], state: State, noise: Noise) -> list[State]:
-    """States before each sample, and after the last."""
+    """The states before each sample and after the last."""
     states = [state]
     for sample in samples:
         states.append(propagate(update(states[-1], sample, noise), sample, noise))

@@ -1,4 +1,4 @@
-"""Results of a tune that never was: random numbers, and a search's own words made up."""
+"""Made-up results of a tune, with random numbers."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ TIME = np.linspace(0, 15, 61)
 
 
 def description(kind: Kind, evaluations: int = 960, **numbers) -> Description:
-    """A filter by its own numbers, each a number or several."""
+    """A filter described by its numbers, each a scalar or a list."""
     listed = {name: np.ravel(np.float64(value)).tolist() for name, value in numbers.items()}
     return Description(kind, listed, {}, evaluations)
 
@@ -128,7 +128,7 @@ def trajectory(samples=301, **values):
     return Trajectory(**{**drawn, "time": 0.01 * np.arange(samples), **values})
 
 
-# In order and without gaps, so that the repairs leave them as they are.
+# In order and without gaps, so that the repairs do not change them.
 PARAMETERS = np.array(
     [
         *(0.1, 0.05, 0.1, 0.2, 0.15, 0.2, 0.3, 0.2, 0.4, 0.8, 0.6),
@@ -174,11 +174,11 @@ def result(*settings: str, **values) -> Result:
 
 
 def consistent(samples: int = 61, **values) -> Result:
-    """A result whose parts fit together as those of a tuned one do: it can be saved and loaded.
+    """A result with consistent parts, so that it can be saved and loaded.
 
     Args:
-        samples: Of its trajectory and error bands, up to 61; with fewer there are 3 scenarios.
-        values: Fields that are to be something else.
+        samples: Number of samples of trajectory and error bands, up to 61; 3 scenarios if fewer.
+        values: Fields with other values.
     """
     given = evaluation(initial_angle=ANGLES)
     scenarios = 40 if samples == len(TIME) else 3

@@ -1,4 +1,4 @@
-"""Tuned schedules without a search: what the tests of exports and of streams take."""
+"""Tuned schedules without a search, for the tests of exports and streams."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ COUNT = 10_000
 
 
 def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **values: Any) -> Result:
-    """A result with this vector k; what a search would say of itself is made up."""
+    """A result with this vector k; the data about the search are made up."""
     experiment = paper(*settings, dtype=dtype)
     with jax.enable_x64(dtype == "float64"):
         space = posegsa.parameter_space(experiment)
@@ -45,14 +45,14 @@ def tuned(k: np.ndarray, *settings: str, dtype: str = "float32", **values: Any) 
 
 
 K, *DRAWN = search_vectors(1, seed=5)[0], *search_vectors(4)
-"""A vector with nothing special about it, and others; DRAWN[0], [1] and [3] leave gaps if let."""
+"""An ordinary vector and others; without repair, DRAWN[0], [1] and [3] have gaps."""
 GAPS = ("fuzzy.coverage=false",)
 MIDRANGE = (*GAPS, "fuzzy.no_rule=midrange")
 SAMPLED = ("fuzzy.centroid=sampled",)
 
 
 def inputs() -> np.ndarray:
-    """Errors, rates and last gains (3, COUNT): over all of [0, 1] and beyond, and often small."""
+    """Errors, rates and last gains (3, COUNT): the first two in and beyond [0, 1], often small."""
     rng = np.random.default_rng(0)
     error, rate = rng.uniform(-0.1, 1.1, (2, COUNT))
     error[::2], rate[::2] = error[::2] ** 2, np.abs(rate[::2]) ** 3
@@ -60,10 +60,10 @@ def inputs() -> np.ndarray:
 
 
 def evaluated(controller: FuzzyController, given: np.ndarray) -> np.ndarray:
-    """Gains of (error, rate, last gain) (3, n) or (error, rate) (2, n), at one shape for all n.
+    """Gains for (error, rate, last gain) (3, n) or (error, rate) (2, n), at one shape for all n.
 
-    Operation by operation: where the area of the fired terms is 0, what a compiler makes of a
-    multiplication and an addition decides between two gains.
+    Not jitted: where the area of the fired terms is 0, fusing a multiplication with an addition
+    decides between two gains.
     """
     padded = np.resize(given.T, (COUNT, len(given))).T
     with jax.disable_jit():

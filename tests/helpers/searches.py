@@ -1,4 +1,4 @@
-"""Objectives and an optimiser whose every position is known."""
+"""Objectives, and an optimiser with known positions."""
 
 from typing import Any, NamedTuple
 
@@ -17,15 +17,15 @@ def sphere(x: Array) -> Array:
 
 
 AGENTS, ITERATIONS = 6, 40
-"""The searches of `steered` in all files are of one size, so that each is compiled once."""
+"""All files use the same size for searches of `steered`, so that each is compiled once."""
 
 
 def steered(x: Array) -> Array:
-    """An objective in three dimensions: the box fixes the last, whose value chooses it.
+    """An objective in three dimensions: the box fixes the last, whose value selects the cost.
 
-    - Over 1e6: nothing finite.
-    - Between -1 and 0: how far the second is from 0.1, and the last from -1/3.
-    - Else: the sum of squares of the first two, and the last.
+    - Above 1e6: no cost is finite.
+    - Between -1 and 0: the distance of the second from 0.1, and of the last from -1/3.
+    - Otherwise: the sum of squares of the first two, and the last.
     """
     last = x[:, 2]
     cost = jnp.sum(x[:, :2] ** 2, axis=1) + last
@@ -35,7 +35,7 @@ def steered(x: Array) -> Array:
 
 
 class FixedState(NamedTuple):
-    """The positions that `Fixed` asks for and what it was told of them."""
+    """The positions of `Fixed` and the costs it was told."""
 
     position: Array
     told: Array

@@ -1,4 +1,4 @@
-"""What can't be used is refused by its name, wherever it comes in."""
+"""Unusable input is refused, and the error names it."""
 
 import re
 from dataclasses import replace
@@ -27,11 +27,11 @@ def result():
     return some_result()
 
 
-# By the thousand ----------------------------------------------------------------------------------
+# Thousands of generated inputs --------------------------------------------------------------------
 
 
 def test_generated_configurations_are_accepted_or_refused_by_name():
-    """Accepted ones run, by the hundred: `benchmarks/faults.py`, and a few in `test_tuning.py`."""
+    """`benchmarks/faults.py` runs hundreds of accepted ones, `test_tuning.py` a few."""
     rng, base = np.random.default_rng(0), tiny()
     accepted, unnamed = 0, []
     for _ in range(1500):
@@ -57,7 +57,7 @@ def test_generated_calls_are_answered_or_refused(result):
     for _ in range(450):
         made = call(rng, result)
         try:
-            with np.errstate(over="ignore"):  # what float32 can't hold is infinite
+            with np.errstate(over="ignore"):  # infinite, because float32 overflows
                 made.make()
         except PosegsaError:
             refused[made.name] = refused.get(made.name, 0) + 1
@@ -65,7 +65,7 @@ def test_generated_calls_are_answered_or_refused(result):
 
 
 def test_configurations_hold_no_paths():
-    """Every text in a configuration is one of a few words: none can lead out of a run's folder."""
+    """Every text in a configuration is one of a few words, so none is a path out of the folder."""
 
     def texts(schema, root):
         for node in schema.values() if isinstance(schema, dict) else schema:
@@ -77,7 +77,7 @@ def test_configurations_hold_no_paths():
                 yield from texts([n for n in node if isinstance(n, dict)], root)
 
     schema = config.Experiment.model_json_schema()
-    # Of what is tuned too, a key is refused unless it is that of a number (`test_tunable`).
+    # A key in parameters.also is refused unless it names a number (`test_tunable`).
     found = [node for node in texts(schema, schema) if node.get("title") != "Key"]
     assert len(found) >= 10
     words = r"^[A-Za-z0-9_]+$"
@@ -92,7 +92,7 @@ NO_VECTORS = VectorSettings()
 
 
 def measured() -> posegsa.Measurements:
-    """Two samples of the velocities alone."""
+    """Two samples with velocities only."""
     still = np.zeros((2, 3))
     return posegsa.Measurements.from_arrays(time_step=0.1, angular_velocity=still, velocity=still)
 

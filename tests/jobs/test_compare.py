@@ -33,13 +33,13 @@ SPHERE = ClassicalFunction("sphere", 2)
 
 
 def repeat(cost: float, held_out: float | None = None) -> Repeat:
-    """A search that got to its cost half-way."""
+    """A search that reached its final cost half-way."""
     best = [4 * cost, 2 * cost, cost, cost]
     return Repeat(cost, held_out, [0.0], 2.0, 0.1, 0, [10, 20, 30, 40], best, [0.5, 1, 1.5, 2.0])
 
 
 def made(**costs: list[float]) -> OptimiserComparison:
-    """A comparison with these final costs; held out, each costs 1 more."""
+    """A comparison with these final costs; held-out costs are higher by 1."""
     repeats = {name: [repeat(c, c + 1) for c in each] for name, each in costs.items()}
     return OptimiserComparison("something", 40, {"a": 1}, repeats)
 
@@ -68,10 +68,10 @@ def test_levels_evaluations_and_seconds() -> None:
     comparison = made(a=A, b=B)
     assert comparison.levels() == [4.5, 3.5]
     evaluations, seconds, share = comparison.reached("a", 4.0)
-    # Costs fall to 4, 2 and once the final cost: 10, 20, 30, 30 and twice never.
+    # Evaluations until a cost of 4: 10, 20, 30, 30, and never in two repeats.
     assert (evaluations, seconds, share) == (30, 1.5, pytest.approx(4 / 6))
     assert comparison.reached("a", 0.5) == (np.inf, np.inf, 0)
-    # Half of them is enough, and costs are kept rounded: each gets to its own median.
+    # Half of them is enough, and stored costs are rounded: each optimiser reaches its own median.
     assert comparison.reached("a", 3.0)[0::2] == (30, 0.5)
     assert comparison.reached("a", 3.0 - 1e-8)[2] == 0.5
     assert comparison.reached("a", 3.0 - 1e-4)[2] < 0.5
@@ -104,7 +104,7 @@ def test_infinite_costs_rank_last_and_survive_the_file() -> None:
 def test_a_gradients_time_is_told_in_evaluations() -> None:
     comparison = made(a=A, g=B)
     comparison.gradients["g"] = Gradients(price=5, begin=20)
-    # 4 gradients, from 20 to 40 evaluations, in the second half of 2 s; an evaluation: 2 s / 40.
+    # 4 gradients between evaluations 20 and 40, in the second half of 2 s; one takes 2 s / 40.
     assert comparison.gradient_seconds("g") == pytest.approx(0.25)
     assert_told(comparison.table(), "counts as 5 evaluations", "250 ms")
 
@@ -123,7 +123,7 @@ def test_the_figure_shows_median_and_quartiles() -> None:
 
 @pytest.fixture(scope="module")
 def on_sphere(tmp_path_factory: pytest.TempPathFactory):
-    """Two optimisers on the sphere, their folder and what was told."""
+    """A comparison of two optimisers on the sphere, its folder and its progress."""
     folder, told = tmp_path_factory.mktemp("compare") / "out", []
     comparison = posegsa.compare(
         tiny(),
@@ -266,7 +266,7 @@ def test_a_full_disk_leaves_the_comparison_as_it_was(on_sphere, monkeypatch, tmp
 
 @pytest.fixture(scope="module")
 def on_filter(tmp_path_factory: pytest.TempPathFactory):
-    """One search of the filter and its folder."""
+    """A comparison with one search of the filter, and its folder."""
     folder = tmp_path_factory.mktemp("compare") / "out"
     same = {"optimisers": ["gsa"], "evaluations": 24, "out": folder}
     with warnings.catch_warnings():
@@ -276,7 +276,7 @@ def on_filter(tmp_path_factory: pytest.TempPathFactory):
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_what_cannot_change_a_result_may_differ(on_filter) -> None:
-    """How often checkpoints are made is not among a comparison's settings."""
+    """A comparison accepts a folder whose checkpoint settings differ."""
     one, same = on_filter
     more = posegsa.compare(tiny("checkpoint.iterations=7"), repeats=2, **same)
     assert more.repeats["gsa"][:1] == one.repeats["gsa"]

@@ -44,7 +44,7 @@ TINY = {
     "parameters": {"also": [GAMMA, SCALE]},
     "search": {"optimiser": "de", "agents": 8, "iterations": 3},
 }
-"""As in `test_tune_recordings`, whose constant gain is a baseline here, but for the scale."""
+"""As in `test_tune_recordings`, but scaled; the constant gain there is a baseline here."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def recordings() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def result(recordings: list[Recording]) -> Result:
-    """A smooth gain from the middle of its box: how good it is, is nothing to these tests."""
+    """A smooth gain from the middle of its box; its quality does not matter here."""
     problem = recorded_problem(config.from_dict(TINY), recordings[:1], 100.0)
     began = first_search(problem)
     history = jax.tree.map(jnp.zeros_like, began.history)
@@ -95,9 +95,9 @@ def test_other_filters_stand_beside_it_on_the_same_recordings(
         assert score.name == "bench"
         assert score.errors["judged"].samples == 200
     (ekf,) = judged.baselines[EKF]
-    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # it has a position
+    assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # there is a position
     assert f"{EKF}, held out" in judged.table()
-    # The filter's estimates are judged, not those of another recording or part.
+    # The judged estimates are those of this recording and this part.
     kalman = kalman_experiment(result.experiment, vector_biases=False)
     found = tune_kalman(recorded_problem(kalman, recordings[:1], 100.0, strict=False))
     estimates = kalman_estimates(found, result.experiment, recordings[1])
@@ -132,7 +132,7 @@ NOISES = Description(
 
 @pytest.fixture
 def noises(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Instead of those of a Kalman filter's search on scenarios, which `test_evaluate` makes."""
+    """Replaces the Kalman filter's search on scenarios, which `test_evaluate` runs."""
 
     def tune_kalman(problem: TuningProblem) -> Description:
         assert problem.experiment.filter.kind == "kalman"
@@ -170,7 +170,7 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
         assert judged.baselines[EKF][i].errors == again
     assert_told(result.summary(), "on 3 training scenarios", f"{CONSTANT}, held out")
     assert "No recording was held out" not in result.summary()
-    # What the run has been judged beside before is not searched again.
+    # Baselines that the run already has are not searched again.
     other = NOISES._replace(also=NOISES.also | {"filter.landmark": 0.3})
     known = contenders[CONSTANT]._replace(filter=other)
     wider = replace(run.on_scenarios.evaluation, contenders=contenders | {EKF: known})

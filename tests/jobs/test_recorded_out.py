@@ -1,4 +1,4 @@
-"""A result on recordings out of Python: streamed, exported, saved; the same filter everywhere."""
+"""A result on recordings, streamed, exported and saved: the same filter everywhere."""
 
 import dataclasses
 import json
@@ -39,7 +39,7 @@ N = 150
 
 
 def seen(**changes: Any) -> Recording:
-    """Noisy vectors, one of them slow; slow landmarks, of weights of their own."""
+    """A recording with noisy vectors, one of them slow, and slow landmarks with other weights."""
     given = motion(N, **changes)
     rng = np.random.default_rng(0)
     given["phases"] = {}
@@ -67,15 +67,15 @@ def fuzzy(recording: Recording) -> Result:
 
 @pytest.fixture(scope="module")
 def attitude() -> tuple[Result, Recording]:
-    """One of the attitude alone, with a gain that is no controller's."""
+    """A result for attitude only, with a gain that is not a controller's."""
     given = seen(velocity=None, landmarks=None, landmark_references=None, truth_position=None)
     with jax.enable_x64(True):
-        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]  # NumPy scalars will do for arrays
+        gain = SmoothGain(*(np.float64(a) for a in (2.0, 20.0, 0.1)))  # type: ignore[arg-type]  # NumPy scalars instead of arrays
         return posegsa.configured(CHOSEN, schedule=gain, recordings=[given]), given
 
 
 def streamed(result: Result, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """R_est and P_est at each sample, of a filter that is told what was seen, and nothing more."""
+    """R_est and P_est at each sample, of a filter that gets only the measurements."""
     start, m = recording.initial(), recording.measurements
     found = posegsa.PoseFilter(
         result, rotation=start.rotation, position=start.position, bias=start.bias
@@ -116,7 +116,7 @@ def test_a_stream_is_the_estimate(
 
 
 def rows_of(recording: Recording) -> np.ndarray:
-    """(N, numbers) as C takes them: weights of 1 and 0."""
+    """Measurements (N, numbers) as the C filter takes them: weights of 1 and 0."""
     m = {name: np.asarray(a) for name, a in recording.measurements._asdict().items()}
     columns = [m["time_step"][:, None], m["angular_velocity"]]
     if not recording.attitude_only:
@@ -191,19 +191,19 @@ def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
     known = np.array(attitude[0].known_sensors.vectors)
     found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
     assert found.observable
-    for _ in range(2):  # of two seconds, in which one vector is seen
+    for _ in range(2):  # of two seconds, in which one vector is measured
         found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
     assert_told(found.why_unobservable, "1 vector")
 
 
 def test_the_controller_is_made_once(fuzzy: Result) -> None:
-    """As that of a result on scenarios: a loop may ask for it at each sample."""
+    """As for a result on scenarios: a loop may read this property at each sample."""
     assert fuzzy.controller is fuzzy.controller
     assert fuzzy.schedule is fuzzy.candidate.schedule
 
 
 def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Result) -> None:
-    """Also that constant gains do better where both were judged, if they do so in all."""
+    """It also says so if constant gains are better on all judged recordings."""
     assert fuzzy.on_recordings is not None
     (score,) = fuzzy.on_recordings.held_out
     found = score.errors["judged"]

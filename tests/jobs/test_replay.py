@@ -1,4 +1,4 @@
-"""`posegsa replay`: a tuned filter on recordings, its table, trajectories and figures."""
+"""`posegsa replay`: a tuned filter on recordings, with table, trajectories and figures."""
 
 import json
 import re
@@ -90,11 +90,11 @@ def test_the_command_writes_what_it_found(
     folder = out / "bench_0.5_1.5"
     assert {path.name for path in folder.iterdir()} == {
         "attitude_errors.png",
-        "position.png",  # and no gain, which is one number all the time
+        "position.png",  # no figure of the gain, which is constant
         "estimated.tum",
         "true.tum",
     }
-    # The trajectories are those of the table.
+    # The trajectories agree with the table.
     true, estimated = (np.loadtxt(folder / name)[:, 1:4] for name in ("true.tum", "estimated.tum"))
     rmse = posegsa.rmse(posegsa.position_errors(estimated, true))
     assert rmse == pytest.approx(data["rmse"]["judged"]["position"], rel=1e-6)
@@ -167,7 +167,7 @@ def test_figures_can_be_read(result: Result, recording: Recording) -> None:
     low, high = figure.axes[1].get_ylim()
     assert 0.1 < low < 0.2
     assert high > 50
-    # A gain that never changes is no figure, and one that is limited where something is seen is.
+    # A constant gain has no figure, unless it is limited at samples with measurements.
     gains = found.estimates._replace(gain=np.full(200, 8.0), gain_used=np.full(200, 8.0))
     assert "gain" not in draw_replay(found._replace(estimates=gains))
     weights = recording.measurements

@@ -1,4 +1,4 @@
-"""The filter for streams: sample by sample it gives what the whole sequence gives at once."""
+"""The filter for streams: its estimates are those of the whole sequence at once."""
 
 import dataclasses
 import math
@@ -24,9 +24,9 @@ START = {"rotation": np.diag([1.0, -1.0, -1.0]), "position": np.array([0.5, -1.0
 
 
 def stream(result: posegsa.Result, seed: int = 0) -> tuple[np.ndarray, dict[str, Any], dict]:
-    """Time steps (N,), samples by argument of `update`, and references; a third of it is missing.
+    """Time steps (N,), samples by argument of `update`, and references; a third is missing.
 
-    No angular velocity or velocity is missing, as `Measurements` has no room for that.
+    No velocity is missing, because `Measurements` does not allow this.
     """
     rng, scenario = np.random.default_rng(seed), result.experiment.scenario
     references = {
@@ -37,7 +37,7 @@ def stream(result: posegsa.Result, seed: int = 0) -> tuple[np.ndarray, dict[str,
         known + 0.3 * rng.normal(size=(N, *known.shape)) for known in references.values()
     )
     vectors[rng.uniform(size=vectors.shape[:2]) < 0.3] = np.nan
-    vectors[3, 1, 2] = np.nan  # in part
+    vectors[3, 1, 2] = np.nan  # partly missing
     landmarks[rng.uniform(size=landmarks.shape[:2]) < 0.3] = np.nan
     omega, v = rng.normal(size=(2, N, 3))
     samples = {"angular_velocity": omega, "velocity": v, "vectors": vectors, "landmarks": landmarks}
@@ -45,7 +45,7 @@ def stream(result: posegsa.Result, seed: int = 0) -> tuple[np.ndarray, dict[str,
 
 
 def fed(pose_filter: posegsa.PoseFilter, steps: np.ndarray, samples: dict, span=None) -> list:
-    """The poses after each of these samples."""
+    """The pose after each of these samples."""
     chosen = range(*(span or slice(None)).indices(N))
     return [
         pose_filter.update(time_step=steps[k], **{name: a[k] for name, a in samples.items()})
@@ -55,7 +55,7 @@ def fed(pose_filter: posegsa.PoseFilter, steps: np.ndarray, samples: dict, span=
 
 @pytest.fixture(scope="module")
 def result() -> posegsa.Result:
-    """In float64, with the vectors' biases learnt."""
+    """A filter in float64 that estimates the vectors' biases."""
     return tuned(K, *LEARNT, dtype="float64")
 
 
@@ -68,7 +68,7 @@ def at_once(steps, samples, references, dtype) -> posegsa.Measurements:
     return posegsa.Measurements.from_arrays(time_step=steps, **samples, **references, dtype=dtype)
 
 
-# What it computes ---------------------------------------------------------------------------------
+# Results ------------------------------------------------------------------------------------------
 
 
 def test_it_gives_what_a_whole_sequence_gives_at_once(result, pose_filter):
@@ -112,7 +112,7 @@ def test_a_schedule_over_time_by_hand(result):
     with jax.enable_x64(True):
         settings = posegsa.filter_settings(result.experiment)
         signal = posegsa.signal_settings(result.experiment.gain, "float64")
-        # The gain falls, and learning begins, in the middle between two samples.
+        # The gain switches, and bias estimation starts, between two samples.
         schedule = SwitchGain(*jnp.asarray([30.0, 4.0, steps[:19].sum() + 0.002, 0.1]))
         observer = posegsa.Observer(schedule, settings, signal)
         run = at_once(steps, samples, references, "float64"), posegsa.initial_state(**START)
@@ -181,7 +181,7 @@ def test_the_state_is_a_start_for_a_whole_sequence(result, pose_filter):
         np.testing.assert_array_equal(state.bias, pose_filter.bias)
 
 
-# What is missing ----------------------------------------------------------------------------------
+# Missing measurements -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -257,7 +257,7 @@ def test_it_says_whether_what_was_seen_lately_fixes_the_pose(result):
     pose_filter.update(**still, vectors=seen)
     assert "found 2 vectors and no landmarks" in pose_filter.why_unobservable
     pose_filter.update(**still, vectors=[seen[0], None], landmarks=[[1.0, 0, 0]])
-    # Both vectors within 0.1 s, though not at one time.
+    # Both vectors within 0.1 s, but not in the same sample.
     assert pose_filter.observable is True
     assert pose_filter.why_unobservable == ""
     pose_filter.update(**still, landmarks=[[1.0, 0, 0]])
@@ -283,17 +283,17 @@ def test_a_sensor_without_weight_fixes_nothing(result):
         angular_velocity=np.zeros(3),
         velocity=np.zeros(3),
         vectors=np.eye(3)[:2],
-        vector_weights=1.0,  # of this sample, instead
+        vector_weights=1.0,  # instead, the reason is this sample
     )
     assert pose_filter.observable
 
 
-# Going back and going on --------------------------------------------------------------------------
+# Checkpoints --------------------------------------------------------------------------------------
 
 
 def test_a_checkpoint_goes_on_to_the_same_bits(result, tmp_path):
     steps, samples, _ = stream(result)
-    samples["angular_velocity"][21] = np.nan  # held over the checkpoint
+    samples["angular_velocity"][21] = np.nan  # kept across the checkpoint
     one, other = (posegsa.PoseFilter(result, **START) for _ in range(2))
     fed(one, steps, samples, slice(21))
     with (tmp_path / "filter.npz").open("wb") as file:
@@ -364,7 +364,7 @@ def test_a_checkpoint_of_something_else_is_refused(pose_filter, change, message)
         pose_filter.restore(checkpoint)
 
 
-# What is refused ----------------------------------------------------------------------------------
+# Refusals -----------------------------------------------------------------------------------------
 
 
 def test_a_result_tuned_on_true_errors_is_refused():
@@ -454,7 +454,7 @@ def test_a_bad_sample_is_refused_and_changes_nothing(pose_filter, change, messag
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Spoilt:
-    """An observer whose estimate is multiplied by factors, as a faulty program might do."""
+    """An observer whose estimate is multiplied by factors, as by a faulty program."""
 
     observer: posegsa.Observer
     attitude: float = 1.0
@@ -502,7 +502,7 @@ def test_a_state_that_is_no_floating_number_is_refused():
     ],
 )
 def test_what_is_no_estimate_is_refused(factor, message):
-    """Whatever a program makes of a sample: XLA's sine of 1e18 rad may be of any size."""
+    """An absurd result of a step is refused too: XLA's sine of 1e18 rad may be of any size."""
     observer = posegsa.Observer(posegsa.ConstantGain(jnp.float32(5.0)))
     pose_filter = posegsa.PoseFilter(Spoilt(observer, **factor), **START)
     with pytest.raises(MeasurementError, match=message):

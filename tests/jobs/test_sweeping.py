@@ -1,4 +1,4 @@
-"""A sweep: the runs are those of `tune`, none is made twice, and parts come to the whole."""
+"""A sweep: its runs are those of `tune`, none is made twice, and the parts add up to the whole."""
 
 import csv
 import json
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[Path, Sweep]:
-    """Two values with two seeds each, in two batches, and their folder."""
+    """A sweep of two values with two seeds each, in two batches, and its folder."""
     folder = tmp_path_factory.mktemp("sweep") / "whole"
     found = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, seeds=2, together=3, out=folder)
     return folder, found
@@ -32,7 +32,7 @@ def whole(tmp_path_factory) -> tuple[Path, Sweep]:
 
 @pytest.fixture
 def searched(monkeypatch) -> list[int]:
-    """The sizes of the batches that are searched."""
+    """The sizes of the searched batches."""
     sizes: list[int] = []
     search = sweeping.search_batch
 
@@ -88,8 +88,8 @@ def test_a_run_that_is_done_is_not_made_again(whole, searched, tmp_path):
     shutil.copytree(whole[0], folder)
     again = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, seeds=2, out=folder)
     assert (again, searched) == (found, [])
-    # More values and seeds come to those that are there; the last batch is filled up, so that it is
-    # of the program of the one before.
+    # More values and seeds are added to the sweep; the last batch is filled up, so that it runs the
+    # same program as the one before.
     asked = {"vary": {GAMMA: [GAMMAS[0], [1.0, 2.0]]}, "seeds": [1, 4], "together": 2}
     more = posegsa.sweep(tiny(), **asked, out=folder)
     assert searched == [2, 2]
@@ -115,7 +115,7 @@ def test_stopped_it_goes_on(whole, searched, tmp_path):
 
 
 def test_runs_of_long_iterations_are_searched_one_by_one(whole, searched, monkeypatch):
-    """Each is then kept as soon as it is done; the bits are those of a batch."""
+    """Each search is then saved as soon as it is done; its bits are those of a batch."""
     _, found = whole
     monkeypatch.setattr(sweeping, "BATCH_SAMPLES", 1)
     again = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS[:1]}, seeds=2)
@@ -176,7 +176,7 @@ def test_what_cannot_be_swept_is_refused_before_a_search(given, error, said):
 
 @pytest.fixture
 def unsearched(monkeypatch) -> list[int]:
-    """The sizes of the batches, of which each search ends where it begins."""
+    """The sizes of the batches; their searches end at once."""
     sizes: list[int] = []
 
     def begun(problems, _):
@@ -205,7 +205,7 @@ def test_a_rule_table_that_is_searched_stands_in_its_run(whole, monkeypatch):
     def one_by_one(problems, told):
         return [run_search(problem, told) for problem in problems]
 
-    monkeypatch.setattr(sweeping, "search_batch", one_by_one)  # by the program of `tune`
+    monkeypatch.setattr(sweeping, "search_batch", one_by_one)  # with the program of `tune`
     searched, given = (
         posegsa.sweep(tiny(), vary={"fuzzy.rules": ["searched"]}).runs[0],
         whole[1].runs[0],

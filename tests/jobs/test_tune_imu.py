@@ -1,4 +1,4 @@
-"""`tune_imu`: numbers of [vectors] and [observer] found on recordings of inertial sensors."""
+"""`tune_imu`: tuning of [vectors] and [observer] on recordings of inertial sensors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ TINY = [
 
 
 def shaken(seed: int, **changes: Any) -> Recording:
-    """A body whose acceleration is that of a motion, too, and whose gyroscope is biased."""
+    """A body that accelerates and whose gyroscope has a bias."""
     given = motion(**changes)
     rng = np.random.default_rng(seed)
     R, time = given["truth_rotation"], np.arange(400) / 100
@@ -67,7 +67,7 @@ def test_the_numbers_that_are_named_are_found(
     assert set(result.tuned) == {"vectors.low_pass"}
     assert 0.05 <= result.config.vectors.low_pass < 5.0
     assert result.config.observer == poor.observer
-    # What is said of it is so: on the recordings it was tuned on, and on the one it was not.
+    # The stated errors are right, on training and on held-out recordings.
     for one, scored in zip(recordings, (*result.training, *result.held_out), strict=True):
         made = posegsa.as_imu(one, settings=result.config.vectors)
         found = posegsa.recording_errors(posegsa.run_imu(made, result.config), made).rmse()
@@ -82,7 +82,7 @@ def test_the_numbers_that_are_named_are_found(
     swapped = {"held_out": result.held_out_before, "held_out_before": result.held_out}
     assert "worse" in replace(result, **swapped).summary()
     assert "vectors.low_pass" in result.summary()
-    # The file is the filter.
+    # The file holds the same filter.
     assert config.load_imu(out / "imu.toml") == result.config
     assert result.summary() in (out / "imu.txt").read_text()
     with pytest.raises(RunFolderError, match="already"):

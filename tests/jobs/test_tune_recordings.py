@@ -1,4 +1,4 @@
-"""`tune` on recordings: what it finds, says, saves, and what it refuses."""
+"""`tune` on recordings: its result, output, files and refusals."""
 
 import json
 import re
@@ -166,7 +166,7 @@ def test_the_command_tunes_on_files(
     assert "velocity: synthetic: R^T v" in said
     assert "held out" in said
     assert "Written to" in said
-    # What it tells to type next is what it takes to judge the run beside others.
+    # The command that it prints compares the run with other filters.
     (shown,) = re.findall(r"  posegsa (evaluate .*)", said)
     options = parser().parse_args(shlex.split(shown))
     assert options.run == str(tmp_path / "run")
@@ -271,7 +271,7 @@ def test_a_scenario_run_is_not_resumed_with_recordings(tmp_path: Path) -> None:
 def test_scenarios_are_tuned_on_beside_recordings(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
-    # The scenarios and the search of other tests, and what is tuned here.
+    # The scenarios and the search of other tests, with the numbers tuned here.
     settings = ["objective.simulated_share=0.5"]
     settings += ["parameters.also=[{key='filter.gamma.0', lower=0.01, upper=5.0}]"]
     found = posegsa.tune(
@@ -299,7 +299,7 @@ def test_scenarios_are_tuned_on_beside_recordings(
 def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
-    """Of a controller that a search might find: `test_tuning` makes one, on scenarios."""
+    """A result with a made-up controller; `test_tuning` searches one, on scenarios."""
     searched = config.from_dict(TINY | {"fuzzy": {"rules": "searched"}})
     problem = recorded_problem(searched, recordings[:1], 100.0)
     low, high = map(np.asarray, problem.space.box)

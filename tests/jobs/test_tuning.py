@@ -1,4 +1,4 @@
-"""The main job through the API: result, folder, and what must hold of both."""
+"""The main job through the API: its result and its folder."""
 
 import dataclasses
 import json
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A finished run: its result, its folder and the progress it told."""
+    """A finished run: its result, its folder and its progress messages."""
     told: list[Step] = []
     folder = tmp_path_factory.mktemp("run") / "out"
     with pytest.MonkeyPatch.context() as patch:
@@ -228,7 +228,7 @@ def alter(path: Path, old: str, new: str) -> None:
 
 
 def comparable(folder: Path) -> dict:
-    """What must agree between two runs: all tables, and the result but for times."""
+    """The data that must agree between two runs: all tables, and the result except times."""
     data = json.loads((folder / "result.json").read_text())
     for key in ("search_seconds", "compile_seconds"):
         del data["search"][key]
@@ -261,7 +261,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
     posegsa.tune(resume=tmp_path, progress=iterations, figures=[])
     assert told == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])
-    # Once more: it is finished, and says so without searching.
+    # Resumed again, the run is finished and says so without searching.
     again = posegsa.tune(tiny(), resume=tmp_path, progress=lambda _: pytest.fail("it searched"))
     assert again.best_cost == run[0].best_cost
 
@@ -311,7 +311,7 @@ def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
 
 
 def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
-    # As many samples, and of the same sensors, as an example has: what prepares them is compiled.
+    # As many samples and the same sensors as an example, whose preparation is already compiled.
     own = posegsa.Measurements.from_arrays(
         time_step=np.full(900, 0.01),
         angular_velocity=np.zeros((900, 3)),
@@ -341,7 +341,7 @@ def test_a_box_of_zero_width_fixes_its_parameter():
 
 
 def test_generated_configurations_are_tuned_without_nan(run):
-    """Those that run the same program as the tests above: compiling takes the time."""
+    """Configurations that run the same program as the tests above, to avoid compiling."""
     rng, base, tuned = np.random.default_rng(2), tiny(), 0
     program = structure(tuning_problem(base))
     while tuned < 3:
@@ -377,7 +377,7 @@ def test_a_batch_gives_what_single_runs_give(run):
 
 
 def test_a_batch_of_traced_values_is_compiled_once(monkeypatch, caplog):
-    # What is found is judged in other tests.
+    # Other tests check the results.
     monkeypatch.setattr(
         "posegsa.tuning.judge", lambda _, found: SimpleNamespace(best_cost=found.search.best_cost)
     )
@@ -409,7 +409,7 @@ def test_an_empty_batch_is_refused():
         posegsa.tune_batch(tiny(), seeds=[])
 
 
-# Rules that are searched --------------------------------------------------------------------------
+# Searched rules -----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

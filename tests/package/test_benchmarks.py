@@ -1,4 +1,4 @@
-"""The benchmark's contenders compute what posegsa computes, and its tables say what was found."""
+"""The benchmark's contenders compute the same as posegsa, and its tables are right."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ AGENTS = 20  # more than a block of 16, so that the last one has empty lanes
 
 @pytest.fixture(scope="module")
 def posed_scene() -> tuple[Scene, np.ndarray]:
-    """A short scene with smoothing and two scenarios, and posegsa's costs of it."""
+    """A short task with smoothing and two scenarios, and posegsa's costs for it."""
     settings = ("gain.smoothing=0.1", "filter.gamma=[5.0, 3.0]", "run.training_scenarios=2")
     task = tuning_problem(paper(*lasting(1.5), *settings, dtype="float32"))
     vectors = parameter_vectors(task, AGENTS)
@@ -51,7 +51,7 @@ def test_the_plain_loop_agrees_where_the_controller_matters(
     posed_scene: tuple[Scene, np.ndarray],
 ) -> None:
     scene = posed_scene[0]
-    # Unit to float64's rounding: the two write rotations of quaternions differently.
+    # Of length 1 up to rounding, because the two compute rotations from quaternions differently.
     q = scene.true_attitude / np.linalg.norm(scene.true_attitude, axis=-1, keepdims=True)
     part = replace(scene, true_attitude=q).part(60, 30, agents=1)
     gains = numpy_vectorised.Schedule(part).gain
@@ -61,7 +61,7 @@ def test_the_plain_loop_agrees_where_the_controller_matters(
 
     known = numpy_vectorised.prepare(part)()[0, 0]
     assert plain_loop.simulate(part, controller) == pytest.approx(known, rel=1e-10)
-    # The slice is one where a wrong controller shows: 2 % here, at 10 000 times the tolerance.
+    # In this slice a wrong controller changes the cost by 2 %, 10 000 times the tolerance.
     off = plain_loop.simulate(part, lambda *inputs: 1.02 * controller(*inputs))
     assert abs(off / known - 1) > 1e-6
 
@@ -75,7 +75,7 @@ def test_c_agrees(posed_scene: tuple[Scene, np.ndarray], library: Path) -> None:
 
 def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], library: Path) -> None:
     scene = posed_scene[0]
-    # Output terms that overlap far and wide take another path through the centroid.
+    # Output terms with wide overlaps take another branch of the centroid.
     wide = scene.outputs.copy()
     wide[:, 0, 2], wide[:, 1, 2], wide[:, 3:, 0] = 80.0, 85.0, 22.0
     wide = np.sort(np.sort(wide, axis=-1), axis=-2)
@@ -84,14 +84,14 @@ def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], library: 
     found, known = c.prepare(far, library)(), numpy_vectorised.prepare(far)()
     np.testing.assert_allclose(found, known, rtol=1e-3)
     assert np.abs(found - numpy_vectorised.prepare(scene)()).max() > 1e-2
-    # Without the gain limit a step may turn by more than a turn; soon after, motion is chaotic.
+    # Without the gain limit a step may exceed a full turn; soon afterwards the motion is chaotic.
     free = replace(scene.first(samples=4), gain_limit=0.0)
     known = numpy_vectorised.prepare(free)()
     np.testing.assert_allclose(c.prepare(free, library)(), known, rtol=1e-3)
 
 
 def test_c_learns_the_vectors_biases_as_posegsa_does(library: Path) -> None:
-    # Starts at which nothing is chaotic, so that every agent is told apart by its numbers.
+    # Starts without chaos, so that all agents can be compared.
     start = "family.attitude_error=[0.0, 60.0]", "run.training_scenarios=2"
     task = recommended_task(*lasting(1.5), *start, f"search.agents={AGENTS}")
     vectors = parameter_vectors(task, AGENTS)
@@ -101,7 +101,7 @@ def test_c_learns_the_vectors_biases_as_posegsa_does(library: Path) -> None:
         found = learning.prepare(given, library, threads)()
         assert found.shape == (2, AGENTS)
         np.testing.assert_allclose(found.mean(axis=0), costs, rtol=1e-4)
-    # Without the biases' law the costs are others: it is part of what agrees.
+    # Without the biases' law the costs differ, so the agreement covers this law.
     numbers = given.numbers.copy()
     numbers[:, 4] = 0.0
     without = learning.prepare(given._replace(numbers=numbers), library)()

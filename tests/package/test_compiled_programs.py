@@ -1,4 +1,4 @@
-"""Compiled programs on disk: in a folder that is the user's alone, and never in the way."""
+"""Compiled programs on disk: only in a folder of the user's own, and never an error."""
 
 import hashlib
 import os
@@ -30,7 +30,7 @@ print(float(jax.jit(lambda x: jnp.sin(x).sum() * 3)(jnp.arange(7.0))))
 
 
 def said(**environment: str) -> list[str]:
-    """What a process that compiles says, by line; its number last."""
+    """The output lines of a process that compiles; the last one is its result."""
     chosen = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
     inherited = {k: v for k, v in os.environ.items() if k not in chosen}
     least = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
@@ -103,7 +103,7 @@ def test_none_is_kept_where_jax_is_told_so(tmp_path):
 
 
 class Planted:
-    """Makes a folder when it is unpickled."""
+    """Creates a folder when it is unpickled."""
 
     def __init__(self, marker: Path) -> None:
         self.marker = marker
@@ -134,7 +134,7 @@ def test_what_is_planted_where_others_can_write_is_not_run(tmp_path):
 
 @pytest.fixture
 def cache(tmp_path):
-    """A folder that JAX has been given."""
+    """A folder that was set as JAX's cache."""
     names = "enable_compilation_cache", "compilation_cache_dir"
     names += ("persistent_cache_min_compile_time_secs",)
     before = {name: getattr(jax.config, f"jax_{name}") for name in names}
@@ -149,7 +149,7 @@ def cache(tmp_path):
 
 
 def is_on() -> bool:
-    return getattr(jax.config, "jax_enable_compilation_cache")  # noqa: B009  no stub lists it
+    return getattr(jax.config, "jax_enable_compilation_cache")  # noqa: B009  missing in the stubs
 
 
 def check_refused(reason: str) -> None:
@@ -210,13 +210,13 @@ def test_in_a_folder_that_others_can_not_open_the_modes_of_programs_do_not_matte
 
 
 def test_a_folder_that_a_group_can_write_to_is_refused(cache):
-    """Whoever else is in it: primary members of a group are not in its list."""
+    """Whatever its members: users whose primary group it is are not listed in it."""
     cache.chmod(0o770)
     check_refused(f"others can write to {cache}")
 
 
 def give_away(folder: Path, monkeypatch) -> None:
-    """As root, let it be another user's; else be another user."""
+    """As root, change the folder's owner; otherwise pretend to be another user."""
     if os.geteuid() == 0:
         os.chown(folder, 54321, -1)
     else:

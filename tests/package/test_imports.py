@@ -1,4 +1,4 @@
-"""What is imported when: nothing heavy by `import posegsa`, help or a refused argument."""
+"""`import posegsa`, help and refused arguments import no heavy packages."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ atexit.register(lambda: print("loaded:", *sorted({HEAVY} & set(sys.modules))))
 
 
 def loaded(code: str, *options: str) -> set[str]:
-    """The heavy packages that a fresh interpreter, with such options, has imported when it ends."""
+    """The heavy packages that a fresh interpreter with these options has imported at its end."""
     done = subprocess.run(
         [sys.executable, "-W", "error", *options, "-c", SHOW + code],
         capture_output=True,
@@ -80,7 +80,7 @@ controller = FuzzyController(
 )
 plot_input_terms(controller)
 """
-    # Its lowest version, with a later pyparsing, has a DeprecationWarning as it is imported.
+    # Its lowest version gives a DeprecationWarning on import with a later pyparsing.
     assert "matplotlib" in loaded(drawn, "-W", "ignore::DeprecationWarning")
 
 

@@ -1,4 +1,4 @@
-"""The import rule: a folder imports only what stands before it in the data flow."""
+"""The import rule: a folder imports only from those before it in the data flow."""
 
 import ast
 from pathlib import Path
@@ -16,8 +16,8 @@ LAYERS = (
     " | tuning imu_tuning configuring evaluating replaying comparing sweeping streaming"
     " | __init__ | cli | __main__"
 )
-"""Folders and modules of the package; those between two bars know nothing of each other, but may
-use those before them in the first group."""
+"""Folders and modules of the package. Those between two bars do not import each other, but may
+import those before them in the first group."""
 PACKAGE = Path(posegsa.__file__).parent
 
 
@@ -27,9 +27,9 @@ def room(path: Path) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """What a file imports, inside functions and for types alone too, by dotted name.
+    """The dotted names that a file imports, also inside functions and only for types.
 
-    What a package imports when it is asked for stands in the stub beside it.
+    The lazy imports of a package are in the stub next to it.
     """
     stub = path.with_suffix(".pyi")
     found = imported(stub) if path.suffix == ".py" and stub.exists() else set()
@@ -42,7 +42,7 @@ def imported(path: Path) -> set[str]:
 
 
 def _module_of(node: ast.ImportFrom, path: Path) -> str:
-    """The module of an import; a relative one only where `lazy_loader` wants it, in a stub."""
+    """The module of an import; relative ones are allowed only in stubs, for `lazy_loader`."""
     if node.level == 0:
         return str(node.module)
     assert path.suffix == ".pyi", f"{path}: relative imports hide where they lead"
@@ -50,7 +50,7 @@ def _module_of(node: ast.ImportFrom, path: Path) -> str:
 
 
 def rooms_of(names: set[str]) -> set[str]:
-    """The folders and modules of posegsa among dotted names."""
+    """The folders and modules of posegsa in dotted names."""
     known = {name for group in LAYERS.split("|") for name in group.split()}
     parts = [name.split(".") for name in names if name.split(".")[0] == "posegsa"]
     return {p[1] if len(p) > 1 and p[1] in known else "__init__" for p in parts}
@@ -69,7 +69,7 @@ def backward_arrows(arrows: dict[str, set[str]]) -> list[str]:
 
 
 def circles(arrows: dict[str, set[str]]) -> list[str]:
-    """Modules that reach themselves."""
+    """Modules that import themselves through others."""
 
     def reach(start: str) -> set[str]:
         seen, todo = set(), [*arrows[start]]
@@ -91,7 +91,7 @@ FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def module_arrows() -> dict[str, set[str]]:
-    """What each module imports of the others; a package's own face does not count."""
+    """The modules that each module imports; the package's public stub does not count."""
     arrows = {}
     for name, path in FILES.items():
         names = imported(path)
@@ -125,7 +125,7 @@ def test_the_model_loads_neither_pydantic_nor_matplotlib_nor_an_optimiser():
 
 
 def test_no_public_name_shadows_a_module():
-    """`posegsa.x` is one thing, whatever has been imported."""
+    """`posegsa.x` is the same object whatever was imported before."""
     for name in FILES:
         package, _, own = name.rpartition(".")
         if package and own not in ("__main__",):

@@ -1,4 +1,4 @@
-"""The page on optimisers stays true: its examples run, and what it names exists."""
+"""docs/optimisers.md: its examples run, and the commands and files it names exist."""
 
 import re
 from collections.abc import Sequence

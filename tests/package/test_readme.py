@@ -1,4 +1,4 @@
-"""The README stays true: its example runs, its files exist, its commands parse."""
+"""The README: its example runs, its files exist, its commands parse."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ def test_the_example_runs_and_is_short(tmp_path, capsys):
     small.write_text(config.to_toml(tiny()), encoding="utf-8")
     names: dict = {}
     exec(code.replace('"quick"', repr(str(small))), names)  # the README's own text
-    # It converges, and shows it; a smaller search than the README's comes less near.
+    # It converges; with a smaller search than the README's it is less accurate.
     error = names["error"]
     assert error[0] == pytest.approx(120)
     assert error[-1] < 1

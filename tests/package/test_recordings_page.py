@@ -1,4 +1,4 @@
-"""docs/recordings.md: its ten lines run, its tables are those that the benchmark makes."""
+"""docs/recordings.md: its ten lines run, and its tables are those of the benchmark."""
 
 import ast
 import json
@@ -33,7 +33,7 @@ def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
     statements = ast.parse(code).body
     assert len(statements) <= 10
-    # Without the Kalman filter, whose compilation takes most of the time, and a process's flags.
+    # Without the Kalman filter, which takes most of the compile time, and without the fast path.
     left_out = "posegsa.enable_fast_path()", "print(posegsa.evaluate"
     kept = [ast.unparse(one) for one in statements if not ast.unparse(one).startswith(left_out)]
     assert len(kept) == len(statements) - 2

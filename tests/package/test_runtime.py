@@ -1,4 +1,4 @@
-"""What posegsa does to the process: nothing on import, one documented thing when asked."""
+"""Effects of posegsa on the process: none on import, one documented setting on request."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ EXTRA = "--xla_backend_extra_options="
 
 
 def python(code: str, **environment: str) -> str:
-    """Output of a fresh interpreter."""
+    """The output of a fresh interpreter."""
     inherited = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     done = subprocess.run(
         [sys.executable, "-W", "error::UserWarning", "-c", code],

@@ -1,4 +1,4 @@
-"""Progress: what is told, and to whom."""
+"""Progress: the reported steps and their listeners."""
 
 import pytest
 

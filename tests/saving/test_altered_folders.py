@@ -2,8 +2,8 @@
 
 Each field is altered: it is given a few of the values, other fields of its type others.
 
-What is read is refused with file and field, or it makes a result that can be shown. Nothing else
-happens: no other exception, then or later, and no control character reaches a terminal.
+The file is refused by name and field, or it gives a result that can be shown. Nothing else
+happens: no other exception, now or later, and no control character in the output.
 """
 
 import contextlib
@@ -61,7 +61,7 @@ DRAWN = 5
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The folder of a small result with every contender, without figures."""
+    """The folder of a small result with all contenders, without figures."""
     patch = pytest.MonkeyPatch()
     patch.setattr("posegsa.saving.result.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
@@ -90,7 +90,7 @@ def comparison(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """The folder of a constant gain on recordings, with one other filter beside it."""
+    """The folder of a constant gain on recordings, compared with one other filter."""
     errors = {phase: Rmse(1.0, 0.5, 0.25, 0.1, 20) for phase in ("judged", "moving")}
     origin = {"gyroscope": "measured"}, ["a gap"]
     one = RecordingScore("a walk", 30, 0.3, False, *origin, errors, fingerprint="0" * 64)
@@ -122,7 +122,7 @@ def recorded(tmp_path_factory):
 
 
 def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
-    """Every field in plain data; of a list its first entry stands for all."""
+    """Every field in plain data; the first entry of a list stands for all."""
     items = data.items() if isinstance(data, dict) else enumerate(data[:1])
     for key, value in items:
         yield (*before, key)
@@ -131,20 +131,20 @@ def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
 
 
 def some(values: tuple, place: object, count: int = DRAWN) -> list:
-    """A few of the values: by chance, and the same in every run, but others in another place."""
+    """A few of the values: random, the same in every run, and different for each place."""
     rng = np.random.default_rng(zlib.crc32(repr(place).encode()))
     return [values[i] for i in rng.permutation(len(values))[:count]]
 
 
 def alterations(data: Any, path: tuple) -> Iterator[str]:
-    """The file with one field altered, removed, or with another one beside it."""
+    """The file with one field altered or removed, or with an additional field."""
     *above, name = path
     parent = data
     for key in above:
         parent = parent[key]
     own = parent[name]
     cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
-    own_kind = len(path) <= 2 or "filter" in path  # of which there are not many alike
+    own_kind = len(path) <= 2 or "filter" in path  # few of them are of the same type
     own_kind = own_kind or (len(path) == 3 and path[1] in ("endurance", "trust"))
     for value in (*(VALUES if own_kind else some(VALUES, path)), *cut):
         if value != own or type(value) is not type(own):
@@ -166,7 +166,7 @@ def alterations(data: Any, path: tuple) -> Iterator[str]:
 
 
 def checked(file: Path, text: str, load) -> Any:
-    """What is loaded from a file with this text; None if it is refused as it should be."""
+    """The object loaded from a file with this text; None if it is refused correctly."""
     file.write_text(text, encoding="utf-8")
     try:
         return load(file.parent)
@@ -178,7 +178,7 @@ def checked(file: Path, text: str, load) -> Any:
 
 
 def shown(result: Result) -> str:
-    """A result in all texts that it has; none steers a terminal."""
+    """Check that all texts of a result can be made and have no control characters."""
     texts = [result.summary(), export(result, "json")]
     if result.on_scenarios is not None:
         texts += [result.on_scenarios.evaluation.table(), posegsa.export_c_gain(result)]

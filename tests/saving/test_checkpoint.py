@@ -1,4 +1,4 @@
-"""One checkpoint, one file: what comes back is what went in, and nothing else comes back."""
+"""A checkpoint is one file: it restores exactly what was saved, or is refused."""
 
 import json
 import os
@@ -33,7 +33,7 @@ def sphere(x):
 
 @pytest.fixture(scope="module")
 def whole():
-    """A finished search, and it as its callback saw it after each iteration."""
+    """A finished search, and its state in the callback after each iteration."""
     seen = []
     return minimise(sphere, BOX, SMALL, KEY, chunk=1, callback=seen.append), seen
 
@@ -61,7 +61,7 @@ def test_going_on_from_a_file_is_never_having_stopped(whole, tmp_path, interrupt
 
 
 def test_a_search_without_any_finite_cost_is_kept_as_that(tmp_path):
-    far = box([2.0**80, 2.0**80], [2.0**82, 3 * 2.0**80])  # whose squares float32 does not hold
+    far = box([2.0**80, 2.0**80], [2.0**82, 3 * 2.0**80])  # their squares overflow in float32
     seen = []
     finished = minimise(sphere, far, SMALL, KEY, chunk=4, callback=seen.append)
     save_search(tmp_path / "search", seen[0])
@@ -106,7 +106,7 @@ def test_more_iterations_are_room_in_the_history(whole):
     extended = minimise(sphere, BOX, longer, KEY, search=lengthened(finished, 9))
     assert_same(extended, minimise(sphere, BOX, longer, KEY, search=lengthened(seen[3], 9)))
     assert (extended.history.best[:7] == finished.history.best).all()
-    assert_same(extended, minimise(sphere, BOX, longer, KEY))  # as if it had been so from the start
+    assert_same(extended, minimise(sphere, BOX, longer, KEY))  # the same from the start
     gravity, k_best = longer.schedule()
     assert (gravity[6:] == SMALL.schedule()[0][-1]).all()
     assert (k_best[6:] == SMALL.schedule()[1][-1]).all()
@@ -137,7 +137,7 @@ def test_another_dtype_is_refused(saved, x64):
 
 
 def test_every_cut_and_every_changed_byte_is_seen(saved):
-    """The benchmark does the same thousands of times; here every byte once."""
+    """Every byte is damaged once; the benchmark does this thousands of times."""
     whole_file = saved.read_bytes()
     rng = np.random.default_rng(0)
     for i in range(len(whole_file)):
@@ -158,7 +158,7 @@ def test_every_cut_and_every_changed_byte_is_seen(saved):
 
 
 def forged(path, header: dict, payload: bytes = b"") -> None:
-    """A file with a checksum that fits: not damage, but somebody's work."""
+    """A file with a correct checksum: manipulated, not damaged."""
     import hashlib
 
     content = json.dumps(header).encode() + b"\n" + payload
@@ -232,7 +232,7 @@ def test_what_cannot_be_read_or_is_too_large_is_refused(tmp_path):
             read(path)
     sparse = tmp_path / "sparse"
     with sparse.open("wb") as file:
-        file.truncate(2**31 + 1)  # takes no room on the disk
+        file.truncate(2**31 + 1)  # sparse: takes no space on the disk
     with pytest.raises(CheckpointError, match=r"2147483649 bytes; allowed"):
         read(sparse)
     os.mkfifo(tmp_path / "pipe")

@@ -1,4 +1,4 @@
-"""The first signal asks to stop, the second stops; what was there before is there after."""
+"""The first signal asks to stop, the second stops; the old handlers are restored."""
 
 import signal
 import subprocess

@@ -1,4 +1,4 @@
-"""The codec: what is written reads back to the last bit, and nothing else is read."""
+"""The codec: records read back to the last bit, and anything else is refused."""
 
 import json
 from dataclasses import dataclass, fields, replace
@@ -22,7 +22,7 @@ FILE = Path("record.json")
 
 
 class Part(NamedTuple):
-    """A record in a record."""
+    """A nested record."""
 
     costs: Annotated[np.ndarray, Numbers("scenarios", allow="infinite")]
     measured: Annotated[np.ndarray, Numbers("scenarios", 2, allow="any")]
@@ -30,14 +30,14 @@ class Part(NamedTuple):
 
 
 class Round(TypedDict):
-    """One of two kinds."""
+    """The first of two kinds."""
 
     kind: Literal["round"]
     radius: float
 
 
 class Square(TypedDict):
-    """The other."""
+    """The second of two kinds."""
 
     kind: Literal["square"]
     sides: Annotated[list[float], Numbers(2)]
@@ -89,7 +89,7 @@ def read(text: str) -> Whole:
 
 
 def assert_equal(a: Any, b: Any) -> None:
-    """Equal, arrays to the last bit and in dtype, and of the same types."""
+    """Whether two values are equal: the same types and dtypes, arrays to the last bit."""
     assert type(a) is type(b)
     if isinstance(a, np.ndarray):
         assert a.dtype == b.dtype
@@ -226,7 +226,7 @@ def test_what_is_no_such_record_is_refused_as_that(text, said):
 
 def test_a_table_comes_back_bit_for_bit():
     made = trajectory(7)
-    # A filter that diverged is a trajectory too.
+    # The trajectory of a filter that diverged is saved too.
     position = np.array([np.inf, -np.inf, np.nan, -0.0, 5e-324, 1e308, 1 / 3])
     made = replace(made, gain=position, euler=np.stack([position] * 3, axis=1))
     back = from_csv(Trajectory, to_csv(made), FILE)
@@ -294,7 +294,7 @@ def test_a_table_has_columns_for_each_vector(vectors):
 
 
 class Table(NamedTuple):
-    """A small one."""
+    """A small table."""
 
     step: Annotated[np.ndarray, Columns("step", dtype=int)]
     place: Annotated[np.ndarray, Columns("x_m", "y_m")]

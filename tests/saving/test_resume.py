@@ -1,4 +1,4 @@
-"""A run that is interrupted and goes on is, to the last bit, the run that never stopped."""
+"""A resumed run has the bits of an uninterrupted one."""
 
 import resource
 import signal
@@ -42,7 +42,7 @@ def whole(task):
 
 
 def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
-    """Search with checkpoints; a signal asks to stop once each of these iterations is done."""
+    """Search with checkpoints; a signal asks to stop after each of these iterations."""
     search, asked = None, StopRequest()
     if begun is not None:
         search = begun.checkpoint.search(first_search(task))
@@ -68,7 +68,7 @@ def test_checkpoints_come_at_their_intervals_and_the_last_two_stay(task, whole, 
 
 
 def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
-    """Real clocks that are asked here never go back; one that does costs no more than patience."""
+    """A clock that goes back only delays the next checkpoint."""
     times = iter([0.0, 1e9, -1e9, *np.linspace(0, 99, 99)])
     hasty = config.override(LONG, ["checkpoint.seconds=5.0", "checkpoint.iterations=1000"])
     with CheckpointWriter(tmp_path, hasty, StopRequest(), clock=lambda: next(times)) as keep:
@@ -77,7 +77,7 @@ def test_intervals_in_seconds_and_clocks_that_jump(task, whole, tmp_path):
 
 
 def test_what_took_long_is_saved_at_once(task, whole, tmp_path):
-    """The process may have to end before the next chunk does."""
+    """The process may have to end before the next chunk is done."""
     rarely = config.override(LONG, ["checkpoint.iterations=1000"])
     with CheckpointWriter(tmp_path, rarely, StopRequest()) as keep:
         for iteration, seconds in enumerate((0.0, 1.0, 2.0, 60.0)):
@@ -100,7 +100,7 @@ def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, s
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
-    """All iterations are done, but nothing is judged: who asked to stop gets what was asked for."""
+    """All iterations are done, but nothing is judged: the run stops as requested."""
     with pytest.raises(SearchInterrupted, match=r"iteration 8 of 8.*--resume"):
         search_in(tmp_path, task, stop_at=[8])
     begun = newest_checkpoint(tmp_path)
@@ -188,7 +188,7 @@ def test_intervals_and_more_iterations_may_differ():
 
 
 def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
-    """By real means: for a while the system refuses to write such files."""
+    """With a real limit of the system on the size of files, for a while."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def fill_and_clear(progress) -> None:
@@ -235,7 +235,7 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
 
 
 def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
-    """G and K_best hold from the eighth iteration on; the configuration says so."""
+    """G and K_best are constant from the eighth iteration on; the configuration says so."""
     search_in(tmp_path, task)
     begun = newest_checkpoint(tmp_path)
     more = experiment_to_resume(
@@ -264,7 +264,7 @@ def test_resume_refuses_what_it_cannot_mean(tmp_path):
 
 
 def test_a_checkpoint_says_what_it_is_of(task, tmp_path):
-    """A checkpoint of a search that is no tuning run's is refused, not guessed at."""
+    """A checkpoint of a search outside a tuning run is refused."""
     (tmp_path / "checkpoints").mkdir()
     path = tmp_path / "checkpoints" / "000000001.checkpoint"
     posegsa.save_search(path, first_search(task))

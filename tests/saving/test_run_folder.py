@@ -1,4 +1,4 @@
-"""A run's folder changes all at once, for one writer at a time, and nothing leads out of it."""
+"""A run's folder changes atomically, has one writer at a time, and no links out of it."""
 
 import errno
 import fcntl
@@ -27,7 +27,7 @@ NEW = {"result.json": b"new", "figures/a.png": b"new", "history.csv": b"new"}
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """All files but the lock."""
+    """All files except the lock."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -64,7 +64,7 @@ def test_what_cannot_be_written_leaves_the_old_ones(folder, monkeypatch, written
 
 @pytest.mark.parametrize("when", ["staging", "moving"])
 def test_ctrl_c_leaves_the_old_result_or_the_new(folder, monkeypatch, when):
-    """Before the moment from which the new ones hold, and after it, with some of them moved."""
+    """A process dies before the commit, and after it with some files moved."""
     own, moved = Path.replace, []
 
     def interrupted(*_):
@@ -143,7 +143,7 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
     assert not (tmp_path / "elsewhere").exists(), "a link is replaced, not followed"
     precious = tmp_path / "precious"
     precious.write_text("mine")
-    (run / ".lock").symlink_to(precious)  # as if it came after the look
+    (run / ".lock").symlink_to(precious)  # as if it appeared after the check
     with pytest.raises(RunFolderError, match="cannot be written"), lock(run):
         pytest.fail("a link was opened")
     (run / "comparison.json.part").symlink_to(precious)
@@ -153,7 +153,7 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
 
 
 def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
-    """By real means: the system refuses to write more than this to a file."""
+    """With a real limit of the system on the size of files."""
     path = tmp_path / "file"
     files.write_atomically(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

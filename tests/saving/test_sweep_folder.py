@@ -1,4 +1,4 @@
-"""The files of a sweep's runs: every field that is altered is refused by name, or of use."""
+"""The files of a sweep's runs: every altered field is refused by name, or is usable."""
 
 import copy
 import json
@@ -101,7 +101,7 @@ def test_folders_of_different_sweeps_are_not_merged(tmp_path):
     merged = posegsa.merge_sweeps([one, other])
     assert [each.seed for each in merged.runs] == [0, 1]
     assert posegsa.load_sweep(one) == merged
-    # A run that is in both counts once.
+    # A run that is in both folders counts once.
     shutil.copytree(one / "runs", other / "runs", dirs_exist_ok=True)
     assert posegsa.merge_sweeps([other, one]) == merged
 
