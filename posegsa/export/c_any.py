@@ -28,8 +28,8 @@ from posegsa.export.c_step import (
     vec3,
 )
 from posegsa.export.c_text import KEYWORDS, comment, wrapped
-from posegsa.export.scalar_c import Known, passed_on
 from posegsa.export.scalar_loops import written_in_loops
+from posegsa.export.scalar_trace import Known, passed_on
 from posegsa.filters.base import Filter, Samples
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.model.estimate import FilterState

@@ -15,7 +15,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import refuse
-from posegsa.export.scalar_c import Code, Known, literal, written
+from posegsa.export.scalar_c import Code, literal, written
+from posegsa.export.scalar_trace import Known
 from posegsa.filters.observer import (
     FilterSettings,
     displacement,
@@ -35,7 +36,7 @@ from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
 """A vector that a filter does not have. (Typed `Any`: the model's records hold arrays, but here
-they hold an `export.scalar_c.Argument` for each number.)"""
+they hold an `export.scalar_trace.Argument` for each number.)"""
 
 IN_TABLES = (FuzzyGain, KnotGain)
 """Schedules with tables. They are not traced but written by hand: `controller.c`, `knots.c`."""

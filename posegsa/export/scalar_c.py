@@ -1,351 +1,37 @@
-"""Translates a JAX function of scalars to C statements, from its trace.
+"""A JAX function of scalars as C statements, from its trace (`scalar_trace`).
 
-The model computes with one array for each coordinate, so that the trace (jaxpr) of one of its
-functions for one agent is scalar arithmetic: sums, products, comparisons, choices. Each operation
-becomes a C expression. If its value is used several times, it becomes a local constant named after
-the function of the model that it comes from; if it is used once, it is written in place. Operations
-on numbers that are known at export (0, 1, an infinite limit) are computed here. Operations that no
-result needs are omitted.
-
-A `lax.scan` over stacked scalars, such as one over the landmarks, becomes a `for` loop, which is
-written once for any number of them.
+Each operation becomes a C expression. If its value is used several times, it becomes a local
+constant named after the function of the model that it comes from; if it is used once, it is written
+in place. Operations that no result needs are omitted. A `lax.scan` over stacked scalars, such as
+one over the landmarks, becomes a `for` loop, which is written once for any number of them.
 """
 
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.extend import core, source_info_util
 
-from posegsa.arguments import refuse
-from posegsa.errors import ArgumentError
+from posegsa.export.scalar_trace import (
+    ARITHMETIC,
+    ARITHMETIC_BINDS,
+    FUNCTIONS,
+    INFIX,
+    PREDICATES,
+    Loop,
+    Operation,
+    Value,
+    traced,
+)
 
 WIDTH = 96
 """Width of a line of C."""
 _LONGEST = 64
 """Largest length of an expression that is written in place."""
-
-
-@dataclass(frozen=True)
-class Known:
-    """A number that has a name in C: a setting."""
-
-    text: str
-    value: float
-
-
-Argument = str | float | Known
-"""A leaf of an argument: the text of a C variable, a number, or a number with a name."""
-
-
-@dataclass(frozen=True)
-class Operation:
-    """An operation and its operands."""
-
-    name: str
-    of: tuple["Value", ...]
-    origin: str = ""
-    """The function of the model that it comes from."""
-    loop: "Loop | None" = None
-    """Of an operation "loop"."""
-    place: int = 0
-    """Of an operation "carried": which of the values that the loop carries."""
-
-
-@dataclass(frozen=True, eq=False)
-class Value:
-    """A value: an operation, or a leaf with a text or a number. Equality is identity."""
-
-    operation: Operation | None = None
-    text: str = ""
-    number: float | bool | None = None
-    named: bool = False
-    """Whether the code has the number's name, not its value."""
-    truth: bool = False
-    """Whether an input of a loop's body is a truth, no real number."""
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A `lax.scan` that stores nothing. Its operation is of one operand for each input."""
-
-    turns: int
-    inputs: tuple[Value, ...]
-    """What the body is made of: values that stay the same, carried ones, one's of each turn."""
-    first: int
-    """Index of the first carried input. Those before it stay the same."""
-    results: tuple[Value, ...]
-    """What the body hands on to the next turn, one for each carried input."""
-
-    @property
-    def last(self) -> int:
-        """Index after the last carried input. Those from it on have a value for each turn."""
-        return self.first + len(self.results)
-
-
-_INFIX = {
-    **{"add": ("+", 5), "sub": ("-", 5), "mul": ("*", 6), "div": ("/", 6)},
-    **{"lt": ("<", 4), "gt": (">", 4), "le": ("<=", 4), "ge": (">=", 4)},
-    **{"eq": ("==", 3), "ne": ("!=", 3), "and": ("&&", 2), "or": ("||", 1)},
-}
-"""C operators and their precedence, by their names in JAX."""
-_ARITHMETIC, _ARITHMETIC_BINDS = ("add", "sub", "mul", "div"), 5
-_PREDICATES = ("lt", "gt", "le", "ge", "eq", "ne", "and", "or", "not", "is_finite")
-FUNCTIONS = {
-    **{
-        name: name for name in ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh")
-    },
-    **{"abs": "fabs", "floor": "floor", "round": "rint"},
-}
-"""Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
-_ALLOWED = (
-    "arithmetic, comparisons, choices (jnp.where, not lax.cond) and functions of <math.h>, of "
-    "scalars that are real numbers or truths (a counter is a real number), and lax.scan over "
-    "stacked scalars that stores nothing"
-)
-"""What can be written."""
-_AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
-
-
-class _Trace:
-    """The operations of one jaxpr as values; equal operations share one value."""
-
-    def __init__(self, dtype: Any) -> None:
-        self._dtype = dtype
-        self._made: dict[tuple[Any, ...], Value] = {}
-
-    def argument(self, leaf: Argument) -> Value:
-        if isinstance(leaf, Known):
-            return self._once(("known", leaf.text), text=leaf.text, number=leaf.value, named=True)
-        if isinstance(leaf, str):
-            return self._once(("variable", leaf), text=leaf)
-        return self.number(leaf)
-
-    def number(self, value: float | bool) -> Value:
-        if isinstance(value, bool | np.bool_):
-            return self._once(("truth", bool(value)), number=bool(value))
-        # The shortest decimal that rounds to this number in that type.
-        exact = float(str(self._dtype(value)))
-        return self._once(("number", exact), number=exact)
-
-    def constants(self, values: Iterable[Any]) -> list[Value]:
-        """What a function has closed over, as numbers.
-
-        Raises:
-            ArgumentError: An array, an integer, or no number at all.
-        """
-        found = []
-        for value in values:
-            if np.ndim(value):
-                refuse(f"a step that looks up an array of shape {np.shape(value)}", _ALLOWED)
-            if not _is_real(value) and not _is_truth(value):
-                refuse(f"a step with a constant of type {jnp.result_type(value)}", _ALLOWED)
-            found.append(self.number(np.asarray(value).item()))
-        return found
-
-    def run(
-        self, jaxpr: core.Jaxpr, values: Sequence[Value], constants: Sequence[Value] = ()
-    ) -> list[Value]:
-        """The results of a jaxpr for these arguments and for what it has closed over."""
-        at = dict(zip(jaxpr.constvars, constants, strict=True))
-        at.update(zip(jaxpr.invars, values, strict=True))
-
-        def read(var: Any) -> Value:
-            return self.number(var.val) if isinstance(var, core.Literal) else at[var]
-
-        for equation in jaxpr.eqns:
-            given, name = [read(var) for var in equation.invars], equation.primitive.name
-            inner = equation.params.get("jaxpr") or equation.params.get("call_jaxpr")
-            if name == "scan":
-                made = self._loop(equation, given)
-            elif inner is not None and name not in ("while", "cond"):
-                closed = isinstance(inner, core.ClosedJaxpr)
-                made = self.run(
-                    inner.jaxpr if closed else inner,
-                    given,
-                    self.constants(inner.consts) if closed else (),
-                )
-            else:
-                made = [_row(equation, given) or self._applied(equation, given)]
-            at.update(zip(equation.outvars, made, strict=True))
-        return [read(var) for var in jaxpr.outvars]
-
-    def _loop(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
-        """What comes out of a scan over rows of scalars."""
-        params = equation.params
-        first, carried = params["num_consts"], params["num_carry"]
-        if len(equation.outvars) > carried or params["reverse"]:
-            refuse("a step with a scan that stores something, or runs backwards", _ALLOWED)
-        closed = params["jaxpr"]
-        inputs = []
-        for i, (var, operand) in enumerate(zip(closed.jaxpr.invars, given, strict=True)):
-            if getattr(var.aval, "shape", ()) or _is_row(operand) != (i >= first + carried):
-                refuse("a step with a scan over arrays", _ALLOWED)
-            _check_kind("scan", var)
-            plain = i < first and operand.number is not None and not operand.named
-            inputs.append(operand if plain else Value(truth=_is_truth(var)))
-        # Of its own: nothing in it is computed before the loop.
-        trace = _Trace(self._dtype)
-        results = trace.run(closed.jaxpr, inputs, trace.constants(closed.consts))
-        loop = Loop(params["length"], tuple(inputs), first, tuple(results))
-        whole = Value(operation=Operation("loop", tuple(given), loop=loop))
-        return [
-            Value(operation=Operation("carried", (whole,), place=place)) for place in range(carried)
-        ]
-
-    def _applied(self, equation: core.JaxprEqn, given: list[Value]) -> Value:
-        name, params = equation.primitive.name, equation.params
-        if len(equation.outvars) != 1:
-            refuse(f"a step with the operation {name!r}", _ALLOWED)
-        if any(map(_is_row, given)):
-            refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
-        for var in equation.outvars:
-            if getattr(var.aval, "shape", ()):
-                refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
-            _check_kind(name, var)
-        if name == "convert_element_type":
-            before, after = map(_is_truth, (equation.invars[0], equation.outvars[0]))
-            if before and not after:
-                return self.made("select_n", given[0], self.number(0.0), self.number(1.0))
-            if after and not before:
-                return self.made("ne", given[0], self.number(0.0))
-        if name in _AS_IT_IS:
-            return given[0]
-        if name == "integer_pow":
-            power = self._power(given[0], abs(params["y"]))
-            return power if params["y"] >= 0 else self.made("div", self.number(1.0), power)
-        if name == "square":
-            return self._power(given[0], 2)
-        return self.made(name, *given, origin=_function_of(equation))
-
-    def _power(self, value: Value, exponent: int) -> Value:
-        """A value to a whole power >= 0, by repeated squaring."""
-        if exponent < 2:
-            return value if exponent else self.number(1.0)
-        half = self._power(value, exponent // 2)
-        square = self.made("mul", half, half)
-        return self.made("mul", square, value) if exponent % 2 else square
-
-    def made(self, name: str, *of: Value, origin: str = "") -> Value:
-        """The value of an operation, simplified where possible."""
-        if name == "rsqrt":
-            return self.made("div", self.number(1.0), self.made("sqrt", *of, origin=origin))
-        if name == "select_n":
-            of = (of[0], _within(of[1], of[0], False), _within(of[2], of[0], True))
-        simple = self._simplified(name, *of)
-        if simple is not None:
-            return simple
-        if name == "select_n":
-            compared, low, high = of[0].operation, of[1], of[2]
-            if compared is not None and compared.of == (high, low):
-                name = {"lt": "min", "gt": "max"}.get(compared.name, name)
-        if name in ("min", "max"):
-            of = of[-2:] if len(of) == 2 else (of[2], of[1])
-        elif name not in (*_INFIX, *FUNCTIONS, "select_n", "neg", "not"):
-            refuse(f"a step with the operation {name!r}", _ALLOWED)
-        return self._once(
-            (name, *map(id, of)), operation=Operation(name=name, of=of, origin=origin)
-        )
-
-    def _simplified(self, name: str, *of: Value) -> Value | None:
-        """The value of an operation that needs no code, or None."""
-        numbers = [value.number for value in of]
-        if name == "is_finite" and numbers[0] is not None:
-            return self.number(math.isfinite(numbers[0]))
-        if name == "select_n" and numbers[0] is not None:
-            return of[2] if numbers[0] else of[1]
-        if name == "select_n" and of[1] is of[2]:
-            return of[1]
-        if name in ("and", "or") and (True in numbers or False in numbers):
-            known, other = of if isinstance(numbers[0], bool) else reversed(of)
-            return known if known.number is (name == "or") else other
-        plain = [None if value.named else value.number for value in of]
-        if name in ("lt", "gt", "le", "ge", "eq", "ne") and None not in plain:
-            return self.number(bool(getattr(np, _NUMPY[name])(*plain)))
-        if name in ("add", "sub", "mul", "div", "neg") and None not in plain:
-            with np.errstate(all="ignore"):
-                return self.number(float(getattr(np, _NUMPY[name])(*map(np.float64, plain))))
-        match name, plain:
-            case ("mul", [0.0, _] | [_, 0.0]) | ("div", [0.0, _]):
-                return self.number(0.0)
-            case ("add", [0.0, _]) | ("mul", [1.0, _]):
-                return of[1]
-            case ("add" | "sub", [_, 0.0]) | ("mul" | "div", [_, 1.0]):
-                return of[0]
-            case "sub", [0.0, _]:
-                return self.made("neg", of[1])
-        return None
-
-    def _once(self, key: tuple[Any, ...], **fields: Any) -> Value:
-        return self._made.setdefault(key, Value(**fields))
-
-
-def _within(value: Value, condition: Value, holds: bool) -> Value:
-    """A value, given that a condition holds or not: choices by that condition are resolved."""
-    chosen = value.operation
-    while chosen is not None and chosen.name == "select_n" and chosen.of[0] is condition:
-        value = chosen.of[2 if holds else 1]
-        chosen = value.operation
-    return value
-
-
-def _row(equation: core.JaxprEqn, given: list[Value]) -> Value | None:
-    """Scalars in a row, as `jnp.stack` puts them for a scan; None for any other operation."""
-    name, aval = equation.primitive.name, equation.outvars[0].aval
-    shape = getattr(aval, "shape", ())
-    if len(shape) != 1:
-        return None
-    if name == "stack" and not any(map(_is_row, given)):
-        return Value(operation=Operation("row", tuple(given)))
-    if name == "concatenate" and all(map(_is_row, given)):  # as older versions of JAX stack
-        parts = [value.operation.of for value in given if value.operation]
-        return Value(operation=Operation("row", tuple(v for part in parts for v in part)))
-    one = name in ("broadcast_in_dim", "reshape") and shape == (1,) and not _is_row(given[0])
-    return Value(operation=Operation("row", (given[0],))) if one else None
-
-
-def _is_row(value: Value) -> bool:
-    return value.operation is not None and value.operation.name == "row"
-
-
-def _type_of(var: Any) -> Any:
-    return getattr(var, "aval", var)
-
-
-def _is_truth(var: Any) -> bool:
-    """Whether a variable of a jaxpr, or a number, is true or false."""
-    return jnp.issubdtype(jnp.result_type(_type_of(var)), jnp.bool_)
-
-
-def _is_real(var: Any) -> bool:
-    """Likewise a real number."""
-    return jnp.issubdtype(jnp.result_type(_type_of(var)), jnp.floating)
-
-
-def _check_kind(name: str, var: Any) -> None:
-    """Refuse integers and the like, in or out of the operation of that name."""
-    if not _is_real(var) and not _is_truth(var):
-        refuse(f"a step with the operation {name!r} on integers", _ALLOWED)
-
-
-def _function_of(equation: core.JaxprEqn) -> str:
-    """Name of the innermost function that an operation comes from; "" if JAX does not know it."""
-    summary = source_info_util.summarize(equation.source_info)  # "file:line:column (a.<locals>.b)"
-    names = summary.rpartition("(")[2].rstrip(")").split(".")
-    return next((name.strip("_") for name in reversed(names) if name.isidentifier()), "")
-
-
-_NUMPY = {
-    **{"lt": "less", "gt": "greater", "le": "less_equal", "ge": "greater_equal"},
-    **{"eq": "equal", "ne": "not_equal", "neg": "negative"},
-    **{"add": "add", "sub": "subtract", "mul": "multiply", "div": "divide"},
-}
 
 
 def margin(statement: str) -> int:
@@ -417,39 +103,6 @@ def wanted_of(results: Any, values: list[Value], shape: Any) -> list[tuple[str, 
     wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
     assert len(wanted) == len(jax.tree.leaves(shape)), "a variable, or None, for each result"
     return [(name, v) for name, v in zip(wanted, values, strict=True) if name is not None]
-
-
-def passed_on(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[str | None]:
-    """Which variable each result of a function is, unchanged; None of what it computes.
-
-    Args:
-        function: as for `written`.
-        arguments: as for `written`.
-
-    Raises:
-        ArgumentError: As `written` does.
-    """
-    values, _ = traced(function, arguments, np.float64)
-    return [value.text or None for value in values]
-
-
-def traced(
-    function: Callable[..., Any], arguments: tuple[Any, ...], dtype: Any
-) -> tuple[list[Value], Any]:
-    """The results of a function as values, and the records that it returns them in."""
-    leaves, structure = jax.tree.flatten(arguments)
-    shapes = [jax.ShapeDtypeStruct((), dtype)] * len(leaves)
-    with jax.enable_x64(dtype == np.float64):
-        try:
-            closed, shape = jax.make_jaxpr(
-                lambda *flat: function(*jax.tree.unflatten(structure, flat)), return_shape=True
-            )(*shapes)
-        except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
-            raise ArgumentError(f"the filter's step can't be written in C: {error}") from error
-        trace = _Trace(dtype)
-        given = [trace.argument(leaf) for leaf in leaves]
-        values = trace.run(closed.jaxpr, given, trace.constants(closed.consts))
-    return values, shape
 
 
 class Writer:
@@ -635,12 +288,12 @@ class Writer:
             loop = of[0].operation.loop if of[0].operation else None
             assert loop is not None
             return self._names[id(loop.inputs[loop.first + value.operation.place])], 9
-        if name in _INFIX:
-            sign, strength = _INFIX[name]
+        if name in INFIX:
+            sign, strength = INFIX[name]
             # C's operators are left-associative: the right operand needs a higher precedence.
             # Compilers warn of nested comparisons and logic without parentheses.
-            arithmetic = name in _ARITHMETIC
-            least = strength if arithmetic else _ARITHMETIC_BINDS
+            arithmetic = name in ARITHMETIC
+            least = strength if arithmetic else ARITHMETIC_BINDS
             left, right = self._bound(of[0], least), self._bound(of[1], least + arithmetic)
             return f"{left} {sign} {right}", strength
         if name in ("neg", "not"):
@@ -721,4 +374,4 @@ def _is_predicate(value: Value) -> bool:
         return loop is not None and loop.inputs[loop.first + operation.place].truth
     if operation.name == "select_n":
         return _is_predicate(operation.of[1])
-    return operation.name in _PREDICATES
+    return operation.name in PREDICATES

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from posegsa.export.scalar_c import Code, Loop, Value, Writer, margin, traced, wanted_of
+from posegsa.export.scalar_c import Code, Writer, margin, wanted_of
+from posegsa.export.scalar_trace import Loop, Value, traced
 
 FEWEST = 8
 """Members of a list that becomes an array."""

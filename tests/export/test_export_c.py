@@ -37,7 +37,7 @@ from helpers.controllers import fuzzy
 from helpers.filters import settings, state_of, vector_bias, vector_settings
 from helpers.results import endurance, trust
 from helpers.schedules import K, tuned
-from helpers.sensed import SAMPLES, START, recorded, rows_of, sensed
+from helpers.sensed import SAMPLES, START, recorded, rows_of, sensed, with_wrong_rows
 
 import posegsa
 from posegsa import config
@@ -351,22 +351,10 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
     good = rows_of(exact_run("recommended")[0])[:200]
     good = np.nan_to_num(good)
     good[:, [13, 14, 18]] = 1  # the weights: nothing is missing
-    bad = []
-    for column in range(good.shape[1]):
-        for value in (np.nan, np.inf, -np.inf):
-            bad.append(good[100].copy())
-            bad[-1][column] = value
-    for column, value in (
-        *((0, 0.0), (0, -0.01), (0, 1e-10), (0, 61.0), (2, 1.1e3), (5, -1e26), (8, 1.1e6)),
-        *((13, -1.0), (16, 1.1e6), (18, -1e-9), (18, 1.1e6)),
-    ):
-        bad.append(good[100].copy())
-        bad[-1][column] = value
-    rows = np.concatenate([good[:100], bad, good[100:]])
+    rows, wrong = with_wrong_rows(good)
     program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
     mixed, alone = (run_c(program, case.layout, START, r) for r in (rows, good))
-    expected = np.zeros(len(rows), int)
-    expected[100 : 100 + len(bad)] = CODES["invalid input"]
+    expected = np.where(wrong, CODES["invalid input"], 0)
     np.testing.assert_array_equal(mixed.code, expected)
     np.testing.assert_array_equal(mixed.raw[expected == 0], alone.raw)
 

@@ -26,7 +26,7 @@ from helpers.compiled_c import (
     sanitizers,
 )
 from helpers.compiled_c import build as build
-from helpers.sensed import START, recorded, rows_of
+from helpers.sensed import START, recorded, rows_of, with_wrong_rows
 from jax import Array
 
 import posegsa
@@ -278,19 +278,10 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
     good = np.nan_to_num(rows_of(exact_run("own")[0])[:200])
     weights = [13, 14, 18]
     good[:, weights] = 1
-    bad = []
-    for column in range(good.shape[1]):
-        for value in (np.nan, np.inf, -np.inf):
-            bad.append(good[100].copy())
-            bad[-1][column] = value
-    for column, value in ((0, 0.0), (0, 61.0), (2, 1.1e3), (5, -1e26), (8, 1.1e6), (13, -1.0)):
-        bad.append(good[100].copy())
-        bad[-1][column] = value
-    rows = np.concatenate([good[:100], bad, good[100:]])
+    rows, wrong = with_wrong_rows(good)
     program = build(header_of("12 states"), *watched())
     mixed, alone = (run_c(program, each, 0) for each in (rows, good))
-    expected = np.zeros(len(rows), int)
-    expected[100 : 100 + len(bad)] = CODES["invalid input"]
+    expected = np.where(wrong, CODES["invalid input"], 0)
     np.testing.assert_array_equal(mixed.code, expected)
     np.testing.assert_array_equal(mixed.raw[expected == 0], alone.raw)
 

@@ -10,7 +10,8 @@ import pytest
 from helpers.compiled_c import COMPILERS, needs_cc
 
 from posegsa.errors import ArgumentError
-from posegsa.export.scalar_c import Known, literal, written
+from posegsa.export.scalar_c import literal, written
+from posegsa.export.scalar_trace import Known
 from posegsa.model.elementwise import choose, maximum, minimum
 
 pytestmark = pytest.mark.quick

@@ -89,3 +89,21 @@ def rows_of(m: Measurements, dtype: Any = np.float64, *, velocity: bool = True) 
     for values, weights in ((m.vectors, m.vector_weights), (m.landmarks, m.landmark_weights)):
         columns += [values.reshape(count, -1), weights] if weights.shape[1] else []
     return np.concatenate(columns, axis=1).astype(dtype)
+
+
+WRONG = (
+    *((0, 0.0), (0, -0.01), (0, 1e-10), (0, 61.0), (2, 1.1e3), (5, -1e26), (8, 1.1e6)),
+    *((13, -1.0), (16, 1.1e6), (18, -1e-9), (18, 1.1e6)),
+)
+"""Columns of `rows_of` with two vectors and a landmark, and values that no sensor gives."""
+
+
+def with_wrong_rows(good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Good rows (N, numbers) with others in between that are to be refused, and which these are."""
+    every = [(c, value) for c in range(good.shape[1]) for value in (np.nan, np.inf, -np.inf)]
+    bad = np.repeat(good[100:101], len(every) + len(WRONG), axis=0)
+    for row, (column, value) in zip(bad, [*every, *WRONG], strict=True):
+        row[column] = value
+    wrong = np.zeros(len(good) + len(bad), bool)
+    wrong[100 : 100 + len(bad)] = True
+    return np.concatenate([good[:100], bad, good[100:]]), wrong
