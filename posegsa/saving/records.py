@@ -211,53 +211,6 @@ def to_csv(record: object, counted: str = "") -> str:
     return text.getvalue()
 
 
-def from_csv(kind: type[Record], text: str, source: Path, counted: str = "") -> Record:
-    """Read what `to_csv` wrote, from the file that errors name.
-
-    Raises:
-        RunFolderError: It is not such a table.
-    """
-    columns = _columns(kind)
-    first = [counted] if counted else []
-    try:
-        header, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-        names = {field: spec.of(_count(columns, first, header)) for field, spec in columns.items()}
-        needed = first + [name for some in names.values() for name in some]
-        if header != needed:
-            found = reprlib.repr(header)
-            raise ValueError(f"the columns are {found}; allowed: {', '.join(needed)}")
-        for number, row in enumerate(rows, start=1):
-            if len(row) != len(needed):
-                raise ValueError(f"row {number} has {len(row)} values; allowed: {len(needed)}")
-            if counted and row[0] != str(number):
-                raise ValueError(f"row {number} has {counted} = {reprlib.repr(row[0])}")
-        table = [[_number(cell) for cell in row] for row in rows]
-    except (csv.Error, ValueError) as error:
-        raise RunFolderError(f"{source}: is not such a table: {error}") from None
-    data, start = {}, len(first)
-    for field, spec in columns.items():
-        end = start + len(names[field])
-        alone = len(names[field]) == 1 and not spec.each
-        data[field] = [row[start] if alone else row[start:end] for row in table]
-        start = end
-    return from_plain(kind, data, source)
-
-
-def _number(cell: str) -> int | float | str:
-    """The number in a cell; other text is returned for the type check to refuse."""
-    try:
-        return int(cell) if cell.isdecimal() else float(cell)
-    except ValueError:
-        return cell
-
-
-def _count(columns: dict[str, Columns], first: list[str], header: list[str]) -> int:
-    """The number of things that have columns of their own, from the length of the header."""
-    fixed = len(first) + sum(len(spec.names) for spec in columns.values() if not spec.each)
-    for_each = sum(len(spec.names) for spec in columns.values() if spec.each)
-    return max(0, len(header) - fixed) // max(1, for_each)
-
-
 def _columns(kind: Any) -> dict[str, Columns]:
     return {
         field: spec

@@ -20,7 +20,6 @@ from posegsa.saving import imu
 from posegsa.saving.checkpointing import checkpoint_paths
 from posegsa.saving.folder import (
     FIGURES,
-    MAX_BYTES,
     RESULT,
     as_path,
     holds_run,
@@ -30,6 +29,7 @@ from posegsa.saving.folder import (
 )
 from posegsa.saving.records import from_json, to_csv, to_json
 from posegsa.search.build import OwnFilter
+from posegsa.settings.fields import MAX_SAMPLES
 
 SCHEMA = 5
 """Version of the format of result.json."""
@@ -41,8 +41,8 @@ RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
 FILES = (REPORT, RESULT, SUMMARY, TABLE, HISTORY, TRAJECTORY)
 RUN_FILES = [*FILES, *RUN_FIGURES]
 """All files of a finished run except checkpoints; `load` reads result.json alone."""
-MAX_SAMPLE = 2**10
-"""Maximum size of a sample of the trajectory: it has 26 numbers of at most 25 characters."""
+MAX_RESULT = 2**30 + 2**9 * MAX_SAMPLES
+"""Maximum size of result.json: a sample of the trajectory takes 430 bytes, all else far less."""
 
 
 def save(
@@ -177,10 +177,6 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
     if filter is not None:
         refuse(f"filter for {path}", "none: the run is of a filter of posegsa")
     return result
-
-
-MAX_RESULT = 8 * MAX_BYTES
-"""Maximum size of result.json: with long trajectories and many scenarios it is large."""
 
 
 def _refuse_disagreement(source: Path, result: Result) -> None:

@@ -292,7 +292,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         ),
         (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
         (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),
-        (lambda f: os.truncate(f / "result.json", 2**30 + 1), "1073741825 bytes"),
+        (lambda f: os.truncate(f / "result.json", run_folder.MAX_RESULT + 1), "6193741825 bytes"),
         (lambda f: (f / "result.json").unlink() or os.mkfifo(f / "result.json"), "regular file"),
         (
             lambda f: alter(f / "result.json", '"sampled_points": 1', '"sampled_points": -1'),

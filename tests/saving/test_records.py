@@ -11,10 +11,9 @@ from helpers.results import history, trajectory
 from pydantic import Field
 
 from posegsa.errors import RunFolderError
-from posegsa.judging.trajectory import Trajectory
 from posegsa.optimisers import GSA, History
-from posegsa.saving.records import from_csv, from_json, to_csv, to_json
-from posegsa.settings.arrays import Columns, Cost, Numbers
+from posegsa.saving.records import from_json, to_csv, to_json
+from posegsa.settings.arrays import Cost, Numbers
 
 pytestmark = pytest.mark.quick
 
@@ -224,26 +223,35 @@ def test_what_is_no_such_record_is_refused_as_that(text, said):
 # Tables -------------------------------------------------------------------------------------------
 
 
-def test_a_table_comes_back_bit_for_bit():
+def numbers_of(text: str) -> np.ndarray:
+    """The numbers (rows, columns) of a table, as any program reads them."""
+    return np.array([[float(cell) for cell in line.split(",")] for line in text.splitlines()[1:]])
+
+
+def test_a_table_holds_every_bit():
     made = trajectory(7)
     # The trajectory of a filter that diverged is saved too.
-    position = np.array([np.inf, -np.inf, np.nan, -0.0, 5e-324, 1e308, 1 / 3])
-    made = replace(made, gain=position, euler=np.stack([position] * 3, axis=1))
-    back = from_csv(Trajectory, to_csv(made), FILE)
-    for field in fields(Trajectory):
-        ours, found = getattr(made, field.name), getattr(back, field.name)
-        assert found.dtype == np.float64
-        np.testing.assert_array_equal(np.signbit(found), np.signbit(ours))
-        np.testing.assert_array_equal(found, ours)
+    gain = np.array([np.inf, -np.inf, np.nan, -0.0, 5e-324, 1e308, 1 / 3])
+    made = replace(made, gain=gain, euler=np.stack([gain] * 3, axis=1))
+    text = to_csv(made)
+    header, found = text.splitlines()[0].split(","), numbers_of(text)
+    columns = (
+        ("gain_1_s", gain),
+        ("pitch_deg", gain),
+        ("y_est_m", made.position_est[:, 1]),
+        ("bias_error_v2", made.vector_bias_error[:, 1]),
+    )
+    for name, ours in columns:
+        column = found[:, header.index(name)]
+        np.testing.assert_array_equal(np.signbit(column), np.signbit(ours))
+        np.testing.assert_array_equal(column, ours)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_whole_numbers_and_single_precision_come_back_too(dtype):
-    seen = History(*(np.asarray(column, dtype) for column in history(5)[:3]), np.arange(5))
-    back = from_csv(History, to_csv(seen), FILE)
-    assert back.non_finite.dtype == np.int64
-    for ours, found in zip(seen, back, strict=True):
-        np.testing.assert_array_equal(found.astype(ours.dtype), ours)
+def test_single_precision_comes_back_too():
+    seen = History(*(np.asarray(column, np.float32) for column in history(5)[:3]), np.arange(5))
+    found = numbers_of(to_csv(seen))
+    for ours, column in zip(seen, found.T, strict=True):
+        np.testing.assert_array_equal(column.astype(ours.dtype), ours)
 
 
 def test_single_precision_is_written_with_the_digits_that_it_has():
@@ -256,12 +264,6 @@ def test_a_table_may_count_its_rows():
     header, first, *_ = text.splitlines()
     assert header == ",".join(["iteration", *History._fields])
     assert first == "1,60.0,65.0,69.0,0"
-    back = from_csv(History, text, FILE, counted="iteration")
-    np.testing.assert_array_equal(back.best, history(5).best)
-    for wrong in ("2", "1.0", "x", ""):
-        altered = text.replace("\n1,", f"\n{wrong},")
-        with pytest.raises(RunFolderError, match=f"row 1 .*iteration = '{wrong}'"):
-            from_csv(History, altered, FILE, counted="iteration")
 
 
 def test_a_table_has_a_row_a_sample_under_names_with_units():
@@ -285,54 +287,14 @@ def test_a_table_has_a_row_a_sample_under_names_with_units():
 def test_a_table_has_columns_for_each_vector(vectors):
     biases, errors = np.ones((5, 3 * vectors)), np.full((5, vectors), 0.5)
     made = replace(trajectory(5), vector_bias_est=biases, vector_bias_error=errors)
-    back = from_csv(Trajectory, to_csv(made), FILE)
-    np.testing.assert_array_equal(back.vector_bias_est, biases)
-    np.testing.assert_array_equal(back.vector_bias_error, errors)
-    text = to_csv(trajectory(5)).replace("bias_error_v2", "bias_error_v3")
-    with pytest.raises(RunFolderError, match="columns"):
-        from_csv(Trajectory, text, FILE)
-
-
-class Table(NamedTuple):
-    """A small table."""
-
-    step: Annotated[np.ndarray, Columns("step", dtype=int)]
-    place: Annotated[np.ndarray, Columns("x_m", "y_m")]
-    error: Annotated[np.ndarray, Columns("error_deg", allow="infinite")]
-
-
-NO_TABLE = ".*table.*"
-GOOD = "step,x_m,y_m,error_deg\n1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n"
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        (GOOD, "", NO_TABLE),
-        (GOOD, '"', NO_TABLE),
-        ("1,0.5,-1.0,inf\n2,0.25,3.0,4.0\n", "", r"step: shape \(0,\); .*place: shape \(0,\)"),
-        (
-            "x_m",
-            "x_cm",
-            rf"{NO_TABLE}\['step', 'x_cm', .*step, x_m, y_m",
-        ),
-        ("step,", "", rf"{NO_TABLE}\['x_m'"),
-        ("error_deg", "error_deg,more", f"{NO_TABLE}the columns are"),
-        ("-1.0,inf", "-1.0", f"{NO_TABLE}row 1 .*3 .*4"),
-        ("3.0,4.0", "3.0,4.0,5.0", f"{NO_TABLE}row 2 .*5 .*4"),
-        ("3.0,4.0\n", "3.0,4.0\n\n", f"{NO_TABLE}row 3 .*0 .*4"),
-        ("2,0.25", "2.0,0.25", r"step.1 = 2.0.*integer"),
-        ("2,0.25", "x,0.25", r"step.1 = 'x'.*integer"),
-        ("2,0.25", ",0.25", r"step.1 = ''.*integer"),
-        ("3.0,4.0", "broken,4.0", r"place.1.1 = 'broken'.*number"),
-        ("3.0,4.0", "true,4.0", r"place.1.1 = 'true'.*number"),
-        ("0.25", "inf", r"place.1.0 = inf.*finite number"),
-        ("0.25", "nan", r"place.1.0 = nan.*finite number"),
-        ("4.0", "nan", r"error: nan.*numbers, or infinite"),
-    ],
-)
-def test_a_damaged_table_is_refused_by_column(old, new, said):
-    assert from_csv(Table, GOOD, FILE).place.tolist() == [[0.5, -1.0], [0.25, 3.0]]
-    assert old in GOOD
-    with pytest.raises(RunFolderError, match=f"^record.json: {said}"):
-        from_csv(Table, GOOD.replace(old, new), FILE)
+    text = to_csv(made)
+    header, found = text.splitlines()[0].split(","), numbers_of(text)
+    named = [f"bias_est_v{i}_{axis}" for i in range(1, vectors + 1) for axis in "xyz"]
+    named += [f"bias_error_v{i}" for i in range(1, vectors + 1)]
+    assert [
+        name
+        for name in header
+        if name.startswith(("bias_est_v1", "bias_est_v2", "bias_est_v3", "bias_error"))
+    ] == named
+    places = [header.index(name) for name in named]
+    np.testing.assert_array_equal(found[:, places], np.concatenate([biases, errors], axis=1))
