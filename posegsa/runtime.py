@@ -73,6 +73,12 @@ def fast_path_flags(flags: str = "", devices: int | None = None) -> str:
     return " ".join([*others, _EXTRA + ",".join(options)])
 
 
+def has_fast_path() -> bool:
+    """Whether XLA_FLAGS names the options of the fast path, or a file whose options are unknown."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    return _is_file(flags) or all(name in flags for name in _OPTIONS)
+
+
 def _is_file(flags: str) -> bool:
     """Whether XLA reads XLA_FLAGS as the name of a file with options."""
     return bool(flags.strip()) and not flags.lstrip().startswith("-")

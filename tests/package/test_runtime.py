@@ -106,6 +106,12 @@ print("same")
     assert python(code) == "same"
 
 
+def test_it_is_known_whether_the_options_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for flags, known in (("", False), (runtime.fast_path_flags(), True), ("/etc/flags", True)):
+        monkeypatch.setenv("XLA_FLAGS", flags)
+        assert runtime.has_fast_path() is known
+
+
 def test_the_fast_path_is_on_when_asked_for_in_time():
     code = """
 import posegsa, os

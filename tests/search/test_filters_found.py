@@ -10,7 +10,7 @@ from helpers.experiments import tiny
 from helpers.own_filter import Complementary
 
 from posegsa import config
-from posegsa.errors import ArgumentError
+from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import simulate_cost
@@ -134,3 +134,12 @@ def test_a_filter_of_the_users_own_that_can_not_be_is_refused() -> None:
         tuning_problem(experiment, own=lambda attitude_gain: Complementary(attitude_gain, 1.0))  # type: ignore[arg-type]  # a number less
     with pytest.raises(ArgumentError, match="filter"):
         tuning_problem(experiment, own=lambda **numbers: "fast")  # type: ignore[arg-type]  # no filter
+
+
+def test_a_kalman_filter_without_the_options_for_speed_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr("posegsa.search.run.run_timed", lambda *_: None)
+    with pytest.warns(PosegsaWarning, match="enable_fast_path"):
+        run_search(problem_of("kalman"))
