@@ -15,6 +15,7 @@ from helpers.schedules import K, tuned
 from scipy.spatial.transform import Rotation
 
 import posegsa
+from posegsa import config
 from posegsa.saving.result import load
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -115,3 +116,15 @@ def test_gamma_study(tmp_path, capsys):
     assert {each.shape for each in costs.values()} == {(2, 1)}
     assert (tmp_path / "study.png").stat().st_size > 5000
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_the_configuration_of_ones_own_filter_is_tuned():
+    """Shorter than it is, and with a smaller search."""
+    few = ["scenario.duration=2.0", "cost.steady_window=[100, 199]", "run.training_scenarios=1"]
+    few += ["run.held_out_scenarios=1", "run.endurance_times=1", "search.iterations=3"]
+    configured = config.override(config.load(EXAMPLES / "own_filter.toml"), few)
+    result = posegsa.tune(configured, filter=example("own_filter")["ComplementaryFilter"])
+    assert set(result.also) == {
+        f"filter.{name}" for name in ("attitude_gain", "position_gain", "bias_gain")
+    }
+    assert result.best_cost <= result.search.history.best[0]
