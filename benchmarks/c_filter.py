@@ -40,7 +40,7 @@ from posegsa.filters.observer import Observer
 from posegsa.judging.result import Result
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import integrate, measure
-from posegsa.saving.result import load
+from posegsa.saving.result_files import load
 from posegsa.search.build import filter_settings, scenario, signal_settings
 from posegsa.words import counted
 

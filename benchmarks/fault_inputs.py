@@ -9,7 +9,7 @@ from readme import ROOT
 
 import posegsa
 from posegsa import config
-from posegsa.saving.result import load
+from posegsa.saving.result_files import load
 
 sys.path.insert(0, str(ROOT / "tests"))  # it is generated as the tests do
 
@@ -41,7 +41,7 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
 
     from posegsa.errors import PosegsaError
     from posegsa.search.build import tuning_problem
-    from posegsa.search.run import run_search
+    from posegsa.search.run_search import run_search
 
     names = ("configurations tuned whole", "of these written and read back")
     names += ("configurations searched only", "results with NaN")

@@ -78,7 +78,7 @@ def searched(experiment: config.Experiment, folder: Path) -> None:
     from posegsa.saving.checkpointing import CheckpointWriter
     from posegsa.saving.interrupt import StopRequest
     from posegsa.search.build import tuning_problem
-    from posegsa.search.run import run_search
+    from posegsa.search.run_search import run_search
 
     folder.mkdir(parents=True, exist_ok=True)
     with CheckpointWriter(folder, experiment, StopRequest()) as writer:
@@ -90,7 +90,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     from posegsa.saving.checkpointing import CheckpointWriter
     from posegsa.saving.interrupt import StopRequest
     from posegsa.search.build import tuning_problem
-    from posegsa.search.run import run_search
+    from posegsa.search.run_search import run_search
 
     class Counted(CheckpointWriter):
         count = 0

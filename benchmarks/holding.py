@@ -29,7 +29,7 @@ from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import Result
 from posegsa.runtime import environment
-from posegsa.saving.result import load
+from posegsa.saving.result_files import load
 from posegsa.search.build import parameter_space, scenario, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys

@@ -31,19 +31,19 @@ from tqdm import tqdm
 import posegsa
 from posegsa import config
 from posegsa.comparing import compare, specify
-from posegsa.figures.comparison import plot_comparison
+from posegsa.figures.comparison_figures import plot_comparison
 from posegsa.figures.style import png
 from posegsa.judging.comparison import OptimiserComparison
 from posegsa.model.schedules import FuzzyGain
 from posegsa.optimisers import OPTIMISERS, Optimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
-from posegsa.saving.comparison import load_comparison
+from posegsa.saving.comparison_files import load_comparison
 from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import run_search
+from posegsa.search.run_search import run_search
 
 BEST = "de:strategy=best/1/bin"
 FILTER = ("gsa", "random_search", "pso", "de", BEST, "cma_es", "adam", "gsa+adam")

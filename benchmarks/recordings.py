@@ -8,7 +8,7 @@
 3. Seconds per sample and memory of a filter run over recordings of 10^4 to 10^6 samples.
 
 DATA_FOLDER has a folder `euroc` with V1_02_medium as published (see docs/recordings.md), or with
-its two files as *imu0.csv and *groundtruth.csv. For BROAD see `benchmarks/broad.py`.
+its two files as *imu0.csv and *groundtruth.csv. For BROAD see `benchmarks/broad_trials.py`.
 
     python benchmarks/recordings.py DATA_FOLDER [--only euroc|outliers|speed] [--write]
 """

@@ -23,7 +23,7 @@ from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario
-from posegsa.search.run import run_search
+from posegsa.search.run_search import run_search
 
 VALIDATION_SCENARIOS = 256
 ALSO = [one.key for one in config.Experiment().parameters.also]

@@ -13,19 +13,19 @@ from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, check_type, check_whole, several
 from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.errors import ConfigError
-from posegsa.figures.choice import chosen_figures
+from posegsa.figures.figure_choice import chosen_figures
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.optimisers.registry import USUAL
 from posegsa.runtime import environment
-from posegsa.saving.comparison import continued, write_comparison, write_searches
+from posegsa.saving.comparison_files import continued, write_comparison, write_searches
 from posegsa.saving.folder import locked_folder
 from posegsa.search import memory
 from posegsa.search.build import tuning_problem
 from posegsa.search.keys import repeat_key
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import (
+from posegsa.search.run_search import (
     Found,
     Progress,
     first_search,

@@ -6,14 +6,14 @@ from typing import Literal
 
 from posegsa.arguments import check_type, refuse, several
 from posegsa.config.imu import SHIPPED, ImuConfig, load_imu
-from posegsa.figures.choice import chosen_figures
-from posegsa.figures.replay import REPLAY_FIGURES
-from posegsa.judging.replay import Replay, replayed_on
+from posegsa.figures.figure_choice import chosen_figures
+from posegsa.figures.replay_figures import REPLAY_FIGURES
+from posegsa.judging.replayed import Replay, replayed_on
 from posegsa.judging.result import Result
 from posegsa.recordings.imu import ImuRecording, as_imu
 from posegsa.recordings.imu_filter import run_imu
 from posegsa.recordings.recording import Recording
-from posegsa.saving.replay import write_replays
+from posegsa.saving.replay_files import write_replays
 
 
 def replay(

@@ -16,15 +16,15 @@ from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_who
 from posegsa.defaults import TOGETHER
 from posegsa.errors import MemoryLimitError
 from posegsa.judging.description import describe
-from posegsa.judging.sweep import SEED, Sweep, SweepRun, Values, run_name, with_values
+from posegsa.judging.sweep_runs import SEED, Sweep, SweepRun, Values, run_name, with_values
 from posegsa.runtime import environment
 from posegsa.saving.folder import as_path
 from posegsa.saving.interrupt import resumable
-from posegsa.saving.sweep import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
+from posegsa.saving.sweep_folder import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.run import (
+from posegsa.search.run_search import (
     Found,
     Progress,
     run_search,

@@ -25,7 +25,7 @@ from posegsa.saving.checkpointing import (
 )
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.interrupt import resumable
-from posegsa.saving.result import run_figures, write_result
+from posegsa.saving.result_files import run_figures, write_result
 from posegsa.saving.resume import (
     check_same_recordings,
     experiment_to_resume,
@@ -36,7 +36,7 @@ from posegsa.search import memory
 from posegsa.search.build import OwnFilter, TuningProblem, filter_of, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
-from posegsa.search.run import run_search, search_batch, tell_search
+from posegsa.search.run_search import run_search, search_batch, tell_search
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None

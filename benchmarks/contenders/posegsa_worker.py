@@ -38,7 +38,7 @@ from posegsa.runtime import fast_path_flags
 from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import evaluate_population
-from posegsa.search.run import on_all_devices, run_search
+from posegsa.search.run_search import on_all_devices, run_search
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 PAPER, RECOMMENDED = CONFIGS / "paper.toml", CONFIGS / "recommended.toml"

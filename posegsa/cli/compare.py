@@ -3,7 +3,7 @@
 import argparse
 
 from posegsa import config
-from posegsa.cli.arguments import add_count, add_figures, add_search_arguments
+from posegsa.cli.options import add_count, add_figures, add_search_arguments
 from posegsa.cli.progress import Display
 from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.saving.interrupt import resumable
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from posegsa import comparing
     from posegsa.optimisers.functions import ClassicalFunction
     from posegsa.optimisers.registry import USUAL
-    from posegsa.saving.comparison import DATA, FIGURE, TABLE
+    from posegsa.saving.comparison_files import DATA, FIGURE, TABLE
 
     experiment = config.override(config.as_experiment(options.config), options.set)
     function = None

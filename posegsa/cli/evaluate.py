@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from posegsa.cli.arguments import (
+from posegsa.cli.options import (
     RECORDING,
     add_bridge,
     add_figures,
@@ -60,7 +60,7 @@ def add(commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Judge a finished run again."""
     from posegsa.saving.folder import locked_folder
-    from posegsa.saving.result import run_figures, write_result, written
+    from posegsa.saving.result_files import run_figures, write_result, written
 
     _check(options)
     run_figures(options.figures)

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from posegsa.cli.arguments import add_run, result_of
+from posegsa.cli.options import add_run, result_of
 from posegsa.errors import PosegsaError
 from posegsa.export.formats import FORMATS, export
 

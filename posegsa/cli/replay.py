@@ -2,7 +2,7 @@
 
 import argparse
 
-from posegsa.cli.arguments import (
+from posegsa.cli.options import (
     RECORDING,
     add_bridge,
     add_figures,
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
     from posegsa import replaying
     from posegsa.config.imu import ImuConfig, load_imu, names_imu
-    from posegsa.judging.replay import replay_table
+    from posegsa.judging.replayed import replay_table
     from posegsa.recordings.imu import as_imu
 
     for name in ("overwrite", "figures"):

@@ -4,13 +4,13 @@ import argparse
 from typing import TYPE_CHECKING
 
 from posegsa import config
-from posegsa.cli.arguments import add_count, add_search_arguments
+from posegsa.cli.options import add_count, add_search_arguments
 from posegsa.cli.progress import Display
 from posegsa.defaults import TOGETHER
 from posegsa.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from posegsa.judging.sweep import Sweep
+    from posegsa.judging.sweep_runs import Sweep
 
 OUT = "posegsa-sweep"
 """Default folder."""
@@ -69,7 +69,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> int:
     """Search with other values and seeds, or merge the runs of several folders."""
     from posegsa import sweeping
-    from posegsa.saving.sweep import merge_sweeps
+    from posegsa.saving.sweep_folder import merge_sweeps
 
     if options.merge is not None:
         for name in ("config", "set", "vary"):
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _show(found: "Sweep", folder: str) -> None:
     from posegsa.saving.folder import FIGURES
-    from posegsa.saving.sweep import FILES
+    from posegsa.saving.sweep_folder import FILES
 
     print(found.table())
     print(f"\nWritten to {folder}: {', '.join(FILES)}, {FIGURES}/")

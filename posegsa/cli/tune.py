@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posegsa import config
-from posegsa.cli.arguments import (
+from posegsa.cli.options import (
     RECORDING,
     add_bridge,
     add_figures,
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     """Tune, judge and print the result."""
     from posegsa import tuning
     from posegsa.config.imu import names_imu
-    from posegsa.saving.result import written
+    from posegsa.saving.result_files import written
 
     first = _join(options)
     if names_imu(options.config):

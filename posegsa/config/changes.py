@@ -5,8 +5,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from posegsa.config.filters import ALSO_OF_KIND
-from posegsa.config.schedule import fitted_bounds
+from posegsa.config.filter_config import ALSO_OF_KIND
+from posegsa.config.schedule_config import fitted_bounds
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation
 

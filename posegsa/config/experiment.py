@@ -6,16 +6,16 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from posegsa.config.changes import with_values
-from posegsa.config.family import FamilyConfig
-from posegsa.config.filters import (
+from posegsa.config.family_config import FamilyConfig
+from posegsa.config.filter_config import (
     ALSO_OF_KIND,
     KALMAN_ALSO,
     ONE_FILTER,
     FilterConfig,
     ObserverConfig,
 )
-from posegsa.config.scenario import ScenarioConfig
-from posegsa.config.schedule import (
+from posegsa.config.scenario_config import ScenarioConfig
+from posegsa.config.schedule_config import (
     DEFAULT_ALSO,
     PARAMETERS,
     SEARCHED,

@@ -2,9 +2,9 @@
 
 The code repeats the operations of `posegsa.model.fuzzy` one by one. So both agree up to rounding
 even where only a few rules fire weakly and the gain depends on differences of small heights.
-Unlike the rest of the filter (`export.c`) it is not traced: loops over tables of 25 rules and 5
-terms are shorter and easier to read than a thousand statements. The code is in `controller.c` and
-`centroid_*.c`, which the whole filter uses too.
+Unlike the rest of the filter (`export.c_header`) it is not traced: loops over tables of 25 rules
+and 5 terms are shorter and easier to read than a thousand statements. The code is in `controller.c`
+and `centroid_*.c`, which the whole filter uses too.
 """
 
 from collections.abc import Iterable, Sequence

@@ -35,7 +35,7 @@ FORMATS = {
         controller=True,
     ),
     "c": Format(
-        "posegsa.export.c:export_c",
+        "posegsa.export.c_header:export_c",
         "the whole filter, from measurements to pose, as one C99 header",
         named=True,
     ),

@@ -28,8 +28,8 @@ from posegsa.judging.evaluation import (
     SMOOTH,
     SWITCH,
 )
-from posegsa.judging.kalman import kalman_experiment, tune_kalman
 from posegsa.judging.metrics import error_tracks
+from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, KnotGain
 from posegsa.optimisers import Optimiser
@@ -37,7 +37,7 @@ from posegsa.search.build import TuningProblem, filter_of, scenario_batch, searc
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
-from posegsa.search.run import first_search, run_search, tell_share
+from posegsa.search.run_search import first_search, run_search, tell_share
 from posegsa.search.schedule_spaces import schedule_space
 
 CONSTANT_GAINS = 201

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from posegsa.config.imu import ImuConfig
 from posegsa.judging.on_recordings import RecordingScore, mean_errors, score
-from posegsa.judging.replay import HEADS, error_rows
+from posegsa.judging.replayed import HEADS, error_rows
 from posegsa.recordings.imu import ImuRecording, with_vectors
 from posegsa.recordings.imu_filter import run_imu
 from posegsa.search.imu import FoundImu

@@ -33,7 +33,7 @@ from posegsa.runtime import environment
 from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import cost_name, costs_by_scenario
-from posegsa.search.run import Found
+from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
 _PARTS = ("the filter beside it", "unseen scenarios", "one run", "long after", "trust")

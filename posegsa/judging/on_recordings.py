@@ -11,7 +11,7 @@ from posegsa.errors import RecordingError
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.evaluation import CONSTANT
 from posegsa.judging.known_sensors import StoredSensors
-from posegsa.judging.replay import HEADS, error_rows, replayed_on
+from posegsa.judging.replayed import HEADS, error_rows, replayed_on
 from posegsa.recordings.accuracy import AnyNumber, Rmse
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.recording import Recording

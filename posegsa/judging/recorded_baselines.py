@@ -14,16 +14,16 @@ from posegsa.judging.baselines import baselines
 from posegsa.judging.description import Description, describe, described_filter
 from posegsa.judging.evaluation import CONSTANT, EKF
 from posegsa.judging.judge import own_score
-from posegsa.judging.kalman import kalman_experiment, tune_kalman
 from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score
 from posegsa.judging.other_filters import OTHER_FILTERS, other_filter, readable
 from posegsa.judging.result import Result
+from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import TrackCost
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
-from posegsa.search.run import run_search, tell_share
+from posegsa.search.run_search import run_search, tell_share
 
 Scores = dict[str, list[RecordingScore]]
 """Scores on each recording, by name of the filter."""

@@ -6,7 +6,7 @@ two halves, for use inside your own compiled function. `ask` and `tell` are the 
 """
 
 from posegsa.optimisers.adam import Adam as Adam
-from posegsa.optimisers.base import Optimiser as Optimiser
+from posegsa.optimisers.ask_tell import Optimiser as Optimiser
 from posegsa.optimisers.differential_evolution import DifferentialEvolution as DifferentialEvolution
 from posegsa.optimisers.driver import in_chunks as in_chunks
 from posegsa.optimisers.driver import runner as runner

@@ -14,7 +14,7 @@ from jax import Array, random
 from jax.typing import DTypeLike
 from pydantic import Field
 
-from posegsa.optimisers.base import Optimiser, uniform
+from posegsa.optimisers.ask_tell import Optimiser, uniform
 from posegsa.settings.fields import Count, Epsilon, Positive, Section, Share
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from jax import Array, random
 from jax.typing import DTypeLike
 from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.optimisers.ask_tell import FailureCost, Optimiser, uniform
 from posegsa.settings.fields import Count, Share
 
 Strategy = Literal["rand/1/bin", "best/1/bin"]

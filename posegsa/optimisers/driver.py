@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 
-from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.ask_tell import Optimiser
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, advance
 from posegsa.optimisers.search_box import Box

@@ -19,7 +19,7 @@ from jax.typing import DTypeLike
 from pydantic import Field
 
 from posegsa.errors import ConfigError
-from posegsa.optimisers.base import Optimiser, uniform
+from posegsa.optimisers.ask_tell import Optimiser, uniform
 from posegsa.settings.fields import Count, Positive
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from posegsa.optimisers.base import Objective
+from posegsa.optimisers.ask_tell import Objective
 
 ObjectiveWithGradient = Callable[[Array], tuple[Array, Array]]
 """Maps positions (agents, dimensions) to costs (agents,) and gradients (agents, dimensions)."""

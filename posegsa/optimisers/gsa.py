@@ -20,7 +20,7 @@ from jax import Array, lax, random
 from jax.typing import ArrayLike, DTypeLike
 from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.optimisers.ask_tell import FailureCost, Optimiser, uniform
 from posegsa.settings.fields import Count, Epsilon, NonNegative
 
 PULL_SECONDS = 1.4e-9

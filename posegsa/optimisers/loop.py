@@ -15,7 +15,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_whole, refuse
-from posegsa.optimisers.base import FailureCost, Objective, Optimiser
+from posegsa.optimisers.ask_tell import FailureCost, Objective, Optimiser
 from posegsa.optimisers.gradient import Differentiable, reverse_mode
 from posegsa.optimisers.search_box import Box, from_unit, to_unit
 from posegsa.settings.arrays import Columns

@@ -19,7 +19,7 @@ from posegsa.arguments import (
     made_of_jax,
     refuse,
 )
-from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.ask_tell import Optimiser
 from posegsa.optimisers.driver import CHUNKS, in_chunks, runner
 from posegsa.optimisers.gradient import Differentiable
 from posegsa.optimisers.loop import AnyObjective, Search, Until, start

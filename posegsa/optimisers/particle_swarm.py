@@ -19,7 +19,7 @@ from jax import Array, random
 from jax.typing import DTypeLike
 from pydantic import Field
 
-from posegsa.optimisers.base import FailureCost, Optimiser, uniform
+from posegsa.optimisers.ask_tell import FailureCost, Optimiser, uniform
 from posegsa.settings.fields import Count, NonNegative
 
 INERTIA, PULL = 0.7298, 1.4961

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from posegsa.optimisers.adam import Adam, DescentSettings
-from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.ask_tell import Optimiser
 from posegsa.optimisers.gsa import GSA
 from posegsa.settings.fields import MAX_COUNT, Count
 from posegsa.settings.violations import Violation

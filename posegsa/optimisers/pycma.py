@@ -17,7 +17,7 @@ from jax.typing import DTypeLike
 from pydantic import Field
 
 from posegsa.errors import ConfigError
-from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.ask_tell import Optimiser
 from posegsa.settings.fields import Count, Positive
 
 

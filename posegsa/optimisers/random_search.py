@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, NamedTuple
 from jax import Array, random
 from jax.typing import DTypeLike
 
-from posegsa.optimisers.base import Optimiser, uniform
+from posegsa.optimisers.ask_tell import Optimiser, uniform
 
 
 class RandomSearchState(NamedTuple):

@@ -1,7 +1,7 @@
 """The optimisers that a configuration can name; to add one, add its class to the list."""
 
 from posegsa.optimisers.adam import Adam
-from posegsa.optimisers.base import Optimiser
+from posegsa.optimisers.ask_tell import Optimiser
 from posegsa.optimisers.differential_evolution import DifferentialEvolution
 from posegsa.optimisers.evosax import CMAES, Evosax
 from posegsa.optimisers.gsa import GSA

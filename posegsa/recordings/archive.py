@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from posegsa.errors import RecordingError
-from posegsa.recordings.files import file_of, reading
+from posegsa.recordings.checked_files import file_of, reading
 
 GROUPS = "phases", "sources", "sensors"
 """Arguments that are dictionaries: each entry is an array named "group/key"."""

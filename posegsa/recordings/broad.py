@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from posegsa.recordings.files import file_of, reading
+from posegsa.recordings.checked_files import file_of, reading
 
 GRAVITY = 9.81
 """[m/s^2]"""

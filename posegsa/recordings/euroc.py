@@ -13,7 +13,7 @@ import numpy as np
 from posegsa.arguments import check_number
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import finite_array
-from posegsa.recordings.files import as_path, reading
+from posegsa.recordings.checked_files import as_path, reading
 from posegsa.recordings.rotations import matrices
 
 IMU = "mav0/imu0/data.csv", "imu0/data.csv", "*imu0.csv"

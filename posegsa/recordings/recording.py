@@ -18,8 +18,8 @@ from posegsa.recordings.archive import read_npz, write_npz
 from posegsa.recordings.beside import TABLE_KEYS, check_references, read_beside
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
+from posegsa.recordings.checked_files import as_path
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
-from posegsa.recordings.files import as_path
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import LONGEST_GAP, Policy
 from posegsa.recordings.rotations import about, matrices

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from posegsa.errors import RecordingError
-from posegsa.recordings.files import file_of, reading
+from posegsa.recordings.checked_files import file_of, reading
 
 Columns: TypeAlias = Mapping[str, str | Sequence[str] | Sequence[Sequence[str]]]
 """For arguments of `Recording.from_arrays`, the names of their columns."""

@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posegsa import config
-from posegsa.figures import evaluation as evaluation_figures
-from posegsa.figures import schedule as schedule_figures
+from posegsa.figures import evaluation_figures, schedule_figures, trajectory_figures
 from posegsa.figures import search as search_figures
-from posegsa.figures import trajectory as trajectory_figures
 from posegsa.judging import metrics
 from posegsa.judging.evaluation import SWITCH, TUNED, called
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
-from posegsa.report import tables
+from posegsa.report import report_tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
-from posegsa.report.words import (
+from posegsa.report.sentences import (
     better_words,
     cost_words,
     filter_words,
@@ -67,13 +65,17 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
         trajectory_figures=trajectory_figures.FIGURES,
         search_figures=search_figures.FIGURES,
         fuzzy=fuzzy,
-        input_terms=tables.input_terms(result) if fuzzy else [],
-        output_terms=tables.output_terms(result) if fuzzy else [],
+        input_terms=report_tables.input_terms(result) if fuzzy else [],
+        output_terms=report_tables.output_terms(result) if fuzzy else [],
         error_columns=[f"Error {term}" for term in config.TERMS],
-        rules=tables.rules(result) if trust.rule_weights is not None else [],
-        simulations=tables.simulations(result),
-        never_firing=0 if trust.rule_weights is None else tables.never_firing(trust.rule_weights),
-        heaviest=None if trust.rule_weights is None else tables.heaviest_rule(trust.rule_weights),
+        rules=report_tables.rules(result) if trust.rule_weights is not None else [],
+        simulations=report_tables.simulations(result),
+        never_firing=0
+        if trust.rule_weights is None
+        else report_tables.never_firing(trust.rule_weights),
+        heaviest=None
+        if trust.rule_weights is None
+        else report_tables.heaviest_rule(trust.rule_weights),
         also=[
             (one, result.also[one.key]) for one in result.experiment.also if one.key in result.also
         ],

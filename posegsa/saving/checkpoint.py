@@ -21,7 +21,7 @@ import numpy as np
 
 from posegsa.errors import CheckpointError, DamagedCheckpointError
 from posegsa.optimisers import Search
-from posegsa.saving.files import read_bounded, write_atomically
+from posegsa.saving.atomic_files import read_bounded, write_atomically
 
 FORMAT = 3
 """Version of the format; it changes when older checkpoints cannot be read any more."""

@@ -22,14 +22,14 @@ from posegsa.errors import (
 )
 from posegsa.optimisers import Search, lengthened
 from posegsa.runtime import environment
+from posegsa.saving.atomic_files import PART
 from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
-from posegsa.saving.files import PART
 from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
 from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
 from posegsa.search.build import TuningProblem
 from posegsa.search.population import CONFIGURED, cost_name
-from posegsa.search.run import LONGEST_CHUNK, Found, Progress, first_search, run_search
+from posegsa.search.run_search import LONGEST_CHUNK, Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain
 
@@ -199,7 +199,7 @@ class CheckpointWriter:
         return self
 
     def __call__(self, search: Search, search_seconds: float, compile_seconds: float) -> None:
-        """Write a checkpoint if one is due; called as `search.run.AfterChunk` says.
+        """Write a checkpoint if one is due; called as `search.run_search.AfterChunk` says.
 
         Raises:
             SearchInterrupted: A signal has asked to stop; the search is saved.

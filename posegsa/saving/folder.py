@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from posegsa.errors import RunFolderError
-from posegsa.saving.files import NO_LINK, read_bounded, sync_folder, write_synced
+from posegsa.saving.atomic_files import NO_LINK, read_bounded, sync_folder, write_synced
 
 RESULT, FIGURES, CHECKPOINTS = "result.json", "figures", "checkpoints"
 CHECKPOINT_SUFFIX = ".checkpoint"

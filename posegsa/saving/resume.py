@@ -11,7 +11,7 @@ from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.judging.result import Result
 from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import as_path
-from posegsa.saving.result import load
+from posegsa.saving.result_files import load
 from posegsa.search.build import OwnFilter
 from posegsa.settings.violations import Refused, Violation, violations_error
 

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from posegsa import config
-from posegsa.config.schedule import AlsoTuned
+from posegsa.config.schedule_config import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.filters.base import Filter, Samples, samples_of
 from posegsa.model.cost import CostWeights, RecordedCost

@@ -228,10 +228,10 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
         return Judged()
 
     monkeypatch.setattr("posegsa.saving.folder.locked_folder", locked_folder)
-    monkeypatch.setattr("posegsa.saving.result.load", load)
-    write = "posegsa.saving.result.write_result"
+    monkeypatch.setattr("posegsa.saving.result_files.load", load)
+    write = "posegsa.saving.result_files.write_result"
     monkeypatch.setattr(write, lambda *_, **__: events.append("written"))
-    monkeypatch.setattr("posegsa.saving.result.written", lambda *_: [])
+    monkeypatch.setattr("posegsa.saving.result_files.written", lambda *_: [])
     monkeypatch.setattr("posegsa.evaluating.evaluate", evaluate)
     assert main(["evaluate", str(tmp_path)]) == 0
     assert events == ["loaded", "locked", "loaded", "written"]

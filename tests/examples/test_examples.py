@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
-from posegsa.saving.result import load
+from posegsa.saving.result_files import load
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -42,7 +42,7 @@ def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
     # Every baseline of a tiny run is judged in `test_evaluate`, which takes twenty seconds.
     evaluate = inspect.signature(posegsa.evaluate)
     monkeypatch.setattr(posegsa, "evaluate", lambda *a, **k: evaluate.bind(*a, **k).args[0])
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     experiment = tiny("run.seed=1")
     result = example("tune_and_export")["main"](experiment, tmp_path / "tuned", scenarios=3)
     assert "best constant gains" in capsys.readouterr().out

@@ -16,9 +16,9 @@ from helpers.results import history, trajectory
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from posegsa.figures import schedule, search
-from posegsa.figures import trajectory as paths
-from posegsa.figures.result import FIGURES as ALL
+from posegsa.figures import schedule_figures, search
+from posegsa.figures import trajectory_figures as paths
+from posegsa.figures.result_figures import FIGURES as ALL
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.optimisers import History
 
@@ -34,9 +34,9 @@ def controller(inputs=COVERED, outputs=OUTPUTS, **choices):
 
 
 FIGURES = {
-    "input_terms": partial(schedule.plot_input_terms, controller(GAPPED)),
-    "output_terms": partial(schedule.plot_output_terms, controller()),
-    "surface": partial(schedule.plot_surface, controller(GAPPED)),
+    "input_terms": partial(schedule_figures.plot_input_terms, controller(GAPPED)),
+    "output_terms": partial(schedule_figures.plot_output_terms, controller()),
+    "surface": partial(schedule_figures.plot_surface, controller(GAPPED)),
     "convergence": partial(search.plot_convergence, history(non_finite=2)),
     "euler": partial(paths.plot_euler, trajectory()),
     "position": partial(paths.plot_position, trajectory()),
@@ -99,8 +99,8 @@ def test_look_does_not_depend_on_the_users_settings():
 
 def test_terms_are_named_triangles():
     for figure, terms, high in (
-        (schedule.plot_input_terms(controller()), COVERED, 1),
-        (schedule.plot_output_terms(controller()), OUTPUTS, 100),
+        (schedule_figures.plot_input_terms(controller()), COVERED, 1),
+        (schedule_figures.plot_output_terms(controller()), OUTPUTS, 100),
     ):
         (ax,) = figure.axes
         assert_drawn(ax, *((np.float32(term), (0, 1, 0)) for term in terms))
@@ -113,7 +113,7 @@ def test_terms_are_named_triangles():
 
 def test_names_of_close_peaks_do_not_overlap():
     close = ((0, 0, 0.1), (0.1, 0.15, 0.2), (0.1, 0.15, 0.2), (0.1, 0.16, 0.9), (0.3, 1, 1))
-    figure = schedule.plot_input_terms(controller(close))
+    figure = schedule_figures.plot_input_terms(controller(close))
     figure.draw_without_rendering()
     boxes = [Text.get_window_extent(text) for text in figure.axes[0].texts]
     for left, right in pairwise(boxes):
@@ -127,14 +127,14 @@ def test_other_numbers_of_terms_are_numbered():
         ((0, 1), (1, 1)),
         (0.0, 9.0),
     )
-    texts = schedule.plot_input_terms(two).axes[0].texts
+    texts = schedule_figures.plot_input_terms(two).axes[0].texts
     assert [text.get_text() for text in texts] == ["1", "2"]
 
 
 @pytest.mark.parametrize("choices", [{}, {"centroid": "sampled", "sampled_points": 101}])
 def test_surface_is_the_controllers(choices):
     fuzzy = controller(**choices)
-    ax, bar = schedule.plot_surface(fuzzy).axes
+    ax, bar = schedule_figures.plot_surface(fuzzy).axes
     mesh = ax.collections[0]
     gain = np.ma.getdata(mesh.get_array())
     axis = np.linspace(0, 1, len(gain)) ** 2
@@ -149,7 +149,7 @@ def test_surface_is_the_controllers(choices):
 def test_contour_lines_are_the_ticks_of_the_colour_bar():
     fuzzy = controller()
     gain = jax.jit(lambda error, rate: fuzzy(error, rate))
-    ax, bar = schedule.plot_surface(fuzzy).axes
+    ax, bar = schedule_figures.plot_surface(fuzzy).axes
     contours = ax.collections[1]
     assert len(contours.levels) >= 4
     np.testing.assert_array_equal(bar.get_yticks(), contours.levels)
@@ -165,7 +165,7 @@ def test_contour_lines_are_the_ticks_of_the_colour_bar():
 )
 def test_surface_marks_where_no_rule_fires(no_rule, meaning):
     fuzzy = controller(GAPPED, no_rule=no_rule)
-    figure = schedule.plot_surface(fuzzy)
+    figure = schedule_figures.plot_surface(fuzzy)
     assert legend(figure) == [f"no rule fires: {meaning}"]
     ax = figure.axes[0]
     drawn = ax.collections[0].get_array()
@@ -185,13 +185,16 @@ def test_surface_marks_where_no_rule_fires(no_rule, meaning):
 
 
 def test_gaps_are_marked_between_the_terms_too():
-    figure = schedule.plot_input_terms(controller(GAPPED))
+    figure = schedule_figures.plot_input_terms(controller(GAPPED))
     assert legend(figure) == ["no rule fires"]
     assert len(figure.axes[0].patches) == 2
 
 
 def test_nothing_is_marked_where_rules_fire_everywhere():
-    for figure in (schedule.plot_surface(controller()), schedule.plot_input_terms(controller())):
+    for figure in (
+        schedule_figures.plot_surface(controller()),
+        schedule_figures.plot_input_terms(controller()),
+    ):
         assert not figure.legends
         assert not figure.axes[0].patches
 
@@ -205,7 +208,7 @@ def test_nothing_is_marked_where_rules_fire_everywhere():
     ],
 )
 def test_surface_of_degenerate_controllers_is_drawn(inputs, outputs):
-    schedule.plot_surface(controller(inputs, outputs)).draw_without_rendering()
+    schedule_figures.plot_surface(controller(inputs, outputs)).draw_without_rendering()
 
 
 def test_convergence_shows_the_history():

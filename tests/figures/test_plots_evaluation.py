@@ -12,8 +12,8 @@ from helpers.results import ANGLES, OF_THE_OBSERVER, TIME, changed, evaluation, 
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from posegsa.figures import evaluation as plots
-from posegsa.figures import schedule
+from posegsa.figures import evaluation_figures as plots
+from posegsa.figures import schedule_figures
 from posegsa.figures.style import START
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -34,7 +34,7 @@ FIGURES = {
     "costs": partial(plots.plot_costs, evaluation()),
     "bands": partial(plots.plot_bands, evaluation()),
     "angles": partial(plots.plot_angles, SPREAD),
-    "rules": partial(schedule.plot_rules, trust()),
+    "rules": partial(schedule_figures.plot_rules, trust()),
 }
 
 
@@ -189,7 +189,7 @@ def test_a_contender_looks_the_same_in_all_figures():
 
 
 def test_rules_show_each_weight_and_name_what_never_fires():
-    figure = schedule.plot_rules(trust())
+    figure = schedule_figures.plot_rules(trust())
     ax, bar = figure.axes
     shown = ax.images[0].get_array()
     np.testing.assert_array_equal(np.ma.filled(shown, 0), trust().rule_weights)
@@ -202,4 +202,4 @@ def test_rules_show_each_weight_and_name_what_never_fires():
     assert ax.get_xlabel().startswith("Term of the scaled error")
     assert ax.get_ylabel().startswith("Term of the scaled rate")
     assert bar.get_ylabel() == "Mean firing strength [-]"
-    schedule.plot_rules(trust(rule_weights=np.zeros((5, 5)))).draw_without_rendering()
+    schedule_figures.plot_rules(trust(rule_weights=np.zeros((5, 5)))).draw_without_rendering()

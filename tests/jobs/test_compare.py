@@ -16,11 +16,11 @@ from scipy import stats
 import posegsa
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, MemoryLimitError, PosegsaWarning, RunFolderError
-from posegsa.figures.comparison import plot_comparison
+from posegsa.figures.comparison_figures import plot_comparison
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat, quantiles
 from posegsa.optimisers import GSA, minimise
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.saving.comparison import SCHEMA, load_comparison
+from posegsa.saving.comparison_files import SCHEMA, load_comparison
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.records import from_json, to_json
 from posegsa.search import memory

@@ -21,13 +21,13 @@ from posegsa.judging import baselines
 from posegsa.judging.description import Description, described_filter
 from posegsa.judging.evaluation import CONSTANT, EKF, TUNED
 from posegsa.judging.judge import Recorded, judge
-from posegsa.judging.kalman import kalman_experiment, tune_kalman
 from posegsa.judging.on_recordings import OnRecordings
 from posegsa.judging.result import Result
+from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.search.build import TuningProblem
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import Found, first_search
+from posegsa.search.run_search import Found, first_search
 from posegsa.steps import Step
 
 pytestmark = pytest.mark.usefixtures("short_parts")
@@ -80,8 +80,8 @@ def kalman_estimates(
 def test_other_filters_stand_beside_it_on_the_same_recordings(
     result: Result, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posegsa.judging.kalman.MAX_EVALUATIONS", 40)
-    monkeypatch.setattr("posegsa.judging.kalman.CHECK_INTERVAL", 40)
+    monkeypatch.setattr("posegsa.judging.tuned_kalman.MAX_EVALUATIONS", 40)
+    monkeypatch.setattr("posegsa.judging.tuned_kalman.CHECK_INTERVAL", 40)
     told: list[Step] = []
     judged = judged_on(
         posegsa.evaluate(
@@ -226,7 +226,7 @@ def test_the_command_judges_runs_of_both_kinds(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     files = [str(tmp_path / name) for name in ("a.npz", "b.npz")]
     for file, recording in zip(files, recordings, strict=True):
         recording.save(file)

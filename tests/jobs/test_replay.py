@@ -15,12 +15,12 @@ from helpers.recordings import short_parts as short_parts
 import posegsa
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RunFolderError
-from posegsa.figures.replay import draw_replay
+from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
-from posegsa.judging.replay import Replay, replay_table
+from posegsa.judging.replayed import Replay, replay_table
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
-from posegsa.saving.replay import folder_names
+from posegsa.saving.replay_files import folder_names
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),

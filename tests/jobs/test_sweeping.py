@@ -14,8 +14,8 @@ from posegsa import sweeping
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError, SearchInterrupted
 from posegsa.judging.evaluation import TUNED
-from posegsa.judging.sweep import Sweep
-from posegsa.search.run import Found, first_search, run_search
+from posegsa.judging.sweep_runs import Sweep
+from posegsa.search.run_search import Found, first_search, run_search
 
 GAMMA = "filter.gamma"
 GAMMAS = [[2.0, 4.0], [5.0, 10.0]]

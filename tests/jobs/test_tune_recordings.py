@@ -37,7 +37,7 @@ from posegsa.saving.folder import CHECKPOINT_SUFFIX
 from posegsa.saving.resume import check_same_recordings
 from posegsa.search.build import rule_indices
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import Found, first_search
+from posegsa.search.run_search import Found, first_search
 from posegsa.settings.plain import plain
 from posegsa.steps import Step
 

@@ -26,7 +26,7 @@ from posegsa.errors import (
 )
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import CONSTANT, TUNED
-from posegsa.saving import result as run_folder
+from posegsa.saving import result_files as run_folder
 from posegsa.search.build import (
     rule_indices,
     scenario,
@@ -213,7 +213,7 @@ def test_a_folder_that_holds_a_run_is_refused_before_the_search(run, monkeypatch
 
 def test_a_run_is_replaced_when_asked(run, tmp_path, monkeypatch):
     result, _, _ = run
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     posegsa.save(result, tmp_path)
     with pytest.raises(RunFolderError, match="overwrite"):
         posegsa.save(result, tmp_path)

@@ -15,7 +15,7 @@ from scipy import stats
 import posegsa
 from posegsa.cli.command import main
 from posegsa.evaluating import evaluate
-from posegsa.judging import kalman
+from posegsa.judging import tuned_kalman
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
@@ -28,7 +28,7 @@ from posegsa.judging.evaluation import (
     interval,
 )
 from posegsa.saving.records import from_json, to_json
-from posegsa.saving.result import RESULT, SCHEMA
+from posegsa.saving.result_files import RESULT, SCHEMA
 from posegsa.search.keys import held_out_keys, training_keys
 from posegsa.steps import Step
 
@@ -47,8 +47,8 @@ def evaluated():
     There are as many scenarios as in `tune`, so that programs are compiled once.
     """
     patch = pytest.MonkeyPatch()
-    patch.setattr(kalman, "CHECK_INTERVAL", 20)
-    patch.setattr(kalman, "MAX_EVALUATIONS", 40)
+    patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
+    patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
     told: list[Step] = []
     tuned = posegsa.tune(tiny())
     result = evaluate(tuned, scenarios=3, progress=told.append)

@@ -9,11 +9,11 @@ from helpers.experiments import quietly, tiny
 from posegsa.config import KALMAN_ALSO
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import simulate_errors
-from posegsa.judging import kalman
+from posegsa.judging import tuned_kalman
 from posegsa.judging.baselines import variant_of
 from posegsa.judging.description import Description, candidate_of
-from posegsa.judging.kalman import kalman_experiment, tune_kalman
 from posegsa.judging.metrics import error_tracks
+from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.keys import training_keys
 from posegsa.search.population import costs_by_scenario
@@ -40,8 +40,8 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 def found(problem):
     """Two searches of one generation, with the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(kalman, "CHECK_INTERVAL", 20)
-    patch.setattr(kalman, "MAX_EVALUATIONS", 40)
+    patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
+    patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
     beside = variant_of(problem, kalman_experiment(TINY, vector_biases=False))
     yield [tune_kalman(beside) for _ in range(2)]
     patch.undo()

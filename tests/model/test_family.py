@@ -12,7 +12,7 @@ from jax import Array
 
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
-from posegsa.config.family import BurstsConfig, Outages
+from posegsa.config.family_config import BurstsConfig, Outages
 from posegsa.errors import ConfigError
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.family import Family, draw_scenario, realise

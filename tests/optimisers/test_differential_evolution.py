@@ -8,7 +8,7 @@ from jax import random
 from scipy import optimize
 
 from posegsa.optimisers import DifferentialEvolution, minimise
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.ask_tell import uniform
 from posegsa.optimisers.differential_evolution import Strategy, distinct_others
 from posegsa.optimisers.functions import ClassicalFunction
 

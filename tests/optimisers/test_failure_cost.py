@@ -19,7 +19,7 @@ from posegsa.optimisers import (
     start,
     tell,
 )
-from posegsa.optimisers.base import FailureCost
+from posegsa.optimisers.ask_tell import FailureCost
 from posegsa.optimisers.gsa import masses
 
 learn = jax.jit(tell, static_argnums=0)

@@ -17,7 +17,7 @@ from scipy import stats
 
 from posegsa.errors import ConfigError
 from posegsa.optimisers import GSA, Box, advance, box, minimise, start
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.ask_tell import uniform
 from posegsa.optimisers.gsa import GSAState, coarse_uniform, confine, masses, pulls
 
 

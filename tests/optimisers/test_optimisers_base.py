@@ -27,7 +27,7 @@ from posegsa.optimisers import (
     minimise,
     start,
 )
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.ask_tell import uniform
 
 SIZE = {"agents": AGENTS, "iterations": ITERATIONS}
 OPTIMISERS = [

@@ -87,7 +87,7 @@ def test_a_search_by_pycma_goes_on_in_the_process_that_began_it() -> None:
 def test_tune_by_pycma_writes_a_folder_without_checkpoints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     by_pycma = tiny("search.optimiser=pycma")
     with pytest.warns(PosegsaWarning) as said:
         result = posegsa.tune(by_pycma, out=tmp_path)

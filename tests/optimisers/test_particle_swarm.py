@@ -10,7 +10,7 @@ from evosax.algorithms import PSO
 from jax import Array, random
 
 from posegsa.optimisers import Box, ParticleSwarm, box, minimise
-from posegsa.optimisers.base import uniform
+from posegsa.optimisers.ask_tell import uniform
 from posegsa.optimisers.particle_swarm import INERTIA, PULL
 
 

@@ -17,7 +17,7 @@ import posegsa
 from posegsa import config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RecordingError, RunFolderError
-from posegsa.judging.replay import Replay
+from posegsa.judging.replayed import Replay
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.usefixtures("short_parts")

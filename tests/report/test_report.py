@@ -29,7 +29,7 @@ from helpers.results import (
 import posegsa
 from posegsa import config
 from posegsa.errors import ArgumentError, RunFolderError
-from posegsa.figures import evaluation as evaluation_figures
+from posegsa.figures import evaluation_figures
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
@@ -44,7 +44,7 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.result import Result
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
-from posegsa.report.words import filter_words, verdict
+from posegsa.report.sentences import filter_words, verdict
 
 pytestmark = pytest.mark.quick
 
@@ -601,7 +601,7 @@ def test_a_saved_run_has_its_figures_and_its_report(tmp_path, monkeypatch):
 def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_style, "DPI", 15)
     monkeypatch.setattr(
-        "posegsa.saving.result.draw",
+        "posegsa.saving.result_files.draw",
         lambda result, _: {
             each.name: figure
             for each in evaluation_figures.FIGURES
@@ -620,7 +620,7 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     (tmp_path / "figures").write_text("a file in the place of a folder")
     with pytest.raises(RunFolderError, match="Not a directory"):
         posegsa.save(result(), tmp_path)

@@ -34,9 +34,9 @@ from posegsa.judging.on_recordings import OnRecordings, RecordingScore, Simulate
 from posegsa.judging.result import FoundBy, Result
 from posegsa.recordings.accuracy import Rmse
 from posegsa.report import report_html
-from posegsa.saving.comparison import load_comparison, write_searches
+from posegsa.saving.comparison_files import load_comparison, write_searches
 from posegsa.saving.records import to_json
-from posegsa.saving.result import SCHEMA
+from posegsa.saving.result_files import SCHEMA
 
 VALUES = (
     None,
@@ -63,7 +63,7 @@ DRAWN = 5
 def run(tmp_path_factory):
     """The folder of a small result with all contenders, without figures."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    patch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     yield posegsa.save(consistent(samples=4), tmp_path_factory.mktemp("run") / "out")
     patch.undo()
 
@@ -364,7 +364,7 @@ def test_a_changed_digit_is_found_and_read_on_demand(run):
     ],
 )
 def test_parts_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, values, said):
-    monkeypatch.setattr("posegsa.saving.result.draw", lambda *_: {})
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
     made = consistent(**values)
     (tmp_path / "result.json").write_text(to_json(made, SCHEMA), encoding="utf-8")
     with pytest.raises(RunFolderError, match=rf"result\.json: .*{said}"):

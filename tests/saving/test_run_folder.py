@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from posegsa.errors import RunFolderError
-from posegsa.saving import files
+from posegsa.saving import atomic_files
 from posegsa.saving import folder as run_folder
 from posegsa.saving.folder import (
     finish_commit,
@@ -148,19 +148,19 @@ def test_links_that_lead_out_of_it_are_refused(tmp_path, name):
         pytest.fail("a link was opened")
     (run / "comparison.json.part").symlink_to(precious)
     with pytest.raises(OSError, match="symbolic links"):
-        files.write_atomically(run / "comparison.json", b"new")
+        atomic_files.write_atomically(run / "comparison.json", b"new")
     assert precious.read_text() == "mine"
 
 
 def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
     """With a real limit of the system on the size of files."""
     path = tmp_path / "file"
-    files.write_atomically(path, b"old")
+    atomic_files.write_atomically(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
         with pytest.raises(OSError, match="too large"):
-            files.write_atomically(path, bytes(1000))
+            atomic_files.write_atomically(path, bytes(1000))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert content(tmp_path) == {"file": b"old"}

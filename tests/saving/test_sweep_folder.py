@@ -14,10 +14,10 @@ from helpers.stored import sealed
 
 import posegsa
 from posegsa.errors import RunFolderError
-from posegsa.figures.sweep import plot_sweep
+from posegsa.figures.sweep_figures import plot_sweep
 from posegsa.judging.description import tuned_experiment
-from posegsa.judging.sweep import Sweep, SweepRun
-from posegsa.saving.sweep import write_sweep_run
+from posegsa.judging.sweep_runs import Sweep, SweepRun
+from posegsa.saving.sweep_folder import write_sweep_run
 
 pytestmark = pytest.mark.quick
 

@@ -21,7 +21,7 @@ from posegsa.search.build import (
 )
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import evaluate_population
-from posegsa.search.run import run_search
+from posegsa.search.run_search import run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 

@@ -18,7 +18,7 @@ from posegsa.judging.description import describe, described_filter
 from posegsa.model.schedules import ConstantGain, SmoothGain
 from posegsa.search.build import TuningProblem, filter_of, tuning_problem
 from posegsa.search.population import evaluate_population
-from posegsa.search.run import Found, run_search
+from posegsa.search.run_search import Found, run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
 
@@ -140,6 +140,6 @@ def test_a_kalman_filter_without_the_options_for_speed_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XLA_FLAGS", "")
-    monkeypatch.setattr("posegsa.search.run.run_timed", lambda *_: None)
+    monkeypatch.setattr("posegsa.search.run_search.run_timed", lambda *_: None)
     with pytest.warns(PosegsaWarning, match="enable_fast_path"):
         run_search(problem_of("kalman"))

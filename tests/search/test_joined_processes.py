@@ -15,7 +15,7 @@ from posegsa.errors import ArgumentError
 from posegsa.recordings.recording import Recording
 from posegsa.search import devices
 from posegsa.search.recorded import recorded_problem
-from posegsa.search.run import run_search
+from posegsa.search.run_search import run_search
 
 pytestmark = pytest.mark.optimised
 

@@ -8,7 +8,7 @@ from helpers.experiments import paper
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population
-from posegsa.search.run import first_search, run_search
+from posegsa.search.run_search import first_search, run_search
 
 
 def configured(track: ErrorTrack, time) -> jnp.ndarray:

@@ -21,7 +21,7 @@ from posegsa.search.build import filter_of, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.recorded import recorded_batch, recorded_problem, with_effect_on
-from posegsa.search.run import on_all_devices
+from posegsa.search.run_search import on_all_devices
 
 BASE: dict[str, Any] = {
     "filter": {

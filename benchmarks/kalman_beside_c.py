@@ -4,7 +4,7 @@
 landmark, 1500 samples), with 12 and with 18 states, on one core and on two. Each size runs in a
 process of its own, which is held on its cores and times both by turns.
 
-    python benchmarks/kalman.py [--write]
+    python benchmarks/kalman_beside_c.py [--write]
 
 Some minutes, most of them for compiling. With --write the table goes into docs/benchmarks.md.
 """
@@ -22,7 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from contenders import kalman
+from contenders import kalman_population
 from contenders.posegsa_worker import task_of, timed, use_devices
 from machine import machine
 from readme import write_block
@@ -32,7 +32,7 @@ from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.search.build import TuningProblem, scenario_batch
 from posegsa.search.candidates import SearchSpace, without_schedule
 from posegsa.search.keys import training_keys
-from posegsa.search.run import on_all_devices
+from posegsa.search.run_search import on_all_devices
 
 AGENTS = 100
 BELIEVED = {
@@ -87,7 +87,9 @@ def measure(states: int, cores: int, folder: Path) -> dict[str, Any]:
     use_devices(cores)
     task, vectors, filters = task_of_filters(states)
     evaluate = on_all_devices(task)
-    by_hand = kalman.prepare(task.training, filters, kalman.build(folder, states), cores)
+    by_hand = kalman_population.prepare(
+        task.training, filters, kalman_population.build(folder, states), cores
+    )
     known = by_hand().mean(axis=0)
     begun = time.perf_counter()
     costs = np.asarray(evaluate(vectors))
@@ -149,7 +151,7 @@ def main() -> None:
     text = (
         f"{table(all_found)}\n\nNanoseconds a filter and sample, best (median) of {3 * PAIRS} "
         f"calls of each by turns. First call: posegsa's, compiling included. Made by `python "
-        f"benchmarks/kalman.py --write`. {machine_line(about)}"
+        f"benchmarks/kalman_beside_c.py --write`. {machine_line(about)}"
     )
     print(text)
     if options.write:

@@ -9,9 +9,9 @@ from posegsa import steps
 from posegsa.arguments import check_callable, check_type, refuse
 from posegsa.config import SEARCHED, OwnConfig
 from posegsa.errors import RunFolderError
-from posegsa.figures import result as result_figures
-from posegsa.figures.choice import chosen_figures
-from posegsa.figures.result import draw
+from posegsa.figures import result_figures
+from posegsa.figures.figure_choice import chosen_figures
+from posegsa.figures.result_figures import draw
 from posegsa.figures.style import png
 from posegsa.judging.evaluation import TUNED
 from posegsa.judging.result import Result

@@ -5,7 +5,7 @@ gyroscope bias is unknown (judged after LATE seconds). The filter's numbers are 
 for each trial those with the smallest error on all other trials (weighted by WHOLE). Further rows
 show the numbers chosen on all trials with each part of the filter changed, and other filters.
 
-    python benchmarks/broad.py DATA_FOLDER [--write]
+    python benchmarks/broad_trials.py DATA_FOLDER [--write]
 
 DATA_FOLDER holds trials of BROAD as published (https://github.com/dlaidig/broad). The other filters
 need the packages vqf and ahrs.
@@ -473,7 +473,7 @@ def main() -> None:
         print(lines[-1], flush=True)
     lines += [
         "",
-        f"By `python benchmarks/broad.py DATA_FOLDER --write` ({environment()['device']}).",
+        f"By `python benchmarks/broad_trials.py DATA_FOLDER --write` ({environment()['device']}).",
     ]
     text = "\n".join(lines)
     print(text)

@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING
 import jax
 
 from posegsa.arguments import check_type
-from posegsa.figures import evaluation, schedule, search, trajectory
-from posegsa.figures.choice import chosen_figures
+from posegsa.figures import evaluation_figures, schedule_figures, search, trajectory_figures
+from posegsa.figures.figure_choice import chosen_figures
 from posegsa.judging.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES = (*evaluation.FIGURES, *schedule.FIGURES, *trajectory.FIGURES, *search.FIGURES)
+FIGURES = (
+    *evaluation_figures.FIGURES,
+    *schedule_figures.FIGURES,
+    *trajectory_figures.FIGURES,
+    *search.FIGURES,
+)
 NAMES = tuple(each.name for each in FIGURES)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from posegsa.errors import RunFolderError
-from posegsa.figures.replay import REPLAY_FIGURES, draw_replay
+from posegsa.figures.replay_figures import REPLAY_FIGURES, draw_replay
 from posegsa.figures.style import png
-from posegsa.judging.replay import Replay, replay_table
+from posegsa.judging.replayed import Replay, replay_table
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.tum import tum_text
 from posegsa.saving.folder import as_path, lock, replace_files, write_errors

@@ -4,7 +4,7 @@ Uses the recommended filter with two vectors and one landmark. The controller is
 its boxes; all controllers take the same time. Times are of single calls in sequence, in a separate
 process for each precision.
 
-    python benchmarks/streaming.py [--updates N] [--write]
+    python benchmarks/streams.py [--updates N] [--write]
 """
 
 import argparse
@@ -182,7 +182,7 @@ def main() -> None:
         load += ", at real-time priority"
     where = f"{' '.join(cpu())}, jax {jax.__version__}, {load}"
     table = "\n".join(
-        [*rows, "", *others, "", f"By `python benchmarks/streaming.py --write` ({where})."]
+        [*rows, "", *others, "", f"By `python benchmarks/streams.py --write` ({where})."]
     )
     print(table)
     if options.write:

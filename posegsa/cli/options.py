@@ -115,7 +115,7 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
 def result_of(options: argparse.Namespace) -> "Result":
     """The tuned filter that RUN names: of a run's folder, or as configured."""
     from posegsa.configuring import configured
-    from posegsa.saving.result import load
+    from posegsa.saving.result_files import load
 
     if is_configuration(options.run):
         if options.edited:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
-from posegsa.config.schedule import DEFAULT_ALSO
+from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.observer import GainLaw, Law
 from posegsa.settings.choice import Choice

@@ -9,8 +9,8 @@ import numpy as np
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
-from posegsa.figures.trajectory import ASKED, USED
-from posegsa.judging.replay import Replay
+from posegsa.figures.trajectory_figures import ASKED, USED
+from posegsa.judging.replayed import Replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

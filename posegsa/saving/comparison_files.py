@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from posegsa.errors import RunFolderError
-from posegsa.figures.comparison import plot_comparison
+from posegsa.figures.comparison_figures import plot_comparison
 from posegsa.figures.style import png
 from posegsa.judging.comparison import OptimiserComparison
-from posegsa.saving.files import write_atomically
+from posegsa.saving.atomic_files import write_atomically
 from posegsa.saving.folder import as_path, read_text, replace_files, write_errors
 from posegsa.saving.records import from_json, to_json
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from posegsa.arguments import check_type, refuse
 from posegsa.figures import style
-from posegsa.judging.sweep import Spread, Sweep, Values, shown_value, spread
+from posegsa.judging.sweep_runs import Spread, Sweep, Values, shown_value, spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

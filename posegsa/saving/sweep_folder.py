@@ -15,9 +15,9 @@ from pathlib import Path
 from posegsa.config import Experiment
 from posegsa.errors import ConfigError, RunFolderError
 from posegsa.figures.style import png
-from posegsa.figures.sweep import plot_sweep
-from posegsa.judging.sweep import Sweep, SweepRun, run_name
-from posegsa.saving.files import write_atomically
+from posegsa.figures.sweep_figures import plot_sweep
+from posegsa.judging.sweep_runs import Sweep, SweepRun, run_name
+from posegsa.saving.atomic_files import write_atomically
 from posegsa.saving.folder import (
     FIGURES,
     as_path,
