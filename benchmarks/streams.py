@@ -119,7 +119,7 @@ def helpers(dtype: str, calls: int) -> dict[str, list[float]]:
             landmark_references=rng.normal(size=(1, 3)),
             dtype=np.dtype(dtype),
         )
-        state = filter.start(posegsa.initial_state(np.eye(3), np.zeros(3)), vectors=2)
+        state = filter.start(posegsa.initial_state(np.eye(3), np.zeros(3)), posegsa.Sensors(2, 1))
         sample = measured.at(5)
         step = _step.lower(filter, state, sample, 0.0).compile()
         gain = _compiled_gain.lower(controller, np.asarray(0.2), np.asarray(0.01), None).compile()

@@ -36,7 +36,7 @@ class ComplementaryFilter:
         """The input of `step`."""
         return prepare(measurements, VectorSettings(each_agent=True))  # vectors one by one
 
-    def start(self, initial, vectors):
+    def start(self, initial, sensors):
         """The initial state; here it is the estimate itself."""
         return initial
 

@@ -24,6 +24,7 @@ from .figures.schedule_figures import plot_input_terms as plot_input_terms
 from .figures.schedule_figures import plot_output_terms as plot_output_terms
 from .figures.schedule_figures import plot_surface as plot_surface
 from .filters.base import Filter as Filter
+from .filters.base import Sensors as Sensors
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kalman import KalmanNoise as KalmanNoise
 from .filters.observer import FilterSettings as FilterSettings

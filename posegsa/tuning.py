@@ -33,7 +33,7 @@ from posegsa.saving.resume import (
     folder_to_resume,
 )
 from posegsa.search import memory
-from posegsa.search.build import OwnFilter, TuningProblem, filter_of, tuning_problem
+from posegsa.search.build import OwnFilter, TuningProblem, filter_of, own_space, tuning_problem
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
 from posegsa.search.run_search import run_search, search_batch, tell_search
@@ -154,7 +154,8 @@ class _Task(NamedTuple):
         section = self.experiment.filter
         with jax.enable_x64(self.experiment.run.dtype == "float64"):
             filter_of(self.experiment, self.own)
-        if not (isinstance(section, config.ObserverConfig) or self.experiment.also):
+            scheduled = own_space(self.experiment).lower.size > 0
+        if not (scheduled or self.experiment.also):
             raise ConfigError(
                 "parameters.also: none; allowed: at least one number to tune, as a filter of kind "
                 f"{section.kind!r} has no schedule"

@@ -9,6 +9,7 @@ from .experiment import TunedConfig as TunedConfig
 from .family_config import FamilyConfig as FamilyConfig
 from .family_config import Occasions as Occasions
 from .filter_config import KALMAN_ALSO as KALMAN_ALSO
+from .filter_config import NOISE_NUMBERS as NOISE_NUMBERS
 from .filter_config import FilterConfig as FilterConfig
 from .filter_config import KalmanConfig as KalmanConfig
 from .filter_config import ObserverConfig as ObserverConfig

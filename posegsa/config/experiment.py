@@ -10,8 +10,10 @@ from posegsa.config.family_config import FamilyConfig
 from posegsa.config.filter_config import (
     ALSO_OF_KIND,
     KALMAN_ALSO,
+    NOISE_NUMBERS,
     ONE_FILTER,
     FilterConfig,
+    KalmanConfig,
     ObserverConfig,
 )
 from posegsa.config.scenario_config import ScenarioConfig
@@ -53,7 +55,7 @@ Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 _BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
-SCHEDULE_NUMBERS: dict[str | None, tuple[str, ...]] = {
+SCHEDULE_NUMBERS: dict[str, tuple[str, ...]] = {
     "fuzzy": PARAMETERS,
     "constant": ("gain",),
     "smooth": ("low", "high", "half"),
@@ -222,11 +224,17 @@ class Experiment(Section):
 
     def _conflicts_of_numbers(self) -> Iterator[Violation]:
         """Numbers of a schedule that are not those of the filter's schedule."""
-        schedule = self.filter.schedule if isinstance(self.filter, ObserverConfig) else None
-        needed, given = len(SCHEDULE_NUMBERS.get(schedule, ())), len(self.tuned.numbers)
+        given, words = len(self.tuned.numbers), "none"
+        if isinstance(self.filter, ObserverConfig):
+            names = SCHEDULE_NUMBERS[self.filter.schedule]
+            needed, words = len(names), f"of a {self.filter.schedule} gain ({names[0]}, ...)"
+        elif isinstance(self.filter, KalmanConfig) and (roles := self.filter.roles):
+            needed = sum(sum(NOISE_NUMBERS[kind].values()) for kind in roles.values())
+            words = f"of its schedules ({', '.join(roles)})"
+        else:
+            needed = 0
         if given and given != needed:
-            names = SCHEDULE_NUMBERS.get(schedule, ())
-            words = f"{needed} of a {schedule} gain ({names[0]}, ...)" if names else "none"
+            words = f"{needed} {words}" if needed else words
             yield Violation("tuned.numbers", f"allowed: {words}, or none", given)
         places = self._places()
         for key, value in self.tuned.also.items():
@@ -257,6 +265,10 @@ class Experiment(Section):
                     f"{self.scenario.sampling_time} make {samples}",
                     window,
                 )
+        scheduled = isinstance(self.filter, KalmanConfig) and self.filter.roles
+        if scheduled and self.fuzzy.rules == SEARCHED:
+            reason = "allowed: a table, because the controllers of a Kalman filter share it"
+            yield Violation("fuzzy.rules", reason, SEARCHED)
         crossed = isinstance(self.filter, ObserverConfig) and self.filter.cross_vector
         if crossed and not self.scenario.cross_vector:
             yield Violation(

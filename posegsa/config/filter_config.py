@@ -15,7 +15,22 @@ from posegsa.settings.violations import Violation
 ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
 
+NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
+"""What changes a noise of the Kalman filter: nothing; the controller of k1..k22; a constant; a
+smooth or a straight function of the error; or the time since the start."""
+AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
+
+NOISE_NUMBERS: Mapping[NoiseScheduleKind, Mapping[str, int]] = {
+    "fuzzy": {"k": 22},
+    "constant": {"gain": 1},
+    "smooth": {"low": 1, "high": 1, "half": 1},
+    "ramp": {"start": 1, "slope": 1},
+    "clock": {"log_gain": 16},
+}
+"""How many numbers each kind of schedule has, by name."""
+
 _OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
+_OF_UNKNOWN, _OF_BELIEF = Tunable("unknown"), Tunable("belief")
 
 
 class ObserverConfig(Section):
@@ -112,6 +127,41 @@ class KalmanConfig(Section):
     """Initial error of each component of the velocity's bias [m/s]."""
     initial_vector_bias: Annotated[Positive, _OF_VECTOR_BIAS] = 0.1
     """Initial error of each component of the vectors' biases, in their unit."""
+    iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
+    """How often the measurements of a sample are linearised."""
+
+    unknown: NoiseScheduleKind = "off"
+    """What multiplies the densities of the velocities' noise and the walk of the vectors' biases,
+    by the filter's measured error: the residuals in standard deviations of the sensors' noise."""
+    unknown_smoothing: Annotated[NonNegative, _OF_UNKNOWN] = 0.02
+    """Time constant of the low-pass filter of that error [s]."""
+    unknown_scale: Annotated[AboveOne, _OF_UNKNOWN] = 100.0
+    """That error at which the schedule's input is 1, no unit; the input is logarithmic."""
+    unknown_rate_scale: Annotated[NonNegative, _OF_UNKNOWN] = 0.1
+    """Factor on the change of the schedule's input [s]."""
+    unknown_largest: Annotated[AboveOne, _OF_UNKNOWN] = 1000.0
+    """Largest factor on the densities, no unit; the factor is logarithmic in the output."""
+    belief: NoiseScheduleKind = "off"
+    """What multiplies the variance of each vector and each landmark, by that sensor's normalised
+    squared residual: one schedule for the vectors and one for the landmarks."""
+    belief_smoothing: Annotated[NonNegative, _OF_BELIEF] = 0.1
+    """Time constant of the low-pass filter of that residual [s]."""
+    belief_scale: Annotated[AboveOne, _OF_BELIEF] = 1e6
+    """That residual at which the schedule's input is 1, no unit; the input is logarithmic."""
+    belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1
+    """Factor on the change of the schedule's input [s]."""
+    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 1e6
+    """Largest factor on a variance, no unit; the factor is logarithmic in the output."""
+
+    @property
+    def roles(self) -> dict[str, NoiseScheduleKind]:
+        """The kinds of the schedules that are on, by the role of each (`NoiseGains`)."""
+        kinds: dict[str, NoiseScheduleKind] = {
+            "unknown": self.unknown,
+            "vectors": self.belief,
+            "landmarks": self.belief,
+        }
+        return {role: kind for role, kind in kinds.items() if kind != "off"}
 
 
 class OwnConfig(Section):
@@ -153,6 +203,8 @@ KALMAN_ALSO = tuple(
         ("initial_angular_bias", 0.003, 3.0),
         ("initial_linear_bias", 0.01, 5.0),
         ("initial_vector_bias", 0.001, 1.0),
+        ("unknown_smoothing", 0.005, 2.0),
+        ("belief_smoothing", 0.005, 2.0),
     )
 )
 """The numbers of a Kalman filter that are tuned by default."""

@@ -30,7 +30,7 @@ from posegsa.export.c_step import (
 from posegsa.export.c_text import KEYWORDS, comment, wrapped
 from posegsa.export.scalar_loops import written_in_loops
 from posegsa.export.scalar_trace import Known, passed_on
-from posegsa.filters.base import Filter, Samples
+from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import Sample
@@ -111,6 +111,7 @@ class _Step:
 
     def __init__(self, filter: Filter, known: References, crossed: bool) -> None:
         self._vectors = len(known.vectors)
+        self._sensors = Sensors(len(known.vectors), len(known.landmarks))
         leaves, self._filter_structure = jax.tree.flatten(filter)
         self.numbers = _named_numbers(filter)
         assert len(leaves) == len(self.numbers)
@@ -119,7 +120,7 @@ class _Step:
             wide = _in_float64(filter)
             zero = jnp.zeros(())
             initial = _initial(zero, zero + 1)
-            state = jax.eval_shape(lambda start: wide.start(start, self._vectors), initial)
+            state = jax.eval_shape(lambda start: wide.start(start, self._sensors), initial)
             self._check_state(state)
             estimate = jax.eval_shape(lambda s: wide.ready().estimate(s), state)
             self._check_estimate(estimate)
@@ -210,7 +211,7 @@ class _Step:
         def start(given: Any, attitude: Any, place: Any, zero: Any) -> Any:
             initial = _initial(zero, zero)._replace(attitude=attitude, place=place)
             filter = jax.tree.unflatten(self._filter_structure, given)
-            state = filter.start(initial, self._vectors)
+            state = filter.start(initial, self._sensors)
             return jax.tree.leaves(state), filter.ready().estimate(state)
 
         def advance(given: Any, leaves: Any, time: Any, sample: Any) -> Any:

@@ -7,7 +7,7 @@ own, in tuples. XLA fuses them into one vectorised kernel; small matrices cost t
 
     prepared once, for all agents and samples:   sample = filter.prepare(measurements)
     prepared once, before the loop:              ready = filter.ready()
-    the loop:                                    state = filter.start(initial, vectors)
+    the loop:                                    state = filter.start(initial, sensors)
                                                  state, record = ready.step(state, now)
                                                  ready.estimate(state)
 """
@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from posegsa.arguments import check_type, refuse
@@ -37,6 +38,20 @@ class Samples(NamedTuple):
     truth: TruePose | None
     """Components (N,); None if only the measurements are known. Only filters for simulations may
     read it."""
+
+
+class Sensors(NamedTuple):
+    """How many sensors of each kind a filter reads."""
+
+    vectors: int
+    """Measured one by one; 0 if the samples hold only Wahba's sums."""
+    landmarks: int
+
+
+def sensors_of(measurements: Measurements) -> Sensors:
+    """The sensors of measurements, with or without a time axis."""
+    each = (measurements.vector_weights, measurements.landmark_weights)
+    return Sensors(*(np.shape(weights)[-1] for weights in each))
 
 
 class Record(NamedTuple):
@@ -86,13 +101,13 @@ class Filter(Protocol):
         """
         ...
 
-    def start(self, initial: FilterState, vectors: int) -> Any:
+    def start(self, initial: FilterState, sensors: Sensors) -> Any:
         """The state before the first sample.
 
         Args:
             initial: the estimate there. If it has no vector biases and the filter estimates them,
                 they start at 0.
-            vectors: number of measured vectors.
+            sensors: how many vectors and landmarks are measured.
 
         Raises:
             ArgumentError: `initial` has biases of another number of vectors.
@@ -145,10 +160,11 @@ def samples_of(
     return Samples(time, filter.prepare(measurements), truth)
 
 
-def vectors_in(samples: Samples) -> int:
-    """Number of vectors that samples hold one by one; 0 if they hold only Wahba's sums."""
+def sensors_in(samples: Samples) -> Sensors:
+    """The sensors whose measurements samples hold."""
     vectors = samples.sample.vectors
-    return len(vectors.each) if isinstance(vectors, VectorSamples) else 0
+    each = len(vectors.each) if isinstance(vectors, VectorSamples) else 0
+    return Sensors(each, len(samples.sample.landmarks))
 
 
 def check_filter(name: str, value: Any, others: str = "") -> None:

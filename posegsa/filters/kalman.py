@@ -25,9 +25,11 @@ the observer:
    A is exact for errors of any size: that is the advantage of the left-invariant form. J equals
    the right Jacobian of SE(3) to within |u|^2 / 12, relative.
 
-After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
-J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
-most filters do); the neglected change is of first order in the correction.
+After an update the covariance is moved to the coordinates of the new estimate. (Most filters leave
+it in those of the old one, as J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state
+estimation in robotics", arXiv:1812.01537; the difference is of first order in the correction, and
+matters after a wrong start.) With `iterations` above 1 the update is iterated. Schedules may change
+the noises while the filter runs (`filters.noise_schedules`).
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
 further information: the filter ignores the weights, normalisation and cross product of
@@ -59,7 +61,7 @@ and 634, with the sensors' true noise 188 and 629.
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import jax
@@ -68,7 +70,17 @@ from jax import Array, lax
 
 from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
-from posegsa.filters.base import Record, Samples, with_vector_biases
+from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
+from posegsa.filters.noise_schedules import (
+    NO_NOISE_GAINS,
+    SIGNAL_KEYS,
+    NoiseGains,
+    NoiseMemory,
+    NoiseSignals,
+    PreparedNoiseGains,
+    initial_noise_memory,
+    noise_factor,
+)
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
@@ -85,13 +97,14 @@ from posegsa.model.se3 import (
     norm,
     rotate,
     rows,
+    safe_sqrt,
     scale,
     stack,
     subtract,
     unrotate,
 )
 from posegsa.model.signal import TruePose
-from posegsa.model.vectors import VectorSample, VectorSettings, Wahba
+from posegsa.model.vectors import VectorSample, VectorSamples, VectorSettings, Wahba
 
 Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
 """Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
@@ -146,6 +159,16 @@ class KalmanNoise(NamedTuple):
     states."""
 
 
+class KalmanMemory(NamedTuple):
+    """What the schedules of the noises remember; () for a role that the filter has not."""
+
+    unknown: NoiseMemory | tuple[()] = ()
+    vectors: tuple[NoiseMemory, ...] = ()
+    """One for each vector."""
+    landmarks: tuple[NoiseMemory, ...] = ()
+    """One for each landmark."""
+
+
 class KalmanState(NamedTuple):
     """The estimate and its covariance, by components of any common batch shape."""
 
@@ -153,11 +176,21 @@ class KalmanState(NamedTuple):
     """Like the estimate of the observer; `turning` is ()."""
     covariance: Covariance
     """Sigma of 12 states, or 12 + 3 n with the biases of n vectors."""
+    memory: KalmanMemory = KalmanMemory()
+    """Of the schedules of its noises."""
 
     @property
     def covariance_matrix(self) -> Array:
         """Sigma (..., d, d)."""
         return _matrix(self.covariance, len(self.covariance))
+
+
+class Found(NamedTuple):
+    """Result of the measurements of a sample that have been processed so far."""
+
+    covariance: Covariance
+    correction: tuple[Array, ...]
+    """x, the estimated errors of all states; applied to the estimate after the last measurement."""
 
 
 @jax.tree_util.register_dataclass
@@ -169,17 +202,36 @@ class KalmanFilter:
     """Assumed noise of its sensors and its initial estimate."""
     vector_biases: bool = field(default=True, metadata={"static": True})
     """Whether the vectors' biases are states: 12 + 3 n of them for n vectors, else 12."""
+    schedule: NoiseGains = NO_NOISE_GAINS
+    """What changes the noises while the filter runs; by default nothing."""
+    signals: NoiseSignals | None = None
+    """What the schedules see; None if there are none."""
+    iterations: int = field(default=1, metadata={"static": True})
+    """How often the measurements of a sample are linearised, each time at the estimate that the
+    last time found (an iterated extended Kalman filter)."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same filter with some standard deviations replaced, by their names in `KalmanNoise`.
+        """The same filter with some numbers replaced.
+
+        Args:
+            values: By their names in `KalmanNoise`; those of a signal as "unknown_smoothing" or
+                "belief_smoothing", with the names in `NoiseSignal`.
 
         Raises:
-            ArgumentError: A name is not in `KalmanNoise`.
+            ArgumentError: There is no number with this name.
         """
-        for key in values:
-            if key not in KalmanNoise._fields:
-                refuse(f"{key}: not a number of this filter", ", ".join(KalmanNoise._fields))
-        return replace(self, noise=self.noise._replace(**values))
+        known = (*KalmanNoise._fields, *(SIGNAL_KEYS if self.signals else ()))
+        if wrong := [key for key in values if key not in known]:
+            refuse(f"{wrong[0]}: not a number of this filter", ", ".join(known))
+        noise, signals = (
+            {key: value for key, value in values.items() if (key in SIGNAL_KEYS) == of_signals}
+            for of_signals in (False, True)
+        )
+        return replace(
+            self,
+            noise=self.noise._replace(**noise),
+            signals=self.signals and self.signals.with_values(signals),
+        )
 
     def prepare(self, measurements: Measurements) -> Sample:
         """Each vector as measured, and landmarks.
@@ -188,7 +240,7 @@ class KalmanFilter:
         """
         return prepare(measurements, AS_MEASURED)
 
-    def start(self, initial: FilterState, vectors: int) -> KalmanState:
+    def start(self, initial: FilterState, sensors: Sensors) -> KalmanState:
         """The state before the first sample; its covariance comes from the initial deviations.
 
         Raises:
@@ -196,7 +248,7 @@ class KalmanFilter:
         """
         estimate = initial._replace(turning=())
         if self.vector_biases:
-            estimate = with_vector_biases(estimate, vectors)
+            estimate = with_vector_biases(estimate, sensors.vectors)
         else:
             estimate = estimate._replace(vector_biases=())
         noise, like = self.noise, initial.place[0]
@@ -212,20 +264,80 @@ class KalmanFilter:
             (zero + deviation * deviation, *(zero,) * (count - 1 - i))
             for i, deviation in enumerate(deviations)
         )
-        return KalmanState(estimate, covariance)
+        unknown, *beliefs = self.schedule
+        memory = KalmanMemory(
+            () if unknown is None else initial_noise_memory(unknown, like),
+            *(
+                () if one is None else (initial_noise_memory(one, like),) * count
+                for one, count in zip(beliefs, sensors, strict=True)
+            ),
+        )
+        return KalmanState(estimate, covariance, memory)
 
-    def ready(self) -> "KalmanFilter":
-        """The filter itself; there is nothing to precompute."""
-        return self
+    def ready(self) -> "ReadyKalmanFilter":
+        """The filter with its schedules prepared (slopes and overlaps of the terms)."""
+        return ReadyKalmanFilter(self.noise, self.schedule.prepare(), self.signals, self.iterations)
+
+
+class ReadyKalmanFilter(NamedTuple):
+    """A `KalmanFilter` prepared for the loop."""
+
+    noise: KalmanNoise
+    schedule: PreparedNoiseGains
+    signals: NoiseSignals | None
+    iterations: int
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update by vectors and landmarks, then propagation by the velocities."""
-        updated = update(state, now.sample, self.noise)
-        return propagate(updated, now.sample, self.noise), Record()
+        sample, noise, record = now.sample, self.noise, Record()
+        if self.signals is not None:
+            sample, noise, memory, record = self._scheduled(self.signals, state, now)
+            state = state._replace(memory=memory)
+        updated = update(state, sample, noise, self.iterations)
+        return propagate(updated, sample, noise), record
 
     def estimate(self, state: KalmanState) -> FilterState:
         """Pose and biases."""
         return state.estimate
+
+    def _scheduled(
+        self, signals: NoiseSignals, state: KalmanState, now: Samples
+    ) -> tuple[Sample, KalmanNoise, KalmanMemory, Record]:
+        """The sample with the weights that its residuals leave, the noises, and the memory."""
+        sample, noise, memory, record = now.sample, self.noise, state.memory, Record()
+        on_time = now.time, sample.time_step
+        each = residuals(state, sample, noise)
+        beliefs = self.schedule.vectors, self.schedule.landmarks
+        memories: list[tuple[NoiseMemory, ...]] = []
+        weights: list[list[Array]] = []
+        for residual, schedule, before in zip(each, beliefs, memory[1:], strict=True):
+            given = residual.factor
+            if schedule is not None and before:
+                follow = partial(noise_factor, schedule, signals.belief)
+
+                def one(nothing: tuple[()], of_sensor: Any, follow: Any = follow) -> Any:
+                    past, seen = of_sensor
+                    factor, after, _ = follow(past, seen.normalised, seen.factor > 0, *on_time)
+                    return nothing, (seen.factor / factor, after)
+
+                _, (given, after) = lax.scan(one, (), (_stacked(before), residual))
+                before = _apart(after, len(before))
+            memories.append(before)
+            weights.append([given[i] for i in range(given.shape[0])])
+        sample = _weighted(sample, *weights)
+        unknown = memory.unknown
+        if self.schedule.unknown is not None and unknown:
+            error, seen = measured_error(each, weights)
+            factor, unknown, inputs = noise_factor(
+                self.schedule.unknown, signals.unknown, unknown, error, seen, *on_time
+            )
+            noise = noise._replace(
+                angular_velocity=factor * noise.angular_velocity,
+                velocity=factor * noise.velocity,
+                vector_walk=factor * noise.vector_walk,
+            )
+            record = Record(unknown.gain, unknown.gain, inputs.error, inputs.rate)
+        return sample, noise, KalmanMemory(unknown, *memories), record
 
 
 AS_MEASURED = VectorSettings(
@@ -234,13 +346,91 @@ AS_MEASURED = VectorSettings(
 """Settings that leave the vectors as measured."""
 
 
-def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
+def update(
+    state: KalmanState, sample: Sample, noise: KalmanNoise, iterations: int = 1
+) -> KalmanState:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
     Args:
         state: the state before the update, of the batch shape.
         sample: a sample with its vectors as measured (`KalmanFilter.prepare`).
         noise: `vector` and `landmark` are used.
+        iterations: how often the measurements are linearised. From the second time on the prior is
+            moved to the coordinates of the estimate found so far, in which its mean is no longer 0.
+
+    Raises:
+        ArgumentError: The sample holds only Wahba's sums of its vectors.
+    """
+    before, covariance = state.estimate, state.covariance
+    count, zero = len(covariance), jnp.zeros_like(before.place[0])
+    found = _linear_update(before, Found(covariance, (zero,) * count), sample, noise)
+    estimate = _corrected(before, found.correction)
+
+    def again(last: tuple[FilterState, Found], _: None) -> tuple[tuple[FilterState, Found], None]:
+        estimate = last[0]
+        back = _difference(estimate, before)
+        prior = Found(_moved(covariance, tuple(-x for x in back)), back)
+        found = _linear_update(estimate, prior, sample, noise)
+        return (_corrected(estimate, found.correction), found), None
+
+    if iterations > 1:
+        (estimate, found), _ = lax.scan(again, (estimate, found), None, iterations - 1)
+    return state._replace(estimate=estimate, covariance=_moved(found.covariance, found.correction))
+
+
+def _linear_update(
+    estimate: FilterState, prior: Found, sample: Sample, noise: KalmanNoise
+) -> Found:
+    """Covariance and correction after the measurements, linearised at an estimate.
+
+    Args:
+        estimate: where to linearise.
+        prior: the covariance before, and the mean of the errors of `estimate`.
+        sample: as for `update`.
+        noise: as for `update`.
+    """
+    R, found, learnt = rows(estimate.attitude), prior, bool(estimate.vector_biases)
+
+    def by_vector(found: Found, vector: tuple[VectorSample, Vec3 | None]) -> tuple[Found, None]:
+        each, residual = _vector_rows(R, *vector)
+        factor = vector[0].factor
+        found = _by_components(found, each, residual, _variance(noise.vector, factor), factor)
+        return _next_vector_first(found) if learnt else found, None
+
+    def by_landmark(found: Found, landmark: LandmarkSample) -> tuple[Found, None]:
+        each, residual = _landmark_rows(R, estimate.place, landmark)
+        variance = _variance(noise.landmark, landmark.factor)
+        return _by_components(found, each, residual, variance, landmark.factor), None
+
+    if vectors := each_vector(sample):
+        found, _ = lax.scan(by_vector, found, _with_biases(vectors, estimate))
+    if sample.landmarks:
+        found, _ = lax.scan(by_landmark, found, _stacked(sample.landmarks))
+    return found
+
+
+def _vector_rows(R: Matrix3, vector: VectorSample, bias: Vec3 | None) -> tuple[list[Row], Vec3]:
+    """Derivatives of a vector's components, its bias at `VECTORS`, and measured less predicted."""
+    known = unrotate(R, vector.known)
+    expected = known if bias is None else add(known, bias)
+    each: list[Row] = [
+        per_theta | ({} if bias is None else {VECTORS + axis: 1.0})
+        for axis, per_theta in enumerate(_cross_rows(known))
+    ]
+    return each, subtract(vector.measured, expected)
+
+
+def _landmark_rows(R: Matrix3, place: Vec3, landmark: LandmarkSample) -> tuple[list[Row], Vec3]:
+    """Derivatives of a landmark's coordinates, and measured less predicted."""
+    expected = unrotate(R, subtract(landmark.inertial, place))
+    each: list[Row] = [
+        per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
+    ]
+    return each, subtract(landmark.body, expected)
+
+
+def each_vector(sample: Sample) -> tuple[VectorSample, ...]:
+    """The vectors of a sample one by one.
 
     Raises:
         ArgumentError: The sample holds only Wahba's sums of its vectors.
@@ -249,46 +439,122 @@ def update(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanStat
         raise ArgumentError(
             "the Kalman filter needs each vector as measured: make its samples with its `prepare`"
         )
-    estimate, covariance = state
-    R = rows(estimate.attitude)
-    zero = jnp.zeros_like(estimate.place[0])
-    found = Found(covariance, (zero,) * len(covariance))
-    vectors, landmarks = sample.vectors.each, sample.landmarks
+    return sample.vectors.each
+
+
+def _with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any:
+    """Vectors with their estimated biases, or with None, stacked for a loop."""
+    biases = estimate.vector_biases or (None,) * len(vectors)
+    return _stacked(zip(vectors, biases, strict=True))
+
+
+class Residual(NamedTuple):
+    """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
+
+    square: Array
+    """|z - y|^2 / (3 s^2), s the standard deviation of its noise; 1 if the estimate is right."""
+    normalised: Array
+    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2; 1 if the covariance is right."""
+    factor: Array
+    """Factor on its weight, 0 where it is missing."""
+
+
+def residuals(state: KalmanState, sample: Sample, noise: KalmanNoise) -> tuple[Residual, Residual]:
+    """The residuals of vectors and of landmarks, before any of them is used."""
+    estimate, covariance = state.estimate, state.covariance
+    R, like, axes = rows(estimate.attitude), estimate.place[0], range(3)
     learnt = bool(estimate.vector_biases)
 
-    def by_vector(found: Found, vector: tuple[VectorSample, Vec3 | None]) -> tuple[Found, None]:
-        seen, bias = vector
-        known = unrotate(R, seen.known)
-        expected = known if bias is None else add(known, bias)
-        variance = _variance(noise.vector, seen.factor)
-        each: list[Row] = [
-            per_theta | ({VECTORS + axis: 1.0} if learnt else {})
-            for axis, per_theta in enumerate(_cross_rows(known))
-        ]
-        residual = subtract(seen.measured, expected)
-        found = _by_components(found, each, residual, variance, seen.factor)
-        return _next_vector_first(found) if learnt else found, None
+    def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
+        square, variance = dot(off, off), 3 * _variance(deviation, factor)
+        return Residual(square / variance, square / (spread + variance), factor)
 
-    def by_landmark(found: Found, landmark: LandmarkSample) -> tuple[Found, None]:
-        expected = unrotate(R, subtract(landmark.inertial, estimate.place))
-        variance = _variance(noise.landmark, landmark.factor)
-        each: list[Row] = [
-            per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
-        ]
-        residual = subtract(landmark.body, expected)
-        return _by_components(found, each, residual, variance, landmark.factor), None
+    def spread(each: Sequence[Row]) -> Array:
+        """tr(H Sigma H^T) of rows over the states of the pose."""
 
-    if vectors:
-        biases = estimate.vector_biases if learnt else (None,) * len(vectors)
-        found, _ = lax.scan(by_vector, found, _stacked(zip(vectors, biases, strict=True)))
-    if landmarks:
-        found, _ = lax.scan(by_landmark, found, _stacked(landmarks))
-    return KalmanState(_corrected(estimate, found.correction), found.covariance)
+        def column(h: Row, j: int) -> Array:
+            return _product(h, lambda i: _entry(covariance, i, j))
+
+        return reduce(operator.add, (_product(h, partial(column, h)) for h in each))
+
+    def of_bias(i: int) -> tuple[list[list[Array]], Array] | None:
+        """Covariance (axis, theta) of a vector's bias with the attitude, and its own trace."""
+        if not learnt:
+            return None
+        first = VECTORS + 3 * i
+        beside = [[_entry(covariance, j, first + axis) for j in axes] for axis in axes]
+        own = reduce(operator.add, (_entry(covariance, first + a, first + a) for a in axes))
+        return beside, own
+
+    def by_vector(nothing: tuple[()], given: Any) -> Any:
+        (vector, bias), biased = given
+        each, off = _vector_rows(R, vector, bias)
+        thetas: list[Row] = [{j: h[j] for j in h if j < ANGULAR} for h in each]
+        total = spread(thetas)
+        if biased is not None:
+            beside, own = biased
+            pairs = zip(thetas, beside, strict=True)
+            crossed = [_product(h, of_axis.__getitem__) for h, of_axis in pairs]
+            total = total + own + 2 * reduce(operator.add, crossed)
+        return nothing, residual(total, off, noise.vector, vector.factor)
+
+    def by_landmark(nothing: tuple[()], landmark: LandmarkSample) -> Any:
+        each, off = _landmark_rows(R, estimate.place, landmark)
+        return nothing, residual(spread(each), off, noise.landmark, landmark.factor)
+
+    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 3)
+    of_vectors = of_landmarks = none
+    if vectors := each_vector(sample):
+        biased = _stacked(map(of_bias, range(len(vectors))))
+        _, of_vectors = lax.scan(by_vector, (), (_with_biases(vectors, estimate), biased))
+    if sample.landmarks:
+        _, of_landmarks = lax.scan(by_landmark, (), _stacked(sample.landmarks))
+    return of_vectors, of_landmarks
+
+
+def measured_error(
+    each: Iterable[Residual], weights: Iterable[Sequence[Array]]
+) -> tuple[Array, Array]:
+    """Root mean square residual in standard deviations of the noises, and whether there is one.
+
+    A sensor that is believed less, with a weight below its factor, counts as much less.
+
+    Args:
+        each: The residuals of vectors and of landmarks.
+        weights: Their weights after belief.
+    """
+    squares: list[Array] = []
+    counts: list[Array] = []
+    for residual, of_kind in zip(each, weights, strict=True):
+        for i, weight in enumerate(of_kind):
+            factor = residual.factor[i]
+            seen = factor > 0
+            believed = weight / choose(seen, factor, 1.0)
+            squares.append(choose(seen, believed * residual.square[i], 0.0))
+            counts.append(choose(seen, jnp.ones_like(weight), 0.0))
+    total, count = reduce(operator.add, squares), reduce(operator.add, counts)
+    return safe_sqrt(total / maximum(count, 1.0)), count > 0
+
+
+def _weighted(sample: Sample, vectors: Sequence[Array], landmarks: Sequence[Array]) -> Sample:
+    """A sample with other weights of its sensors."""
+    assert isinstance(sample.vectors, VectorSamples)
+    pairs = zip(sample.vectors.each, vectors, strict=True)
+    points = zip(sample.landmarks, landmarks, strict=True)
+    return sample._replace(
+        vectors=sample.vectors._replace(each=tuple(v._replace(factor=w) for v, w in pairs)),
+        landmarks=tuple(p._replace(factor=w) for p, w in points),
+    )
 
 
 def _stacked(sensors: Iterable[Any]) -> Any:
     """Sensors of one kind, stacked along a first axis for a loop that is compiled once."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
+
+
+def _apart(stacked: Any, count: int) -> tuple[Any, ...]:
+    """The inverse of `_stacked`."""
+    return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count))
 
 
 def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
@@ -315,7 +581,8 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
         (row[0] + dt * density * density, *row[1:])
         for row, density in zip(moved, densities, strict=True)
     )
-    return KalmanState(estimate._replace(attitude=attitude, place=place), covariance)
+    moved_to = estimate._replace(attitude=attitude, place=place)
+    return state._replace(estimate=moved_to, covariance=covariance)
 
 
 def nees(state: KalmanState, truth: TruePose) -> Array:
@@ -355,14 +622,6 @@ def _matrix(covariance: Covariance, count: int) -> Array:
 def _product(row: Row, column: Callable[[int], Array]) -> Array:
     """A sparse row times a column, which is a function from index to entry."""
     return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
-
-
-class Found(NamedTuple):
-    """Result of the measurements of a sample that have been processed so far."""
-
-    covariance: Covariance
-    correction: tuple[Array, ...]
-    """x, the estimated errors of all states; applied to the estimate after the last measurement."""
 
 
 def _by_components(
@@ -430,6 +689,31 @@ def _next_vector_first(found: Found) -> Found:
     return Found(covariance, tuple(found.correction[i] for i in order))
 
 
+def _moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:
+    """The covariance in the coordinates of the estimate after a correction x of it.
+
+    The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x, here
+    Ad(exp(-x^ / 2)): equal to within |x|^2 / 24, and never singular.
+    """
+    zero, half = jnp.zeros_like(correction[0]), [0.5 * x for x in correction[:ANGULAR]]
+    theta, rho = (half[0], half[1], half[2]), (half[3], half[4], half[5])
+    q, P = move((zero + 1, zero, zero, zero), (zero, zero, zero), theta, rho)
+    return _turned(covariance, rows(q), P)
+
+
+def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
+    """The covariance after xi <- Ad((R, P)^-1) xi."""
+    every = range(len(covariance))
+    left = [_adjoint(R, P, [_entry(covariance, i, j) for i in range(ANGULAR)]) for j in every]
+    pose = [_adjoint(R, P, [left[j][i] for j in range(ANGULAR)]) for i in range(ANGULAR)]
+    return tuple(
+        tuple(pose[i][j] if j < ANGULAR else left[j][i] for j in every[i:])
+        if i < ANGULAR
+        else covariance[i]
+        for i in every
+    )
+
+
 def _transported(covariance: Covariance, omega: Vec3, v: Vec3, dt: Array) -> Covariance:
     """The covariance after xi <- A xi - 1/2 (I + A) dt b, with A = Ad(exp(-[omega; v]^)) (rad, m).
 
@@ -437,17 +721,8 @@ def _transported(covariance: Covariance, omega: Vec3, v: Vec3, dt: Array) -> Cov
     """
     zero, one = jnp.zeros_like(dt), jnp.ones_like(dt)
     q, P = move((one, zero, zero, zero), (zero, zero, zero), omega, v)
-    R, every, half = rows(q), range(len(covariance)), 0.5 * dt
-    before = _less_bias(covariance, half)
-    left = [_adjoint(R, P, [_entry(before, i, j) for i in range(ANGULAR)]) for j in every]
-    pose = [_adjoint(R, P, [left[j][i] for j in range(ANGULAR)]) for i in range(ANGULAR)]
-    after = tuple(
-        tuple(pose[i][j] if j < ANGULAR else left[j][i] for j in every[i:])
-        if i < ANGULAR
-        else before[i]
-        for i in every
-    )
-    return _less_bias(after, half)
+    half = 0.5 * dt
+    return _less_bias(_turned(_less_bias(covariance, half), rows(q), P), half)
 
 
 def _less_bias(covariance: Covariance, factor: Array) -> Covariance:
@@ -500,6 +775,20 @@ def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterSt
             add(c, part(VECTORS + 3 * i)) for i, c in enumerate(estimate.vector_biases)
         ),
     )
+
+
+def _difference(estimate: FilterState, other: FilterState) -> tuple[Array, ...]:
+    """The errors of an estimate if another one were the truth, in the order of the states."""
+    w, x, y, z = estimate.attitude
+    R = rows(estimate.attitude)
+    turned = compose((w, -x, -y, -z), other.attitude)
+    theta, rho = _log(turned, unrotate(R, subtract(other.place, estimate.place)))
+    errors = theta + rho
+    for name in ("bias_angular", "bias_linear"):
+        errors += subtract(getattr(other, name), getattr(estimate, name))
+    for new, old in zip(estimate.vector_biases, other.vector_biases, strict=True):
+        errors += subtract(old, new)
+    return errors
 
 
 def _log(q: Quaternion, P: Vec3) -> tuple[Vec3, Vec3]:

@@ -85,7 +85,7 @@ from jax import Array
 
 from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
-from posegsa.filters.base import Record, Samples, with_vector_biases
+from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
@@ -511,7 +511,7 @@ class Observer:
                 refuse(f"settings.{name}: {len(weights)} of them", f"{count}, as measured, or None")
         return prepare(measurements, settings.vectors)
 
-    def start(self, initial: FilterState, vectors: int) -> ObserverState:
+    def start(self, initial: FilterState, sensors: Sensors) -> ObserverState:
         """The state before the first sample; the schedule starts at its initial gain.
 
         Raises:
@@ -519,8 +519,8 @@ class Observer:
                 missing, or its initial gain is negative.
         """
         check_schedule(self._chosen)
-        if self.settings.vector_bias is not None and vectors:
-            initial = with_vector_biases(initial, vectors)
+        if self.settings.vector_bias is not None and sensors.vectors:
+            initial = with_vector_biases(initial, sensors.vectors)
             if not initial.turning:
                 zero = jnp.zeros_like(initial.place[0])
                 initial = initial._replace(turning=(zero, zero, zero))

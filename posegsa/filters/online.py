@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from posegsa.arguments import refuse
-from posegsa.filters.base import Filter, Samples
+from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 
@@ -116,11 +116,13 @@ class OnlineLoop:
     def __init__(self, parameters: OnlineParameters, example: FilterState) -> None:
         self._made_of = parameters, example
         self._filter = parameters.filter
-        self._vectors = len(parameters.vector_references)
+        self._sensors = Sensors(
+            len(parameters.vector_references), len(parameters.landmark_references)
+        )
         self.dtype = np.dtype(example.place[0].dtype)
         layout = Layout(parameters)
-        sample = _sample_layout(self._vectors, len(parameters.landmark_references))
-        before = self._filter.start(example, self._vectors)
+        sample = _sample_layout(*self._sensors)
+        before = self._filter.start(example, self._sensors)
         for leaf in jax.tree.leaves(before):
             if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
                 given = jnp.result_type(leaf)
@@ -146,7 +148,7 @@ class OnlineLoop:
     def start(self, initial: FilterState) -> np.ndarray:
         """The packed record before the first sample, at an initial estimate; its gains are NaN."""
         with jax.enable_x64(self.dtype == np.float64):
-            state = self._filter.start(initial, self._vectors)
+            state = self._filter.start(initial, self._sensors)
             estimate = self._filter.ready().estimate(state)
             unknown = self.record.unpack(np.full(self.record.size, np.nan, self.dtype))
             first = unknown._replace(state=state, estimate=estimate, rotation=estimate.rotation)

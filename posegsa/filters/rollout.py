@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -20,7 +19,8 @@ from posegsa.filters.base import (
     Samples,
     check_filter,
     samples_of,
-    vectors_in,
+    sensors_in,
+    sensors_of,
 )
 from posegsa.model.cost import (
     CostParts,
@@ -156,7 +156,7 @@ def simulate_cost(
         look,
         filter,
         samples,
-        filter.start(initial, vectors_in(samples)),
+        filter.start(initial, sensors_in(samples)),
         extra=(weights.transient, weights.steady),
         total=CostParts(zero, zero),
     )
@@ -183,7 +183,7 @@ def simulate_recorded_cost(
         look,
         filter,
         samples,
-        filter.start(initial, vectors_in(samples)),
+        filter.start(initial, sensors_in(samples)),
         extra=(recorded.weight, recorded.position),
         total=SquaredErrors(zero, zero),
     )
@@ -193,7 +193,7 @@ def simulate_recorded_cost(
 @jax.jit
 def simulate(filter: Filter, samples: Samples, initial: FilterState) -> Estimates:
     """The estimates of one simulation over all its samples."""
-    state = filter.start(initial, vectors_in(samples))
+    state = filter.start(initial, sensors_in(samples))
     _, _, stored = run(_everything, filter, samples, state)
     return _estimates(samples, *stored)
 
@@ -229,7 +229,7 @@ def _estimates(samples: Samples, states: FilterState, records: Record) -> Estima
 
 def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> ErrorTrack:
     """The true errors of one simulation over all its samples (pure, jittable)."""
-    state = filter.start(initial, vectors_in(samples))
+    state = filter.start(initial, sensors_in(samples))
     last, _, errors = run(_true_errors, filter, samples, state)
     return _error_track(samples, filter.ready().estimate(last), errors)
 
@@ -242,8 +242,8 @@ def simulate_errors_together(
     Samples from `count` on change nothing, and their stored errors are meaningless. So sequences of
     any length can be padded and run by one program.
     """
-    vectors = vectors_in(samples)
-    state = jax.vmap(lambda one: filter.start(one, vectors))(initial)
+    sensors = sensors_in(samples)
+    state = jax.vmap(lambda one: filter.start(one, sensors))(initial)
     last, _, errors = run(_true_errors, filter, samples, state, count=count, together=True)
     return _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
 
@@ -286,7 +286,7 @@ def step(
 ) -> tuple[Any, Record]:
     """Process one sample, for use on-line in your own JAX program.
 
-        state = filter.start(posegsa.initial_state(R, P), vectors=2)
+        state = filter.start(posegsa.initial_state(R, P), posegsa.Sensors(vectors=2, landmarks=1))
         state, record = posegsa.step(filter, state, measurements.at(k))
         filter.ready().estimate(state).rotation
 
@@ -305,7 +305,7 @@ def step(
     check_filter("filter", filter)
     check_type("measurement", measurement, Measurements)
     if isinstance(state, FilterState):
-        refuse("state: a FilterState", "what filter.start(initial, vectors) returns")
+        refuse("state: a FilterState", "what filter.start(initial, sensors) returns")
     with fitting("step"):
         return _step(filter, state, measurement, time)
 
@@ -336,6 +336,5 @@ def run_filter(filter: Filter, measurements: Measurements, initial: FilterState)
     check_type("initial", initial, FilterState)
     with fitting("run_filter"):
         measurements = measurements.checked()
-        vectors = np.shape(measurements.vector_weights)[-1]
-        filter.start(initial, vectors)
+        filter.start(initial, sensors_of(measurements))
         return simulate(filter, samples_of(filter, measurements), initial)

@@ -8,12 +8,15 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from pydantic import AfterValidator, Field
 
 from posegsa import config
 from posegsa.arguments import refuse
 from posegsa.config import PARAMETERS, SEARCHED, Experiment
-from posegsa.filters.base import Filter
+from posegsa.filters.base import Filter, Sensors
+from posegsa.filters.kalman import KalmanFilter
+from posegsa.filters.noise_schedules import NO_NOISE_GAINS, NoiseGains
 from posegsa.filters.observer import Observer
 from posegsa.model.fuzzy import Rules
 from posegsa.model.schedules import (
@@ -21,12 +24,14 @@ from posegsa.model.schedules import (
     FuzzyGain,
     GainSchedule,
     KnotGain,
+    RampGain,
     SmoothGain,
     SwitchGain,
 )
-from posegsa.search.build import OwnFilter, Sensors, filter_of, parameter_space, rule_table
-from posegsa.search.candidates import Candidate
+from posegsa.search.build import OwnFilter, filter_of, parameter_space, rule_table
+from posegsa.search.candidates import Candidate, Schedule
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
+from posegsa.search.schedule_spaces import KNOTS, knot_times
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 
@@ -39,6 +44,8 @@ SCHEDULES: dict[Kind, type] = {
     "open loop": KnotGain,
 }
 """The types of schedules without a controller, by the kind of their `Description`."""
+OF_NOISES = {"constant": ConstantGain, "smooth": SmoothGain, "ramp": RampGain, "clock": KnotGain}
+"""The same of a Kalman filter's noises."""
 TITLES: Mapping[Kind, str] = {"kalman": "Kalman filter", "own": "filter of the user's own"}
 """Kinds that are not called a gain."""
 
@@ -72,7 +79,11 @@ def _of_its_kind(found: Description) -> Description:
             time = found.numbers.get("time", [])
             same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))
             fits, allowed = same and bool(np.all(np.diff(time) > 0)), "ascending time, and log_gain"
-        case "kalman" | "own":
+        case "kalman":
+            roles = {name.partition(".")[0] for name in lengths}
+            fits = roles <= {*NoiseGains._fields}
+            allowed = "those of its schedules, by role, such as unknown.k"
+        case "own":
             fits, allowed = not lengths, "none, they are among those of `also`"
         case kind:
             names = [field.name for field in fields(SCHEDULES[kind])]
@@ -89,19 +100,27 @@ StoredFilter = Annotated[Description, AfterValidator(_of_its_kind)]
 def describe(candidate: Candidate, experiment: Experiment, evaluations: int) -> Description:
     """The description of a candidate of an experiment, as it is stored."""
     schedule, also = candidate.schedule, candidate.values_by_key()
-    if schedule is None:
-        kind = cast(Kind, experiment.filter.kind)
-        return Description(kind, {}, also, evaluations)
+    if schedule is None or isinstance(schedule, NoiseGains):
+        kind, numbers = cast(Kind, experiment.filter.kind), {}
+        for role, one in (schedule or NO_NOISE_GAINS)._asdict().items():
+            if one is not None:
+                own = _numbers_of(one, experiment).items()
+                numbers |= {f"{role}.{name}": values for name, values in own}
+        return Description(kind, numbers, also, evaluations)
     kinds: dict[type, Kind] = {type_: kind for kind, type_ in SCHEDULES.items()}
     kind = kinds.get(type(schedule), "fuzzy")
+    return Description(kind, _numbers_of(schedule, experiment), also, evaluations)
+
+
+def _numbers_of(schedule: GainSchedule, experiment: Experiment) -> dict[str, list[float]]:
+    """The numbers of a schedule by name."""
     arrays: dict[str, Any] = vars(schedule)
     if isinstance(schedule, FuzzyGain):
         space = parameter_space(experiment)
         arrays = {"k": space.vector(schedule.controller)[: len(PARAMETERS)]}
         if space.rules is None:
             arrays["rules"] = np.asarray(schedule.controller.rules)
-    numbers = {name: np.ravel(np.asarray(a, np.float64)).tolist() for name, a in arrays.items()}
-    return Description(kind, numbers, also, evaluations)
+    return {name: np.ravel(np.asarray(a, np.float64)).tolist() for name, a in arrays.items()}
 
 
 def candidate_of(found: Description, experiment: Experiment) -> Candidate:
@@ -113,17 +132,53 @@ def candidate_of(found: Description, experiment: Experiment) -> Candidate:
     dtype = jnp.dtype(experiment.run.dtype)
     with jax.enable_x64(dtype == jnp.float64):
         numbers = {name: jnp.asarray(values, dtype) for name, values in found.numbers.items()}
-        schedule: GainSchedule | None = None
+        schedule: Schedule | None = None
         if found.kind == "fuzzy":
             space = parameter_space(experiment)
             space = replace(space, rules=_rules_of(found, space))
             schedule = space.schedule(numbers["k"])
+        elif found.kind == "kalman" and numbers:
+            schedule = _noise_gains(numbers, experiment)
         elif found.kind == "open loop":
             schedule = KnotGain(**numbers)
         elif found.kind in SCHEDULES:
             schedule = SCHEDULES[found.kind](**{name: a[0] for name, a in numbers.items()})
         values = tuple(jnp.asarray(value, dtype) for value in found.also.values())
         return Candidate(schedule, values, tuple(found.also))
+
+
+def _noise_gains(numbers: Mapping[str, Array], experiment: Experiment) -> NoiseGains:
+    """The schedules of a Kalman filter's noises.
+
+    Raises:
+        ValueError: They are not those of the experiment.
+    """
+    section, by_role = experiment.filter, dict[str, dict[str, Array]]()
+    for name, values in numbers.items():
+        role, _, own = name.partition(".")
+        by_role.setdefault(role, {})[own] = values
+    kinds = section.roles if isinstance(section, config.KalmanConfig) else {}
+    if by_role.keys() != kinds.keys():
+        allowed = ", ".join(kinds) or "none"
+        raise ValueError(f"its schedules are {', '.join(by_role)}; allowed: {allowed}")
+    made: dict[str, GainSchedule] = {}
+    for role, kind in kinds.items():
+        own = by_role[role]
+        names = ["k"] if kind == "fuzzy" else [one.name for one in fields(OF_NOISES[kind])]
+        lengths = {name: a.shape[0] for name, a in own.items()}
+        length = {"fuzzy": len(PARAMETERS), "clock": KNOTS}.get(kind, 1)
+        if lengths != dict.fromkeys(names, length):
+            raise ValueError(
+                f"the numbers of {role} are {lengths} by length; allowed: {', '.join(names)}, "
+                f"{length} each"
+            )
+        if kind == "fuzzy":
+            made[role] = parameter_space(experiment).schedule(own["k"])
+        elif kind == "clock":
+            made[role] = KnotGain(**own)
+        else:
+            made[role] = OF_NOISES[kind](**{name: a[0] for name, a in own.items()})
+    return NoiseGains(**made)
 
 
 def described_filter(
@@ -143,7 +198,8 @@ def described_filter(
     schedule = candidate_of(found, experiment).schedule
     with jax.enable_x64(experiment.run.dtype == "float64"):
         filter = filter_of(config.with_tuned(experiment, found.also), own, sensors)
-        if isinstance(filter, Observer) and schedule is not None:  # one's own brings its own
+        own_schedule = isinstance(filter, Observer | KalmanFilter)  # one's own brings its own
+        if own_schedule and schedule is not None:
             return replace(filter, schedule=schedule)
         return filter
 
@@ -156,6 +212,8 @@ def configured_filter(experiment: Experiment) -> Description:
     """
     section, also = experiment.filter, dict(experiment.tuned.also)
     numbers = list(experiment.tuned.numbers)
+    if isinstance(section, config.KalmanConfig) and section.roles:
+        return _configured_kalman(section, experiment)
     if not isinstance(section, config.ObserverConfig):
         return Description(cast(Kind, section.kind), {}, also, 0)
     if not numbers or experiment.fuzzy.rules == SEARCHED:
@@ -173,6 +231,22 @@ def configured_filter(experiment: Experiment) -> Description:
     return Description(section.schedule, {name: [value] for name, value in pairs}, also, 0)
 
 
+def _configured_kalman(section: config.KalmanConfig, experiment: Experiment) -> Description:
+    """The Kalman filter that an experiment has, its schedules with the numbers of [tuned]."""
+    if not experiment.tuned.numbers:
+        refuse(
+            "tuned.numbers: none, of a Kalman filter whose noises are scheduled",
+            "a configuration with the numbers of a tuning, or the folder of a run",
+        )
+    values, numbers = list(experiment.tuned.numbers), dict[str, list[float]]()
+    for role, kind in section.roles.items():
+        if kind == "clock":
+            numbers[f"{role}.time"] = knot_times(experiment.scenario.duration).tolist()
+        for name, length in config.NOISE_NUMBERS[kind].items():
+            numbers[f"{role}.{name}"], values = values[:length], values[length:]
+    return Description("kalman", numbers, dict(experiment.tuned.also), 0)
+
+
 def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
     """An experiment with all numbers, and the rule table, that were tuned.
 
@@ -185,8 +259,11 @@ def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
             rules = rule_table(_rules_of(found, parameter_space(experiment)))
         tuned = tuned.replace(**{"fuzzy.rules": rules})
     section = tuned.filter
-    if isinstance(section, config.ObserverConfig) and section.schedule == found.kind:
-        own = [value for name, each in found.numbers.items() if name != "rules" for value in each]
+    # Neither is searched as a number: the table is in [fuzzy], the times of a clock are fixed.
+    left = {"rules", *(f"{role}.time" for role in NoiseGains._fields)}
+    scheduled = isinstance(section, config.ObserverConfig) and section.schedule == found.kind
+    if scheduled or (found.kind == "kalman" and found.numbers):
+        own = [value for name, each in found.numbers.items() if name not in left for value in each]
         return tuned.model_copy(update={"tuned": config.TunedConfig(numbers=tuple(own))})
     return tuned.model_copy(update={"tuned": config.TunedConfig()})
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
-import numpy as np
 
 from posegsa import config, steps
+from posegsa.filters.base import sensors_of
 from posegsa.judging.baselines import baselines
 from posegsa.judging.description import Description, describe, described_filter
 from posegsa.judging.evaluation import CONSTANT, EKF
@@ -117,9 +117,7 @@ def _scores(
     """What a filter of an experiment is worth on recordings."""
     scores = []
     for one in recordings:
-        m = one.measurements
-        sensors = np.shape(m.vectors)[1], np.shape(m.landmarks)[1]
-        filter = described_filter(found, experiment, None, sensors)
+        filter = described_filter(found, experiment, None, sensors_of(one.measurements))
         scores.append(score(one, run_filter(filter, one)))
     return scores
 

@@ -14,7 +14,8 @@ from pydantic import Field
 from posegsa.arguments import check_type, refuse
 from posegsa.config import PARAMETERS, SEARCHED, Experiment
 from posegsa.errors import PosegsaWarning
-from posegsa.filters.base import Filter
+from posegsa.filters.base import Filter, Sensors, sensors_of
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import (
@@ -119,7 +120,8 @@ class Result:
         Raises:
             ArgumentError: The filter has none.
         """
-        if (schedule := self.candidate.schedule) is None:
+        schedule = self.candidate.schedule
+        if schedule is None or isinstance(schedule, NoiseGains):
             refuse(f"schedule of a {self.filter.title}", "that of an observer")
         return schedule
 
@@ -162,7 +164,8 @@ class Result:
         was tuned on, the weights that these have there are in its settings. Weights in measurements
         are factors on these.
         """
-        filter = described_filter(self.filter, self.experiment, self.own, (vectors, landmarks))
+        sensors = Sensors(vectors, landmarks)
+        filter = described_filter(self.filter, self.experiment, self.own, sensors)
         known = None if self.on_recordings is None else self.on_recordings.sensors
         same = known and (len(known.vectors), len(known.landmarks)) == (vectors, landmarks)
         if known and same and isinstance(filter, Observer):
@@ -172,8 +175,7 @@ class Result:
 
     def filter_on(self, recording: Recording) -> Filter:
         """The tuned filter for a recording, whose own weights are factors on the filter's."""
-        m = recording.measurements
-        sensors = np.shape(m.vectors)[1], np.shape(m.landmarks)[1]
+        sensors = sensors_of(recording.measurements)
         return described_filter(self.filter, self.experiment, self.own, sensors)
 
     def estimate(

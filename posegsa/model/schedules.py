@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.errors import ArgumentError
+from posegsa.model.elementwise import maximum, minimum
 from posegsa.model.fuzzy import (
     FuzzyController,
     PreparedController,
@@ -175,6 +176,34 @@ class SmoothGain:
         """K at the scaled error."""
         e2 = inputs.error * inputs.error
         return Gains(self.low + (self.high - self.low) * e2 / (e2 + self.half * self.half))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RampGain:
+    """K(e) = 1 + 100 slope (e - start), within the controller's range of 1 to 101.
+
+    In a Kalman filter's belief (`filters.noise_schedules`), where errors and factors are
+    logarithms, this is a power of the residual above a threshold.
+    """
+
+    start: Array
+    """The scaled error up to which K is 1."""
+    slope: Array
+    """The share of the range by which K grows for an error of 1."""
+
+    def initial_gain(self) -> Array:
+        """1, as for a small error."""
+        return jnp.ones_like(self.start)
+
+    def prepare(self) -> "RampGain":
+        """The schedule itself; there is nothing to precompute."""
+        return self
+
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        """K at the scaled error."""
+        share = minimum(maximum(self.slope * (inputs.error - self.start), 0.0), 1.0)
+        return Gains(1 + 100 * share)
 
 
 @jax.tree_util.register_dataclass

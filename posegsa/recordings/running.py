@@ -10,7 +10,7 @@ import numpy as np
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
 from posegsa.filters import rollout
-from posegsa.filters.base import Filter, Samples, check_filter, samples_of
+from posegsa.filters.base import Filter, Samples, check_filter, samples_of, sensors_of
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, simulate_part
@@ -105,8 +105,7 @@ def _prepared(filter: Filter, measurements: Measurements) -> Samples:
 
 def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
     count, parts = recording.samples, []
-    vectors = np.shape(recording.measurements.vector_weights)[-1]
-    state = filter.start(initial, vectors)
+    state = filter.start(initial, sensors_of(recording.measurements))
     length = min(PART, count)
     for first in range(0, count, length):
         # All parts have the same length, so that one program serves them: the last part is padded

@@ -17,8 +17,9 @@ from jax.typing import DTypeLike
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type, fitting, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
-from posegsa.filters.base import Filter, check_filter, samples_of
+from posegsa.filters.base import Filter, Sensors, check_filter, samples_of
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
 from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import initial_state
@@ -35,7 +36,7 @@ from posegsa.search.groups import in_groups, padded
 from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost, check_cost
-from posegsa.search.schedule_spaces import SIMPLE, schedule_space
+from posegsa.search.schedule_spaces import SIMPLE, NoiseSpaces, noise_space, schedule_space
 
 OwnFilter = Filter | Callable[..., Filter]
 """A filter of the user's own, or what makes one: called with the numbers of [filter] by name."""
@@ -369,10 +370,6 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
     )
 
 
-Sensors = tuple[int, int]
-"""How many vectors and how many landmarks a filter reads."""
-
-
 def filter_of(
     experiment: config.Experiment, own: OwnFilter | None = None, sensors: Sensors | None = None
 ) -> Filter:
@@ -396,13 +393,28 @@ def filter_of(
         refuse(f"filter with filter.kind = {section.kind!r}", 'one of them, or filter.kind = "own"')
     if isinstance(section, config.KalmanConfig):
         noise = {name: _array(getattr(section, name), dtype) for name in KalmanNoise._fields}
-        return KalmanFilter(KalmanNoise(**noise), section.vector_bias == "estimated")
+        return KalmanFilter(
+            KalmanNoise(**noise),
+            section.vector_bias == "estimated",
+            signals=_noise_signals(section, dtype) if section.roles else None,
+            iterations=section.iterations,
+        )
     settings = filter_settings(experiment)
     if sensors is not None:
         settings = _for_sensors(settings, *sensors)
     return Observer(
         schedule=None, settings=settings, signal=signal_settings(experiment.gain, dtype)
     )
+
+
+def _noise_signals(section: config.KalmanConfig, dtype: DTypeLike) -> NoiseSignals:
+    """What the schedules of a Kalman filter's noises see."""
+
+    def signal(role: str) -> NoiseSignal:
+        names = NoiseSignal._fields
+        return NoiseSignal(*(_array(getattr(section, f"{role}_{name}"), dtype) for name in names))
+
+    return NoiseSignals(*map(signal, NoiseSignals._fields))
 
 
 def _own_filter(own: OwnFilter | None, numbers: dict[str, Array], dtype: DTypeLike) -> Filter:
@@ -521,11 +533,21 @@ def own_space(experiment: config.Experiment, lowest: float | None = None) -> Sch
         lowest: Least gain [1/s] of a constant or smooth one, where it is to be another one.
     """
     section = experiment.filter
+    if isinstance(section, config.KalmanConfig) and section.roles:
+        return NoiseSpaces(
+            tuple(role_space(kind, experiment) for kind in section.roles.values()),
+            tuple(section.roles),
+        )
     if not isinstance(section, config.ObserverConfig):
         return without_schedule(experiment.run.dtype)
     if section.schedule in SIMPLE:
         return schedule_space(section.schedule, experiment, lowest)
     return parameter_space(experiment)
+
+
+def role_space(kind: str, experiment: config.Experiment) -> ScheduleSpace:
+    """The space of one schedule of a Kalman filter's noises."""
+    return parameter_space(experiment) if kind == "fuzzy" else noise_space(kind, experiment)
 
 
 def search_space(

@@ -12,10 +12,14 @@ from jax.core import Tracer
 from jax.typing import DTypeLike
 
 from posegsa.filters.base import Filter
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.model.schedules import GainSchedule
 from posegsa.optimisers import Box
 
 FilterT = TypeVar("FilterT", bound=Filter)
+Schedule = GainSchedule | NoiseGains
+"""What a search puts into a filter: an observer's gain schedule, or those of a Kalman filter's
+noises."""
 
 
 @jax.tree_util.register_dataclass
@@ -26,8 +30,8 @@ class Candidate:
     The leaves have no leading axis, or a leading axis of A candidates.
     """
 
-    schedule: GainSchedule | None = None
-    """The gain schedule; None if the filter has none."""
+    schedule: Schedule | None = None
+    """The schedule; None if the filter has none."""
     values: tuple[Array, ...] = ()
     """Other tuned numbers, each in the unit of its key."""
     keys: tuple[str, ...] = field(default=(), metadata={"static": True})
@@ -59,7 +63,7 @@ class ScheduleSpace(Protocol):
         """(d,)."""
         ...
 
-    def schedule(self, vector: Array) -> GainSchedule | None:
+    def schedule(self, vector: Array) -> Schedule | None:
         """The schedule of a vector (d,) (pure, jittable); None if the filter has none."""
         ...
 

@@ -19,7 +19,7 @@ from jax import Array
 from posegsa import config
 from posegsa.config.schedule_config import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
-from posegsa.filters.base import Filter, Samples, samples_of
+from posegsa.filters.base import Filter, Samples, Sensors, samples_of
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
@@ -220,7 +220,7 @@ def recorded_batch(
     """Recordings as S scenarios, at an experiment's dtype, for its filter, or the user's own."""
     dtype = jnp.dtype(experiment.run.dtype)
     most = _most_sensors(recordings)
-    filter = filter_of(experiment, own, most)
+    filter = filter_of(experiment, own, Sensors(*most))
     recordings = [as_seen(filter, one) for one in recordings]
     length = max(one.samples for one in recordings)
     padded = [_padded(one, length, *most, position_weight) for one in recordings]

@@ -2,21 +2,26 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from posegsa import config
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.model.schedules import (
     ConstantGain,
     GainSchedule,
     KnotGain,
+    RampGain,
     SmoothGain,
     SwitchGain,
 )
-from posegsa.search.candidates import SimpleSpace
+from posegsa.search.candidates import ScheduleSpace, SimpleSpace
 
 SIMPLE = ("constant", "smooth")
 """Kinds of schedules that an experiment can have instead of a controller."""
@@ -51,6 +56,10 @@ def knot_times(end: float) -> np.ndarray:
     dense, turn = KNOTS // 2, min(2.0, 0.5 * end)
     early = np.geomspace(0.03 * turn, turn, dense)
     return np.concatenate([[0.0], early, np.linspace(turn, end, KNOTS - dense)[1:]])
+
+
+def _ramp(vector: Array) -> GainSchedule:
+    return RampGain(vector[0], jnp.exp(vector[1]))
 
 
 Ends = tuple[float, float]
@@ -89,6 +98,65 @@ def schedule_space(
     bounds, make = boxes[kind]
     lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
     return SimpleSpace(lower, upper, make)
+
+
+def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
+    """The search space of a schedule of a Kalman filter's noise, whose output is in [1, 101].
+
+    Args:
+        kind: "constant", "smooth", "ramp" or "clock".
+        experiment: Its duration is looked at.
+    """
+    end = experiment.scenario.duration
+    gain, error = (0.0, math.log(101.0)), (math.log(0.003), 0.0)
+    boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
+        "constant": ([gain], _constant),
+        "smooth": ([gain, gain, error], _smooth),
+        "ramp": ([(0.0, 1.0), (math.log(0.1), math.log(1000.0))], _ramp),
+        "clock": ([gain] * KNOTS, _at(end)),
+    }
+    bounds, make = boxes[kind]
+    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
+    return SimpleSpace(lower, upper, make)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class NoiseSpaces:
+    """The numbers of all schedules of a Kalman filter's noises, one after another."""
+
+    each: tuple[ScheduleSpace, ...]
+    roles: tuple[str, ...] = field(metadata={"static": True})
+    """The role of each in `NoiseGains`."""
+
+    @property
+    def lower(self) -> Array:
+        """(d,)."""
+        return jnp.concatenate([space.lower for space in self.each])
+
+    @property
+    def upper(self) -> Array:
+        """(d,)."""
+        return jnp.concatenate([space.upper for space in self.each])
+
+    def schedule(self, vector: Array) -> NoiseGains:
+        """The schedules of a vector (d,)."""
+        pairs = zip(self.roles, self.each, self._parts(vector), strict=True)
+        made: dict[str, Any] = {role: space.schedule(part) for role, space, part in pairs}
+        return NoiseGains(**made)
+
+    def valid(self, vector: Array) -> Array:
+        """Whether a vector (d,) has a cost."""
+        pairs = zip(self.each, self._parts(vector), strict=True)
+        return jnp.all(jnp.stack([space.valid(part) for space, part in pairs]))
+
+    def _parts(self, vector: Array) -> list[Array]:
+        """The vector of each schedule."""
+        parts, first = [], 0
+        for space in self.each:
+            parts.append(vector[first : first + space.lower.shape[0]])
+            first += space.lower.shape[0]
+        return parts
 
 
 _AT: dict[float, Callable[[Array], GainSchedule]] = {}

@@ -56,7 +56,8 @@ class Tunable:
 
     Args:
         name: Another field of the section on which its effect depends; by default none.
-        value: The value of that field with which the number has an effect.
+        value: The value of that field with which the number has an effect; without one, any
+            but "off".
     """
 
     def __init__(self, name: str | None = None, value: object = None) -> None:
@@ -64,7 +65,10 @@ class Tunable:
 
     def has_effect(self, section: "Section") -> bool:
         """Whether the number has an effect in a section."""
-        return self._name is None or getattr(section, self._name) == self._value
+        if self._name is None:
+            return True
+        other = getattr(section, self._name)
+        return other != "off" if self._value is None else other == self._value
 
 
 class Section(BaseModel):

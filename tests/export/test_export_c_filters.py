@@ -32,7 +32,7 @@ from jax import Array
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import filter_to_c
-from posegsa.filters.base import Filter, Record
+from posegsa.filters.base import Filter, Record, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import Estimates, run_filter
 from posegsa.model.measurements import Measurements
@@ -219,10 +219,12 @@ class Odd:
     def prepare(self, measurements: Measurements) -> Any:
         return prepare(measurements, VectorSettings(each_agent=True))
 
-    def start(self, initial: Any, vectors: int) -> Any:
+    def start(self, initial: Any, sensors: Sensors) -> Any:
         x, y, z = initial.place
         zero = jnp.zeros_like(x)
-        return Remembered((0.5 * x, 0.5 * y, 0.5 * z), initial.attitude, zero, zero + vectors)
+        return Remembered(
+            (0.5 * x, 0.5 * y, 0.5 * z), initial.attitude, zero, zero + sensors.vectors
+        )
 
     def ready(self) -> "Odd":
         return self
@@ -331,8 +333,8 @@ def another_state(self: Any, state: Remembered, now: Any) -> Any:
 
 
 def starting_with(extra: Any) -> Any:
-    def start(self: Any, initial: Any, vectors: int) -> Any:
-        return Odd.start(self, initial, vectors)._replace(counted=extra)
+    def start(self: Any, initial: Any, sensors: Sensors) -> Any:
+        return Odd.start(self, initial, sensors)._replace(counted=extra)
 
     return start
 

@@ -1,6 +1,7 @@
 """The Kalman filter against a plain reference, against gtsam, and against statistics."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -18,7 +19,7 @@ from helpers.reference import se3_exp
 from jax import Array
 
 from posegsa.errors import ArgumentError
-from posegsa.filters.base import Samples, samples_of
+from posegsa.filters.base import Samples, Sensors, samples_of
 from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
@@ -78,7 +79,7 @@ def samples_for(m: Measurements, rotation: Any = None, position: Any = None) -> 
 def started(initial: FilterState, noise: KalmanNoise) -> KalmanState:
     """The state before the first sample; the vectors' biases that `initial` has are states."""
     learnt = len(initial.vector_biases)
-    return KalmanFilter(noise, vector_biases=learnt > 0).start(initial, learnt)
+    return KalmanFilter(noise, vector_biases=learnt > 0).start(initial, Sensors(learnt, 0))
 
 
 def plain(noise: KalmanNoise) -> KalmanFilter:
@@ -95,9 +96,11 @@ def leaves_close(got: Any, want: Any, atol: float) -> None:
         np.testing.assert_allclose(a, b, rtol=0, atol=atol)
 
 
-def step(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
+def step(
+    state: KalmanState, sample: Sample, noise: KalmanNoise, iterations: int = 1
+) -> KalmanState:
     """Process one sample, as in a user's own loop."""
-    return propagate(update(state, sample, noise), sample, noise)
+    return propagate(update(state, sample, noise, iterations), sample, noise)
 
 
 def held(state: KalmanState) -> tuple[Array, ...]:
@@ -107,12 +110,14 @@ def held(state: KalmanState) -> tuple[Array, ...]:
     return T, estimate.bias, estimate.vector_bias, state.covariance_matrix
 
 
-@jax.jit
-def one_by_one(state: KalmanState, samples: Sample, noise: KalmanNoise) -> tuple[Array, ...]:
+@partial(jax.jit, static_argnums=3)
+def one_by_one(
+    state: KalmanState, samples: Sample, noise: KalmanNoise, iterations: int = 1
+) -> tuple[Array, ...]:
     """The numbers of `held` before each of N samples and after the last, (N + 1, ...)."""
 
     def body(state: KalmanState, now: Sample) -> tuple[KalmanState, tuple[Array, ...]]:
-        return step(state, now, noise), held(state)
+        return step(state, now, noise, iterations), held(state)
 
     last, before = jax.lax.scan(body, state, samples)
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), before, held(last))
@@ -129,11 +134,11 @@ COUNT = 40
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
-    ("vectors", "landmarks", "learnt"),
-    [(1, 0, 0), (0, 1, 0), (2, 1, 2)],
-    ids=["12 states, a vector", "12 states, a landmark", "18 states"],
+    ("vectors", "landmarks", "learnt", "iterations"),
+    [(1, 0, 0, 1), (0, 1, 0, 1), (2, 1, 2, 1), (1, 1, 0, 3)],
+    ids=["12 states, a vector", "12 states, a landmark", "18 states", "iterated"],
 )
-def test_agrees_with_the_matrix_form(vectors, landmarks, learnt) -> None:
+def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations) -> None:
     """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
     rng = np.random.default_rng(0)
     m = random_measurements(rng, COUNT, vectors, landmarks, missing=0.3)
@@ -141,9 +146,11 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt) -> None:
     samples, noise = seen(m, rng), noise_of(PLAIN)
     state = started(state_of(T, b, learnt_vectors=learnt), noise)
     begin = reference_ekf.start(T, b, learnt, PLAIN)
-    want = reference_ekf.run([sample_of(m, k) for k in range(COUNT)], begin, PLAIN)
+    each = [sample_of(m, k) for k in range(COUNT)]
+    want = reference_ekf.run(each, begin, PLAIN, iterations)
     wanted = zip(*((one.T, one.b, one.c, one.Sigma) for one in want), strict=True)
-    for got, expected in zip(one_by_one(state, samples.sample, noise), wanted, strict=True):
+    found = one_by_one(state, samples.sample, noise, iterations)
+    for got, expected in zip(found, wanted, strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
 
 
@@ -168,7 +175,10 @@ def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> 
 
 
 def test_the_reference_agrees_with_gtsam() -> None:
-    """Without biases, and without gtsam's reset of the covariance, both are the same filter."""
+    """Without biases both are the same filter.
+
+    gtsam moves the covariance to the new estimate by the exact Jacobian, so corrections are small.
+    """
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed")
     rng = np.random.default_rng(0)
     noise = replace(PLAIN, bias_walk=np.zeros(6), bias=np.zeros(6))
@@ -177,13 +187,15 @@ def test_the_reference_agrees_with_gtsam() -> None:
     m = random_measurements(rng, 100, 2, 1)
     for k in range(100):
         s = sample_of(m, k)
-        H, z, expected, R = reference_ekf.linearised(state, s, noise)
-        theirs.updateWithVector(expected, H[:, :6], z, R, False)
+        H, _, expected, R = reference_ekf.linearised(state, s, noise)
+        z = expected + 0.02 * rng.normal(size=len(expected))
+        s = replace(s, vB=z[:6].reshape(2, 3), y=z[6:].reshape(1, 3))
+        theirs.updateWithVector(expected, H[:, :6], z, R, True)
         displacement = se3_exp(np.concatenate([s.omega, s.v]) * s.dt)
         theirs.predict(gtsam.Pose3(displacement), np.diag(noise.velocity**2 * s.dt))
         state = reference_ekf.propagate(reference_ekf.update(state, s, noise), s, noise)
-        np.testing.assert_allclose(theirs.state().matrix(), state.T, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(theirs.covariance(), state.Sigma[:6, :6], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(theirs.state().matrix(), state.T, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(theirs.covariance(), state.Sigma[:6, :6], rtol=0, atol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")

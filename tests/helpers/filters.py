@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from helpers.arrays import as_arrays
 from helpers.experiments import PAPER
 from helpers.measurements import random_measurements, random_poses, reference_start
+from posegsa.filters.base import sensors_of
 from posegsa.filters.observer import (
     FilterSettings,
     GainLaw,
@@ -129,7 +130,7 @@ def stepped(
 ) -> FilterState:
     """The estimate after one sample of the observer with a constant gain, by the public step."""
     observer = Observer(ConstantGain(gain), chosen)
-    before = observer.start(state, np.shape(measurement.vector_weights)[-1])
+    before = observer.start(state, sensors_of(measurement))
     return step(observer, before, measurement)[0].estimate
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.filters.base import Record, Samples
+from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
@@ -34,9 +34,9 @@ class Complementary:
         """Each vector alone."""
         return prepare(measurements, VectorSettings(each_agent=True))
 
-    def start(self, initial: FilterState, vectors: int) -> FilterState:
+    def start(self, initial: FilterState, sensors: Sensors) -> FilterState:
         """The estimate itself."""
-        del vectors
+        del sensors
         return initial
 
     def ready(self) -> Self:

@@ -8,6 +8,7 @@ left-invariant, T = T_est exp(xi^), and the states are [xi; b; c_1; ...], rotati
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import logm
 
 from helpers.reference import Array, Sample, adjoint, se3_exp, skew
 
@@ -67,20 +68,48 @@ def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Arr
     return np.concatenate(H), np.array(measured), np.array(expected), np.diag(variances)
 
 
-def update(state: State, s: Sample, noise: Noise) -> State:
-    """The state after all measurements of a sample."""
-    H, measured, expected, N = linearised(state, s, noise)
-    if not len(H):
-        return state
-    K = state.Sigma @ H.T @ np.linalg.inv(H @ state.Sigma @ H.T + N)
-    x = K @ (measured - expected)
-    rest = np.eye(len(state.Sigma)) - K @ H
-    return State(
-        T=state.T @ se3_exp(x[:6]),
-        b=state.b + x[6:12],
-        c=state.c + x[12:].reshape(-1, 3),
-        Sigma=rest @ state.Sigma @ rest.T + K @ N @ K.T,
-    )
+def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> State:
+    """The state after all measurements of a sample, linearised so many times.
+
+    Sigma is that of the error of the new estimate, J (xi - x) with J = Ad(exp(-x^ / 2)).
+    """
+    found = state
+    for _ in range(iterations):
+        # The errors of `found` if the state before were the truth: the mean of the prior.
+        back = np.concatenate(
+            [
+                se3_log(np.linalg.inv(found.T) @ state.T),
+                state.b - found.b,
+                (state.c - found.c).ravel(),
+            ]
+        )
+        H, measured, expected, N = linearised(found, s, noise)
+        if not len(H):
+            return state
+        Sigma = moved(state.Sigma, -back)
+        K = Sigma @ H.T @ np.linalg.inv(H @ Sigma @ H.T + N)
+        x = back + K @ (measured - expected - H @ back)
+        rest = np.eye(len(Sigma)) - K @ H
+        found = State(
+            T=found.T @ se3_exp(x[:6]),
+            b=found.b + x[6:12],
+            c=found.c + x[12:].reshape(-1, 3),
+            Sigma=moved(rest @ Sigma @ rest.T + K @ N @ K.T, x),
+        )
+    return found
+
+
+def moved(Sigma: Array, x: Array) -> Array:
+    """The covariance of J (xi - x)."""
+    J = np.eye(len(Sigma))
+    J[:6, :6] = adjoint(se3_exp(-x[:6] / 2))
+    return J @ Sigma @ J.T
+
+
+def se3_log(T: Array) -> Array:
+    """The twist of a pose, by the logarithm of its matrix."""
+    xi = np.real(logm(T))
+    return np.array([xi[2, 1], xi[0, 2], xi[1, 0], *xi[:3, 3]])
 
 
 def propagate(state: State, s: Sample, noise: Noise) -> State:
@@ -96,9 +125,9 @@ def propagate(state: State, s: Sample, noise: Noise) -> State:
     return State(state.T @ se3_exp(u), state.b, state.c, Sigma)
 
 
-def run(samples: list[Sample], state: State, noise: Noise) -> list[State]:
+def run(samples: list[Sample], state: State, noise: Noise, iterations: int = 1) -> list[State]:
     """The states before each sample and after the last."""
     states = [state]
     for sample in samples:
-        states.append(propagate(update(states[-1], sample, noise), sample, noise))
+        states.append(propagate(update(states[-1], sample, noise, iterations), sample, noise))
     return states

@@ -466,8 +466,8 @@ class Spoilt:
     def prepare(self, measurements):
         return self.observer.prepare(measurements)
 
-    def start(self, initial, vectors):
-        return self.observer.start(initial, vectors)
+    def start(self, initial, sensors):
+        return self.observer.start(initial, sensors)
 
     def ready(self):
         return self
@@ -485,8 +485,8 @@ class Spoilt:
 
 def test_a_state_that_is_no_floating_number_is_refused():
     class Counting(Spoilt):
-        def start(self, initial, vectors):
-            return self.observer.start(initial, vectors), jnp.int32(0)
+        def start(self, initial, sensors):
+            return self.observer.start(initial, sensors), jnp.int32(0)
 
     counting = jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(Counting))
     observer = posegsa.Observer(posegsa.ConstantGain(jnp.float32(5.0)))

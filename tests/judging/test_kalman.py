@@ -7,6 +7,7 @@ import pytest
 from helpers.experiments import quietly, tiny
 
 from posegsa.config import KALMAN_ALSO
+from posegsa.filters.base import Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import simulate_errors
 from posegsa.judging import tuned_kalman
@@ -86,7 +87,7 @@ def test_only_with_vector_biases_are_there_such_states(problem) -> None:
     for vector_biases in (False, True):
         experiment = kalman_experiment(TINY, vector_biases=vector_biases)
         batch = variant_of(problem, experiment).training
-        start = batch.filter.start(jax.tree.map(lambda a: a[0], batch.initial), 2)
+        start = batch.filter.start(jax.tree.map(lambda a: a[0], batch.initial), Sensors(2, 1))
         assert len(start.covariance) == (18 if vector_biases else 12)
         assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 200), (
             "each, as measured"

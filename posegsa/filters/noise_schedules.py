@@ -1,0 +1,156 @@
+"""Schedules that change the noises of a Kalman filter while it runs: whom to believe, and how far.
+
+In two roles, each of which can be absent:
+
+- *unknown*: one schedule for the whole filter. It sees the filter's measured error, the root mean
+  square of this sample's residuals in standard deviations of their sensors' noise, and multiplies
+  the densities of the velocities' noise and of the random walk of the vectors' biases. So the
+  covariance grows where the estimate is worse than the covariance says: after a wrong start, or
+  when the body has been moved.
+- *belief*: one schedule for all vectors and one for all landmarks. For each sensor it sees that
+  sensor's normalised squared residual, |z - y|^2 over its expectation, and multiplies the variance
+  of that sensor's noise. So a sensor that disagrees with the rest is not believed while it does.
+
+Both inputs are logarithms, because both outputs are:
+
+    e      = ln(q) / ln(scale), clipped to [0, 1], q the low-passed input
+    rate   = rate_scale |de/dt|, clipped to [0, 1]
+    factor = largest^((K - 1) / 100), at least 1, K the output of the schedule
+
+K = 1 + centroid, as in the paper: its controller of five terms, 25 rules and k1 to k22 (Eqs. 18 and
+19) stands here unchanged, and so does any other schedule of `model.schedules`. K = 1 changes
+nothing, K = 101 multiplies by `largest`.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Self
+
+import jax.numpy as jnp
+from jax import Array
+
+from posegsa.model.elementwise import choose, maximum, minimum
+from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs
+
+
+class NoiseSignal(NamedTuple):
+    """How an input of a schedule is made, and how far its output reaches; all traced."""
+
+    smoothing: Array
+    """Time constant of the low-pass filter of the input [s]; 0 means none."""
+    scale: Array
+    """The input at which the scaled error is 1, above 1, no unit."""
+    rate_scale: Array
+    """Factor on the change of the scaled error [s]."""
+    largest: Array
+    """The largest factor, at least 1, no unit."""
+
+
+class NoiseMemory(NamedTuple):
+    """What a schedule remembers of one input, from sample to sample."""
+
+    value: Array
+    """The low-passed input; ignored before the first one."""
+    error: Array
+    """The last scaled error before it was clipped."""
+    gain: Array
+    """The last output of the schedule."""
+    age: Array
+    """Time since the last input [s]; infinite before the first one."""
+
+
+class NoiseSignals(NamedTuple):
+    """The signals of both roles."""
+
+    unknown: NoiseSignal
+    belief: NoiseSignal
+    """Of all vectors and landmarks."""
+
+    def with_values(self, values: Mapping[str, Array]) -> Self:
+        """The same with some numbers replaced, by names such as "belief_smoothing"."""
+        parts = [key.split("_", 1) for key in values]
+        new: dict[str, dict[str, Array]] = {role: {} for role in self._fields}
+        for (role, name), value in zip(parts, values.values(), strict=True):
+            new[role][name] = value
+        pairs = zip(self, new.values(), strict=True)
+        return type(self)(*(signal._replace(**own) for signal, own in pairs))
+
+
+SIGNAL_KEYS = tuple(f"{r}_{n}" for r in NoiseSignals._fields for n in NoiseSignal._fields)
+"""The names of the numbers of `NoiseSignals`."""
+
+
+class NoiseGains(NamedTuple):
+    """The schedules by role; None for a role that the filter has not."""
+
+    unknown: GainSchedule | None = None
+    """On the velocities' noise and the walk of the vectors' biases: their standard deviations."""
+    vectors: GainSchedule | None = None
+    """Belief in each vector: its variance."""
+    landmarks: GainSchedule | None = None
+    """Belief in each landmark: its variance."""
+
+    def prepare(self) -> "PreparedNoiseGains":
+        """The schedules, with everything precomputed that is the same at every sample."""
+        return PreparedNoiseGains(*(None if one is None else one.prepare() for one in self))
+
+
+NO_NOISE_GAINS = NoiseGains()
+
+
+class PreparedNoiseGains(NamedTuple):
+    """`NoiseGains` prepared for a loop."""
+
+    unknown: PreparedSchedule | None
+    vectors: PreparedSchedule | None
+    landmarks: PreparedSchedule | None
+
+
+def initial_noise_memory(schedule: GainSchedule, like: Array) -> NoiseMemory:
+    """The memory before the first sample, in the shape and dtype of `like`."""
+    zero = jnp.zeros_like(like)
+    gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
+    return NoiseMemory(zero, zero, gain, zero + jnp.inf)
+
+
+def noise_factor(
+    schedule: PreparedSchedule,
+    signal: NoiseSignal,
+    memory: NoiseMemory,
+    now: Array,
+    seen: Array,
+    time: Array,
+    time_step: Array,
+) -> tuple[Array, NoiseMemory, ScheduleInputs]:
+    """The factor on a noise at a sample, the memory after it, and what the schedule saw.
+
+    Args:
+        schedule: Of this role.
+        signal: Of this role.
+        memory: After the last sample.
+        now: The input at this sample, not negative.
+        seen: Whether there is one; without it all but the age stays as it is.
+        time: Since the first sample [s].
+        time_step: To the next sample [s].
+    """
+    first = jnp.isinf(memory.age)
+    before = choose(first, now, memory.value)
+    old = signal.smoothing / (signal.smoothing + memory.age)
+    value = choose(seen, now + old * (before - now), memory.value)
+    smallest = float(jnp.finfo(value.dtype).tiny)
+    error = jnp.log(maximum(value, smallest)) / jnp.log(signal.scale)
+    change = jnp.abs(error - choose(first, error, memory.error)) / memory.age
+    inputs = ScheduleInputs(
+        error=minimum(maximum(error, 0.0), 1.0),
+        rate=minimum(change * signal.rate_scale, 1.0),
+        time=time,
+        last=memory.gain,
+    )
+    gain = schedule(inputs).gain
+    factor = jnp.exp(maximum(0.01 * (gain - 1), 0.0) * jnp.log(signal.largest))
+    after = NoiseMemory(
+        value=value,
+        error=choose(seen, error, memory.error),
+        gain=choose(seen, gain, memory.gain),
+        age=choose(seen, time_step, memory.age + time_step),
+    )
+    return factor, after, inputs

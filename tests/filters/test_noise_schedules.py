@@ -1,0 +1,190 @@
+"""Schedules of a Kalman filter's noises: their inputs, their factors, and what they change."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import reference_ekf
+from helpers.arrays import as_arrays
+from helpers.filters import state_of
+from helpers.measurements import random_measurements, random_poses
+from helpers.measurements import reference_sample as sample_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import posegsa
+from posegsa.filters.base import Samples, Sensors, samples_of
+from posegsa.filters.kalman import (
+    KalmanFilter,
+    KalmanNoise,
+    KalmanState,
+    measured_error,
+    residuals,
+)
+from posegsa.filters.noise_schedules import (
+    NoiseGains,
+    NoiseSignal,
+    NoiseSignals,
+    initial_noise_memory,
+    noise_factor,
+)
+from posegsa.model.schedules import ConstantGain, RampGain
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+NOISE = KalmanNoise(0.02, 0.01, 1e-4, 1e-4, 1e-4, 0.1, 0.1, 0.5, 1.0, 0.1, 0.3, 0.1)
+SIGNAL = NoiseSignal(smoothing=0.1, scale=1e6, rate_scale=0.1, largest=1e6)
+
+
+def numbers(record: Any) -> Any:
+    return jax.tree.map(jnp.asarray, record)
+
+
+def kalman(schedule: NoiseGains, signal: NoiseSignal = SIGNAL) -> KalmanFilter:
+    signals = numbers(NoiseSignals(signal._replace(scale=100.0, largest=1000.0), signal))
+    return KalmanFilter(numbers(NOISE), schedule=numbers(schedule), signals=signals)
+
+
+def sequence(count: int, seed: int = 0) -> tuple[Any, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return random_measurements(rng, count, 2, 1, missing=0.3), random_poses(rng, 1)[0]
+
+
+def ran(filter: KalmanFilter, m: Any, T: np.ndarray) -> KalmanState:
+    state = filter.start(state_of(T, learnt_vectors=2), Sensors(2, 1))
+
+    def body(state: KalmanState, now: Samples) -> tuple[KalmanState, None]:
+        return filter.ready().step(state, now)[0], None
+
+    given = as_arrays(m, np.float64)
+    return jax.jit(partial(jax.lax.scan, body))(state, samples_of(filter, given))[0]
+
+
+@given(st.lists(st.floats(1e-3, 1e5), min_size=2, max_size=20), st.floats(0, 1))
+@settings(max_examples=20, deadline=None)
+def test_the_input_is_the_logarithm_of_the_low_passed_value(values, smoothing) -> None:
+    """Against backward Euler written out, with a schedule that returns its input."""
+    signal = numbers(SIGNAL._replace(smoothing=smoothing))
+    ramp = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
+    memory = initial_noise_memory(ramp, jnp.asarray(0.0))
+    low_passed = values[0]
+    for k, value in enumerate(values):
+        if k:
+            low_passed += (value - low_passed) * 0.01 / (smoothing + 0.01)
+        now = jnp.asarray(value)
+        factor, memory, inputs = noise_factor(
+            ramp.prepare(), signal, memory, now, jnp.asarray(True), now, jnp.asarray(0.01)
+        )
+        np.testing.assert_allclose(memory.value, low_passed, rtol=1e-6)
+        e = np.clip(np.log(low_passed) / np.log(1e6), 0, 1)
+        np.testing.assert_allclose(inputs.error, e, atol=1e-7)
+        np.testing.assert_allclose(factor, 1e6**e, rtol=1e-5)  # the power 1 of the value
+
+
+def test_without_an_input_only_the_age_changes() -> None:
+    ramp = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
+    memory = initial_noise_memory(ramp, jnp.asarray(0.0))
+    step = jnp.asarray(0.01)
+    follow = partial(noise_factor, ramp.prepare(), numbers(SIGNAL))
+    _, seen, _ = follow(memory, jnp.asarray(50.0), jnp.asarray(True), step, step)
+    _, after, _ = follow(seen, jnp.asarray(9e9), jnp.asarray(False), step, step)
+    assert after == seen._replace(age=after.age)
+    np.testing.assert_allclose(after.age, 0.02)
+
+
+def test_residuals_are_those_of_the_matrix_form() -> None:
+    """|z - y|^2 over tr(H Sigma H^T) + tr(N), sensor by sensor, from a covariance that is full."""
+    m, T = sequence(60)
+    filter = kalman(NoiseGains())
+    state = ran(filter, m, T)
+    noise = reference_ekf.Noise(
+        np.zeros(6), np.zeros(6), 0.0, NOISE.vector, NOISE.landmark, np.zeros(6), np.zeros(6), 0.0
+    )
+    estimate = state.estimate
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = estimate.rotation, estimate.position
+    held = reference_ekf.State(
+        pose, np.zeros(6), np.asarray(estimate.vector_bias), np.asarray(state.covariance_matrix)
+    )
+    given = as_arrays(m, np.float64)
+    checked = 0
+    for k in range(10):
+        sample, s = filter.prepare(given.at(k)), sample_of(m, k)
+        found = residuals(state, sample, filter.noise)
+        got = np.concatenate([np.stack([one.normalised, one.square]) for one in found], axis=1)
+        seen = np.concatenate([np.flatnonzero(s.sR), 2 + np.flatnonzero(s.sL)])
+        H, z, y, N = reference_ekf.linearised(held, s, noise)
+        for i, sensor in enumerate(seen):
+            part = slice(3 * i, 3 * i + 3)
+            square, own = np.sum((z - y)[part] ** 2), np.trace(N[part, part])
+            spread = np.trace(H[part] @ held.Sigma @ H[part].T)
+            np.testing.assert_allclose(got[:, sensor], [square / (spread + own), square / own])
+            checked += 1
+        weights = [list(one.factor) for one in found]
+        rms, any_seen = measured_error(found, weights)
+        assert bool(any_seen) == bool(len(seen))
+        np.testing.assert_allclose(rms**2 * len(seen), got[1, seen].sum(), atol=1e-12)
+    assert checked > 10
+
+
+@pytest.mark.parametrize("role", ["unknown", "vectors", "landmarks"])
+def test_a_schedule_that_returns_1_changes_nothing(role) -> None:
+    m, T = sequence(30)
+    idle = ran(kalman(NoiseGains(**{role: ConstantGain(jnp.asarray(1.0))})), m, T)
+    plain = ran(KalmanFilter(numbers(NOISE)), m, T)
+    for a, b in zip(jax.tree.leaves(idle[:2]), jax.tree.leaves(plain[:2]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_constant_factor_is_another_noise() -> None:
+    """K = 1 + 100 ln(4) / ln(largest) doubles deviations: a factor of 4 on their variances."""
+    m, T = sequence(30)
+    gain = 1 + 100 * np.log(4.0) / np.log(1e6)
+    constant = ConstantGain(jnp.asarray(gain))
+    believed = ran(kalman(NoiseGains(vectors=constant, landmarks=constant)), m, T)
+    doubled = numbers(NOISE._replace(vector=0.2, landmark=0.2))
+    plain = ran(KalmanFilter(doubled), m, T)
+    np.testing.assert_allclose(believed.covariance_matrix, plain.covariance_matrix, atol=1e-9)
+    unknown = ConstantGain(jnp.asarray(1 + 100 * np.log(4.0) / np.log(1000.0)))
+    faster = ran(kalman(NoiseGains(unknown=unknown)), m, T)
+    more = {name: 4 * getattr(NOISE, name) for name in ("angular_velocity", "velocity")}
+    plain = ran(KalmanFilter(numbers(NOISE._replace(**more, vector_walk=4e-4))), m, T)
+    np.testing.assert_allclose(faster.covariance_matrix, plain.covariance_matrix, atol=1e-9)
+
+
+def test_a_sensor_that_disagrees_is_not_believed() -> None:
+    """The estimate after a sample with a vector far off is near that without this vector."""
+    rng = np.random.default_rng(3)
+    T = random_poses(rng, 1)[0]
+    m, _ = sequence(1)
+    known = m.vector_references[0]
+    exact = m._replace(
+        vectors=(known @ T[:3, :3])[None] + [[[5.0, 0, 0], [0, 0, 0]]],
+        vector_weights=np.ones((1, 2)),
+        landmark_weights=np.zeros((1, 1)),
+    )
+    without = exact._replace(vector_weights=np.array([[0.0, 1.0]]))
+    noise = numbers(NOISE._replace(initial_attitude=0.05, initial_vector_bias=0.01))
+    steep = RampGain(jnp.asarray(0.0), jnp.asarray(3.0))
+    strict = replace(kalman(NoiseGains(vectors=steep)), noise=noise)
+    fixed = KalmanFilter(noise)
+    best = ran(fixed, without, T).estimate.rotation
+    errors = [
+        float(jnp.linalg.norm(ran(one, exact, T).estimate.rotation - best))
+        for one in (strict, fixed)
+    ]
+    assert errors[0] < 0.01 * errors[1]
+
+
+def test_numbers_of_signals_are_set_by_name() -> None:
+    filter = kalman(NoiseGains())
+    other = filter.with_values({"belief_smoothing": jnp.asarray(0.7), "vector": jnp.asarray(0.3)})
+    assert other.signals is not None
+    assert float(other.signals.belief.smoothing) == 0.7
+    assert float(other.noise.vector) == 0.3
+    with pytest.raises(posegsa.PosegsaError, match="belief_smoothing: not a number"):
+        KalmanFilter(numbers(NOISE)).with_values({"belief_smoothing": jnp.asarray(0.7)})
