@@ -6,7 +6,11 @@ from .experiment import Experiment as Experiment
 from .experiment import ObjectiveConfig as ObjectiveConfig
 from .experiment import RunConfig as RunConfig
 from .experiment import TunedConfig as TunedConfig
+from .family_config import BurstsConfig as BurstsConfig
 from .family_config import FamilyConfig as FamilyConfig
+from .family_config import InTurn as InTurn
+from .family_config import JumpsConfig as JumpsConfig
+from .family_config import NoiseJumpsConfig as NoiseJumpsConfig
 from .family_config import Occasions as Occasions
 from .filter_config import KALMAN_ALSO as KALMAN_ALSO
 from .filter_config import NOISE_NUMBERS as NOISE_NUMBERS

@@ -4,19 +4,28 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from posegsa.settings.fields import Ascending, Flag, NonNegative, Section
+from posegsa.settings.fields import (
+    MAX_NUMBER,
+    Ascending,
+    Flag,
+    NonNegative,
+    Positive,
+    Section,
+)
 
 Angle = Annotated[float, Field(strict=True, ge=0, le=180)]
 Angles = Annotated[tuple[Angle, Angle], Ascending]
 Range = Annotated[tuple[NonNegative, NonNegative], Ascending]
 """Minimum and maximum; drawn uniformly between them."""
+Rate = Annotated[float, Field(strict=True, ge=0, le=1)]
+Turn = Annotated[float, Field(strict=True, ge=0.1, le=MAX_NUMBER)]
 Off = Literal["off"]
 
 
 class Occasions(Section):
     """Events that recur in each scenario."""
 
-    rate: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.05
+    rate: Rate = 0.05
     """How often one starts while none is going on [1/s], at most once a second."""
     duration: Range = (1.0, 5.0)
     """How long one lasts [s], minimum and maximum."""
@@ -30,10 +39,41 @@ class Outages(Occasions):
 
 
 class BurstsConfig(Occasions):
-    """Times during which one of the vectors is disturbed by a constant in a random direction."""
+    """Times during which sensors are disturbed by a constant in a random direction of the body."""
 
-    size: NonNegative = 0.5
-    """Length of the disturbance, in the vector's unit."""
+    size: NonNegative | Range = 0.5
+    """Length of the disturbance, in the sensor's unit; a range is its minimum and maximum."""
+    each: Flag = False
+    """Whether each sensor has bursts of its own; else each burst is of one of them, at random."""
+
+
+class NoiseJumpsConfig(Section):
+    """A factor on the noise of each sensor: 1 at the start, then one that jumps."""
+
+    rate: Rate = 0.05
+    """How often it jumps [1/s], at most once a second, in each sensor by itself."""
+    factor: Annotated[tuple[Positive, Positive], Ascending] = (0.5, 4.0)
+    """Minimum and maximum of the factor, no unit; its logarithm is uniform between theirs."""
+
+
+class InTurn(Section):
+    """Landmarks of which one at a time is in sight: the first, the second, ..., the first again."""
+
+    duration: Annotated[tuple[Turn, Turn], Ascending] = (1.0, 3.0)
+    """How long one is in sight [s], minimum and maximum."""
+    begin: NonNegative = 0.0
+    """When the first comes into sight [s]."""
+
+
+class JumpsConfig(Section):
+    """Displacements of the body between two samples, which the velocities do not measure."""
+
+    rate: Rate = 0.01
+    """How often it jumps [1/s], at most once a second."""
+    angle: Angles = (0.0, 90.0)
+    """Angle about a random axis [deg], minimum and maximum."""
+    distance: Range = (0.0, 3.0)
+    """Distance in a random direction [m], minimum and maximum."""
 
 
 class FamilyConfig(Section):
@@ -49,13 +89,18 @@ class FamilyConfig(Section):
     """Length of the initial position error P_est - R_err P in a random direction [m], minimum and
     maximum; "off" starts every scenario from scenario.initial_position_estimate."""
     bias_scale: Range | Off = "off"
-    """Factor on the biases of both velocities, no unit, minimum and maximum."""
+    """Factor on the biases of both velocities, no unit, minimum and maximum; on those below too."""
     noise_scale: Range | Off = "off"
     """Factor on the noise of all sensors, no unit, minimum and maximum."""
     landmark_spread: NonNegative = 0.0
     """Each coordinate of each landmark is moved by up to this much, inertial frame [m]."""
     motion_scale: Range | Off = "off"
     """Factor on the amplitudes of both velocities' sines, no unit, minimum and maximum."""
+    angular_velocity_bias: NonNegative | Off = "off"
+    """Standard deviation of each component of the angular velocity's bias, body frame [rad/s]; its
+    mean is 0, it replaces the bias of the scenario."""
+    velocity_bias: NonNegative | Off = "off"
+    """The same for the linear velocity [m/s]."""
     vector_bias: NonNegative | Off = "off"
     """Standard deviation of each component of the vectors' biases, in their unit; they replace the
     biases of the scenario."""
@@ -68,7 +113,15 @@ class FamilyConfig(Section):
     outages: Outages | Off = "off"
     """Times without measurements of vectors, landmarks or both."""
     bursts: BurstsConfig | Off = "off"
-    """Times during which one of the vectors is disturbed."""
+    """Times during which vectors are disturbed."""
+    landmark_bursts: BurstsConfig | Off = "off"
+    """The same for landmarks [m]."""
+    noise_jumps: NoiseJumpsConfig | Off = "off"
+    """Factors on the noise of each vector, each landmark and both velocities, which jump."""
+    landmarks_in_turn: InTurn | Off = "off"
+    """Landmarks of which one at a time is in sight."""
+    jumps: JumpsConfig | Off = "off"
+    """Jumps of the body between two samples."""
     landmark_interval: Range | Off = "off"
     """Time from one measurement of the landmarks to the next [s]."""
     rest: Range | Off = "off"

@@ -53,6 +53,10 @@ class Vector(Section):
     """Standard deviation of the noise n_i^B of each component, body frame, same unit."""
     weight: Annotated[NonNegative, Tunable()] = 1.0
     """Weight s_i^R in the filter, no unit; 0 leaves the vector out."""
+    period: Count = 1
+    """Samples from one measurement to the next."""
+    begin: NonNegative = 0.0
+    """Time from which on it is measured [s]."""
 
     @field_validator("direction")
     @classmethod

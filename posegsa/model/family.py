@@ -8,20 +8,80 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, random
+from jax.typing import DTypeLike
 
-from posegsa.model.scenario import Bursts, Scenario, Sensed, Sines, Truth, integrate, measure
-from posegsa.model.se3 import random_rotation
+from posegsa.model.scenario import (
+    Bursts,
+    Jumps,
+    NoiseJumps,
+    Scenario,
+    Sensed,
+    Sines,
+    Truth,
+    integrate,
+    measure,
+)
+from posegsa.model.se3 import random_rotation, stack, unstack, velocity_to
 
 Sensors = Literal["all", "vectors", "landmarks"]
 
 
-class Occasions(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Occasions:
     """An event that recurs: when one is over, the next starts after a random time."""
 
     rate: Array
     """Rate at which events start while none is active [1/s]."""
     duration: Array
     """(2,) minimum and maximum duration [s]."""
+    most: int = field(metadata={"static": True})
+    """Maximum number of events in a scenario; later ones are left out."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Disturbances:
+    """Bursts of sensors of one kind: offsets in random directions."""
+
+    occasions: Occasions
+    size: Array
+    """(2,) smallest and largest length of an offset, in the sensor's unit."""
+    each: bool = field(metadata={"static": True})
+    """Whether each sensor has bursts of its own; else each burst is of one of them, at random."""
+
+
+class NoiseFactors(NamedTuple):
+    """Jumps of the noise of each sensor."""
+
+    occasions: Occasions
+    """When: they have no duration."""
+    factor: Array
+    """(2,) smallest and largest factor on the noise, drawn log-uniformly."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Turns:
+    """Landmarks that are in sight one at a time, in order."""
+
+    duration: Array
+    """(2,) minimum and maximum time in sight [s]."""
+    begin: Array
+    """Time at which the first comes into sight [s]."""
+    most: int = field(metadata={"static": True})
+    """Maximum number of turns; the last one does not end."""
+
+
+class Displacements(NamedTuple):
+    """Jumps of the body between two samples."""
+
+    occasions: Occasions
+    """When: they have no duration."""
+    angle: Array
+    """(2,) smallest and largest angle, about a random axis [rad]."""
+    distance: Array
+    """(2,) smallest and largest distance, in a random direction [m]."""
 
 
 @jax.tree_util.register_dataclass
@@ -38,13 +98,17 @@ class Family:
     position_error: Array | None
     """Length of the initial position error [m]."""
     bias_scale: Array | None
-    """Factor on the velocity biases."""
+    """Factor on the velocity biases, also where they are drawn."""
     noise_scale: Array | None
     """Factor on all noise levels."""
     landmark_spread: Array
     """Each landmark is drawn from a cube around it; half the width of that cube [m]."""
     motion_scale: Array | None
     """Factor on the velocities' amplitudes."""
+    angular_bias: Array | None
+    """Standard deviation of each component of the angular velocity's bias [rad/s]."""
+    linear_bias: Array | None
+    """Standard deviation of each component of the linear velocity's bias [m/s]."""
     vector_bias: Array | None
     """Standard deviation of each component of each vector's bias, in the vector's unit."""
     landmark_bias: Array | None
@@ -55,10 +119,16 @@ class Family:
     """Intensity of the random walk of the linear velocity's bias [m/s/sqrt(s)]."""
     outages: Occasions | None
     """Times without measurements of the sensors `outage_of`."""
-    bursts: Occasions | None
-    """Times during which one of the vectors, drawn at random, is disturbed."""
-    burst_size: Array
-    """Length of the disturbance, which has a random direction, in the vector's unit."""
+    bursts: Disturbances | None
+    """Disturbances of the vectors."""
+    landmark_bursts: Disturbances | None
+    """Disturbances of the landmarks."""
+    noise_jumps: NoiseFactors | None
+    """Factors on the noise of each sensor."""
+    landmark_turns: Turns | None
+    """Landmarks in sight one at a time."""
+    jumps: Displacements | None
+    """Jumps of the body."""
     landmark_interval: Array | None
     """Time between two measurements of the landmarks [s]."""
     rest: Array | None
@@ -69,8 +139,6 @@ class Family:
     """Time after which samples no longer count [s]."""
     random_phase: bool = field(metadata={"static": True})
     outage_of: Sensors = field(metadata={"static": True})
-    most_windows: int = field(metadata={"static": True})
-    """Maximum number of outages, and of bursts, in a scenario; later ones are left out."""
 
 
 def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
@@ -83,14 +151,14 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     names = (*first, "phase")
     use = dict(zip(names, random.split(key, len(names)), strict=True))
     later = ("vector_bias", "landmark_bias", "angular_drift", "linear_drift", "outages", "bursts")
-    later += ("landmark_interval", "rest", "duration")
+    later += ("landmark_interval", "rest", "duration", "angular_bias", "linear_bias")
+    later += ("landmark_bursts", "noise_jumps", "landmark_turns", "jumps")
     use |= {name: random.fold_in(key, i) for i, name in enumerate(later, start=len(names))}
     dtype = scenario.time_step.dtype
     changed: dict[str, Any] = {}
 
     def unit(key: Array, *shape: int) -> Array:
-        # Drawn in float32 for both dtypes, so that a key gives the same scenario in both.
-        return random.uniform(key, shape, jnp.float32).astype(dtype)
+        return _unit(key, shape, dtype)
 
     def normal(key: Array, *shape: int) -> Array:
         return random.normal(key, shape, jnp.float32).astype(dtype)
@@ -111,8 +179,13 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
         P_err = length * direction / jnp.linalg.norm(direction)
     if family.attitude_error is not None or family.position_error is not None:
         changed["position_estimate"] = P_err + matmul(R_err, scenario.position)
+    bias = [scenario.bias[:3], scenario.bias[3:]]
+    for i, name in enumerate(("angular_bias", "linear_bias")):
+        if (deviation := getattr(family, name)) is not None:
+            bias[i] = deviation * normal(use[name], 3)
+    changed["bias"] = jnp.concatenate(bias)
     if family.bias_scale is not None:
-        changed["bias"] = between(family.bias_scale, use["bias"]) * scenario.bias
+        changed["bias"] = between(family.bias_scale, use["bias"]) * changed["bias"]
     if family.noise_scale is not None:
         factor = between(family.noise_scale, use["noise"])
         for name in ("angular_noise", "linear_noise", "vector_noise", "landmark_noise"):
@@ -138,20 +211,22 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
             drift[i] = jnp.full(3, between(ends, use[name]))
     changed["bias_drift"] = jnp.concatenate(drift)
     if family.outages is not None:
-        windows = _windows(family.outages, family.most_windows, use["outages"])
+        windows = _windows(family.outages, use["outages"])
         for name in ("vectors", "landmarks"):
             if family.outage_of in ("all", name):
                 changed[f"{name.removesuffix('s')}_outages"] = windows
     if family.bursts is not None:
-        of_window, of_vector, of_offset = random.split(use["bursts"], 3)
-        direction = normal(of_offset, family.most_windows, 3)
-        length = jnp.linalg.norm(direction, axis=1, keepdims=True)
-        count = scenario.vectors.shape[0]
-        changed["bursts"] = Bursts(
-            window=_windows(family.bursts, family.most_windows, of_window),
-            vector=random.randint(of_vector, (family.most_windows,), 0, count, jnp.int32),
-            offset=family.burst_size * direction / length,
-        )
+        changed["bursts"] = _bursts(family.bursts, len(scenario.vectors), use["bursts"])
+    if family.landmark_bursts is not None:
+        of_landmarks = family.landmark_bursts, len(scenario.landmarks), use["landmark_bursts"]
+        changed["landmark_bursts"] = _bursts(*of_landmarks)
+    if family.noise_jumps is not None:
+        count = 2 + len(scenario.vectors) + len(scenario.landmarks)
+        changed["noise_jumps"] = _noise_jumps(family.noise_jumps, count, use["noise_jumps"])
+    if family.landmark_turns is not None:
+        changed["landmark_turns"] = _turns(family.landmark_turns, use["landmark_turns"])
+    if family.jumps is not None:
+        changed["jumps"] = _jumps(family.jumps, use["jumps"])
     if family.landmark_interval is not None:
         interval = between(family.landmark_interval, use["landmark_interval"])
         samples = jnp.round(interval / scenario.time_step).astype(jnp.int32)
@@ -167,15 +242,81 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     return replace(scenario, **changed)
 
 
-def _windows(occasions: Occasions, count: int, key: Array) -> Array:
-    """Start and end times (count, 2) [s] of recurring events."""
+def _unit(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+    """Uniform between 0 and 1; drawn in float32 for both dtypes, so that a key means the same."""
+    return random.uniform(key, shape, jnp.float32).astype(dtype)
+
+
+def _directions(key: Array, count: int, dtype: DTypeLike) -> tuple[Array, Array]:
+    """Vectors (count, 3) in directions that are uniform on the sphere, and lengths (count, 1)."""
+    drawn = random.normal(key, (count, 3), jnp.float32).astype(dtype)
+    return drawn, jnp.linalg.norm(drawn, axis=1, keepdims=True)
+
+
+def _windows(occasions: Occasions, key: Array) -> Array:
+    """Start and end times (most, 2) [s] of recurring events."""
     of_gap, of_duration = random.split(key)
-    dtype = occasions.rate.dtype
+    dtype, count = occasions.rate.dtype, occasions.most
     gaps = random.exponential(of_gap, (count,), jnp.float32).astype(dtype) / occasions.rate
     low, high = occasions.duration
-    lengths = low + (high - low) * random.uniform(of_duration, (count,), jnp.float32).astype(dtype)
+    lengths = low + (high - low) * _unit(of_duration, (count,), dtype)
     ends = jnp.cumsum(gaps + lengths)
     return jnp.stack([ends - lengths, ends], axis=-1)
+
+
+def _bursts(one: Disturbances, sensors: int, key: Array) -> Bursts:
+    """Bursts of sensors of one kind; either each has its own, or they share one sequence."""
+    of_window, of_sensor, of_offset = random.split(key, 3)
+    most, dtype = one.occasions.most, one.size.dtype
+    sequences = sensors if one.each else 1
+    count = sequences * most
+    low, high = one.size
+    size = low + (high - low) * _unit(random.fold_in(key, 3), (count, 1), dtype)
+    direction, length = _directions(of_offset, count, dtype)
+    offset = (size * direction / length).reshape(sequences, most, 3)
+    if one.each:
+        keys = random.split(of_window, sensors)
+        return Bursts(jax.vmap(partial(_windows, one.occasions))(keys), offset)
+    window = _windows(one.occasions, of_window)
+    hit = random.randint(of_sensor, (most,), 0, sensors, jnp.int32)
+    mine = hit[None] == jnp.arange(sensors, dtype=jnp.int32)[:, None]
+    return Bursts(
+        jnp.broadcast_to(window[None], (sensors, most, 2)), jnp.where(mine[..., None], offset, 0)
+    )
+
+
+def _noise_jumps(one: NoiseFactors, sensors: int, key: Array) -> NoiseJumps:
+    """Factors of each sensor, log-uniform."""
+    of_time, of_factor = random.split(key)
+    windows = jax.vmap(partial(_windows, one.occasions))(random.split(of_time, sensors))
+    low, high = jnp.log(one.factor)
+    share = _unit(of_factor, windows.shape[:2], low.dtype)
+    return NoiseJumps(time=windows[..., 0], factor=jnp.exp(low + (high - low) * share))
+
+
+def _turns(one: Turns, key: Array) -> Array:
+    """Times (most,) [s] at which the next landmark comes into sight."""
+    low, high = one.duration
+    lengths = low + (high - low) * _unit(key, (one.most - 1,), low.dtype)
+    return one.begin + jnp.pad(jnp.cumsum(lengths), (1, 0))
+
+
+def _jumps(one: Displacements, key: Array) -> Jumps:
+    """Jumps about random axes, and by displacements in random directions of the body frame."""
+    of_time, of_angle, of_axis, of_distance, of_direction = random.split(key, 5)
+    time = _windows(one.occasions, of_time)[:, 0]
+    count, dtype = one.occasions.most, time.dtype
+
+    def vectors(ends: Array, of_length: Array, of_direction: Array) -> Array:
+        direction, norm = _directions(of_direction, count, dtype)
+        length = ends[0] + (ends[1] - ends[0]) * _unit(of_length, (count, 1), dtype)
+        return length * direction / norm
+
+    (tx, ty, tz), (x, y, z) = (
+        unstack(vectors(one.angle, of_angle, of_axis)),
+        unstack(vectors(one.distance, of_distance, of_direction)),
+    )
+    return Jumps(time, stack((tx, ty, tz, *velocity_to((tx, ty, tz), (x, y, z)))))
 
 
 def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:

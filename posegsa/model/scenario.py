@@ -1,6 +1,7 @@
 """Truth and sensor errors: the measurements of a configured scenario for one noise key."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -29,14 +30,42 @@ class Sines(NamedTuple):
 
 
 class Bursts(NamedTuple):
-    """Times in which one vector is disturbed by a constant, in the body frame."""
+    """Times in which sensors of one kind are disturbed by a constant, in the body frame."""
 
     window: Array
-    """(w, 2) start and end [s]."""
-    vector: Array
-    """(w,) index of the vector."""
+    """(s, w, 2) start and end [s], of each sensor: in order, none before the last one's end."""
     offset: Array
-    """(w, 3) offset added to it, in its unit."""
+    """(s, w, 3) offset added to the sensor, in its unit; 0 where it is not disturbed."""
+
+    def at(self, time: Array) -> Array:
+        """Offsets (N, s, 3) at times (N,) [s]; 0 where there is no burst."""
+        return jax.vmap(partial(_offsets, time), out_axes=1)(self.window, self.offset)
+
+
+class NoiseJumps(NamedTuple):
+    """Factors on the noise of each sensor, constant from one jump to the next.
+
+    The sensors are, in order, the angular velocity, the linear velocity, the vectors and the
+    landmarks: s = 2 + n + m.
+    """
+
+    time: Array
+    """(s, w) times of the jumps [s], ascending; before the first one the factor is 1."""
+    factor: Array
+    """(s, w) factor from each jump on."""
+
+    def at(self, time: Array) -> Array:
+        """Factors (N, s) at times (N,) [s]."""
+        return jax.vmap(partial(_last, time), out_axes=1)(self.time, self.factor)
+
+
+class Jumps(NamedTuple):
+    """Displacements of the body between two samples, which the velocities do not measure."""
+
+    time: Array
+    """(w,) [s], ascending. Of several between the same two samples only the last happens."""
+    twist: Array
+    """(w, 6) xi of T <- T exp(xi^), body frame [rad, m]."""
 
 
 @jax.tree_util.register_dataclass
@@ -70,8 +99,12 @@ class Scenario:
     """(n,) standard deviations."""
     vector_outages: Array
     """(w, 2) start and end [s] of each time without any vector."""
-    bursts: "Bursts"
-    """Disturbances of single vectors."""
+    vector_period: Array
+    """(n,) samples from one measurement of a vector to the next; 1 is every sample."""
+    vector_begin: Array
+    """(n,) first sample from which on a vector is measured."""
+    bursts: Bursts
+    """Disturbances of the vectors."""
     landmarks: Array
     """(m, 3) p_i, inertial frame [m]."""
     landmark_bias: Array
@@ -82,6 +115,15 @@ class Scenario:
     """(w, 2) start and end [s] of each time without any landmark."""
     landmark_period: Array
     """Samples from one measurement of the landmarks to the next; 1 is every sample."""
+    landmark_turns: Array
+    """(w,) ascending times [s] from which on one landmark is in sight, then the next, and after the
+    last the first again; (0,) if all are always in sight."""
+    landmark_bursts: Bursts
+    """Disturbances of the landmarks."""
+    noise_jumps: NoiseJumps
+    """Factors on all noises."""
+    jumps: Jumps
+    """Jumps of the body."""
     rotation: Array
     """(3, 3) R(0)."""
     position: Array
@@ -120,7 +162,10 @@ class Sensed(NamedTuple):
 
 
 def integrate(scenario: Scenario) -> Truth:
-    """The true motion T_{k+1} = T_k exp([Omega_k; V_k]^ dt), for velocities held over each step."""
+    """The true motion T_{k+1} = T_k exp([Omega_k; V_k]^ dt) exp(xi_k^), for held velocities.
+
+    xi_k is the jump between the two samples (`jumps_between`), where there is one.
+    """
     step = scenario.time_step
     time = jnp.arange(scenario.samples, dtype=jnp.int32).astype(step.dtype) * step
     moving = jnp.where(_inside(scenario.rest, time), 0.0, 1.0).astype(step.dtype)[:, None]
@@ -130,10 +175,15 @@ def integrate(scenario: Scenario) -> Truth:
     def body(pose, twist):
         attitude, place = pose
         (ox, oy, oz), (vx, vy, vz) = unstack(twist[0] * step), unstack(twist[1] * step)
-        return move(attitude, place, (ox, oy, oz), (vx, vy, vz)), pose
+        after = move(attitude, place, (ox, oy, oz), (vx, vy, vz))
+        if len(twist) > 2:
+            tx, ty, tz, x, y, z = unstack(twist[2])
+            after = move(*after, (tx, ty, tz), (x, y, z))
+        return after, pose
 
     begin = unstack(quaternion(scenario.rotation)), unstack(scenario.position)
-    _, (attitude, place) = scan(body, begin, (omega, v))
+    jumps = (jumps_between(scenario),) if scenario.jumps.time.size else ()
+    _, (attitude, place) = scan(body, begin, (omega, v, *jumps))
     return Truth(
         time=time,
         rotation=rotation_matrix(stack(attitude)),
@@ -143,12 +193,25 @@ def integrate(scenario: Scenario) -> Truth:
     )
 
 
+def jumps_between(scenario: Scenario) -> Array:
+    """Jumps (N, 6) from each sample to the next, xi of T <- T exp(xi^) [rad, m]; 0 without one."""
+    at, twist = scenario.jumps
+    none = jnp.zeros((scenario.samples, 6), twist.dtype)
+    if not at.size:
+        return none
+    edges = jnp.arange(scenario.samples + 1, dtype=jnp.int32).astype(at.dtype) * scenario.time_step
+    before = _count(edges, at)
+    happened = before[1:] > before[:-1]
+    return jnp.where(happened[:, None], twist[jnp.maximum(before[1:] - 1, 0)], none)
+
+
 def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
     """The measurements of a motion, for one noise key (pure, jittable).
 
     Y_m = Y + b + n (Eq. 6), v_i^B = R^T v_i^I + b_i + n_i (Eq. 2) and
     y_i = R^T (p_i - P) + b_i + n_i (Eq. 4). Vectors are as measured, neither normalised nor with
-    their cross product; a missing one has weight 0.
+    their cross product; a missing one has weight 0. Bursts are added, and the noise n is multiplied
+    by its factor at that time.
     """
     of_angular, of_linear, of_vectors, of_landmarks = jax.random.split(key, 4)
     of_drift = jax.random.fold_in(key, 4)
@@ -172,27 +235,47 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
 
     spread = jnp.broadcast_to(scenario.vectors[None], (N, n, 3))
     vectors = from_body(spread) + scenario.vector_bias[None]
-    vectors = vectors + scenario.vector_noise[None, :, None] * noise(of_vectors, n, 3)
-    vectors = vectors + _disturbance(scenario.bursts, time, n)
+    factors = scenario.noise_jumps.at(time) if scenario.noise_jumps.time.size else None
+
+    def factored(drawn: Array, first: int) -> Array:
+        """Noise (N, i, 3) of i sensors from number `first` on, with the factors on it."""
+        if factors is None:
+            return drawn
+        return factors[:, first : first + drawn.shape[1], None] * drawn
+
+    vector_noise = scenario.vector_noise[None, :, None] * noise(of_vectors, n, 3)
+    vectors = vectors + factored(vector_noise, 2)
+    if scenario.bursts.window.size:
+        vectors = vectors + scenario.bursts.at(time)
     landmarks = from_body(scenario.landmarks[None] - truth.position[:, None])
     landmarks = landmarks + scenario.landmark_bias[None]
-    landmarks = landmarks + scenario.landmark_noise[None, :, None] * noise(of_landmarks, m, 3)
-    vectors_seen = ~_inside(scenario.vector_outages, time)
-    period = scenario.landmark_period
-    in_turn = jnp.arange(N, dtype=period.dtype) % period == 0
-    landmarks_seen = in_turn & ~_inside(scenario.landmark_outages, time)
+    landmark_noise = scenario.landmark_noise[None, :, None] * noise(of_landmarks, m, 3)
+    landmarks = landmarks + factored(landmark_noise, 2 + n)
+    if scenario.landmark_bursts.window.size:
+        landmarks = landmarks + scenario.landmark_bursts.at(time)
+    index, period = jnp.arange(N, dtype=jnp.int32)[:, None], scenario.vector_period[None]
+    measured = (index % period == 0) & (index >= scenario.vector_begin[None])
+    vectors_seen = measured & ~_inside(scenario.vector_outages, time)[:, None]
+    measured = index % scenario.landmark_period == 0
+    landmarks_seen = measured & ~_inside(scenario.landmark_outages, time)[:, None]
+    if scenario.landmark_turns.size:
+        turn = _count(time, scenario.landmark_turns)[:, None] - 1
+        own = jnp.arange(m, dtype=turn.dtype)[None]
+        landmarks_seen = landmarks_seen & (turn >= 0) & (turn % m == own)
+    angular_noise = scenario.angular_noise * noise(of_angular, 3)
+    linear_noise = scenario.linear_noise * noise(of_linear, 3)
     measurements = Measurements(
         time_step=jnp.broadcast_to(scenario.time_step, (N,)),
         angular_velocity=truth.angular_velocity
         + bias[:, :3]
-        + scenario.angular_noise * noise(of_angular, 3),
-        velocity=truth.velocity + bias[:, 3:] + scenario.linear_noise * noise(of_linear, 3),
+        + factored(angular_noise[:, None], 0)[:, 0],
+        velocity=truth.velocity + bias[:, 3:] + factored(linear_noise[:, None], 1)[:, 0],
         vectors=vectors,
         vector_references=spread,
-        vector_weights=jnp.broadcast_to(vectors_seen[:, None], (N, n)).astype(dtype),
+        vector_weights=vectors_seen.astype(dtype),
         landmarks=landmarks,
         landmark_references=jnp.broadcast_to(scenario.landmarks[None], landmarks.shape),
-        landmark_weights=jnp.broadcast_to(landmarks_seen[:, None], (N, m)).astype(dtype),
+        landmark_weights=jnp.broadcast_to(landmarks_seen, (N, m)).astype(dtype),
     )
     return Sensed(measurements, bias)
 
@@ -203,11 +286,20 @@ def _inside(windows: Array, time: Array) -> Array:
     return jnp.any(begun & (time[:, None] < windows[None, :, 1]), axis=1)
 
 
-def _disturbance(bursts: Bursts, time: Array, count: int) -> Array:
-    """The offsets that bursts add to `count` vectors at times (N,), (N, count, 3)."""
-    begun = time[:, None] >= bursts.window[None, :, 0]
-    active = begun & (time[:, None] < bursts.window[None, :, 1])
-    vectors = jnp.arange(count, dtype=bursts.vector.dtype)
-    hit = bursts.vector[:, None] == vectors[None, :]
-    which = (active[:, :, None] & hit[None]).astype(time.dtype)
-    return jnp.einsum("kwi,wj->kij", which, bursts.offset, precision="highest")
+def _count(time: Array, events: Array) -> Array:
+    """How many of the events (w,) are over at times (N,): at that time or before it."""
+    return jnp.sum(events[None] <= time[:, None], axis=1, dtype=jnp.int32)
+
+
+def _last(time: Array, events: Array, values: Array) -> Array:
+    """The value (N,) of the last of the events (w,) at times (N,); 1 before the first."""
+    count = _count(time, events)
+    return jnp.where(count > 0, values[jnp.maximum(count - 1, 0)], 1)
+
+
+def _offsets(time: Array, windows: Array, offsets: Array) -> Array:
+    """Offsets (N, 3) of a sensor at times (N,), of windows (w, 2) and offsets (w, 3)."""
+    count = _count(time, windows[:, 0])
+    last = jnp.maximum(count - 1, 0)
+    active = (count > 0) & (time < windows[last, 1])
+    return jnp.where(active[:, None], offsets[last], 0)

@@ -186,6 +186,21 @@ def displaced(
     return compose(q, (half_cos, x, y, z)), add(P, rotate(rows(q), displacement))
 
 
+def velocity_to(omega: Vec3, displacement: Vec3) -> Vec3:
+    """The v with V(omega) v = displacement, so that exp([omega; v]^) moves by it (rad, m).
+
+    V^-1 = I - 1/2 [omega]x + c [omega]x^2, c = (1 - t/2 cot t/2) / t^2, t = |omega| < 2 pi.
+    """
+    t2 = dot(omega, omega)
+    small = t2 < 0.01
+    series = 1 / 12 + t2 * (1 / 720 + t2 * (1 / 30240))
+    half = 0.5 * jnp.sqrt(choose(small, jnp.ones_like(t2), t2))
+    closed = (1 - half / jnp.tan(half)) / (4 * half * half)
+    turned = cross(omega, displacement)
+    twice = scale(choose(small, series, closed), cross(omega, turned))
+    return add(subtract(displacement, scale(0.5, turned)), twice)
+
+
 def attitude_distance(q_est: Quaternion, q: Quaternion) -> Array:
     """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1] but for rounding.
 

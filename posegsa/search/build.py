@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,10 +23,18 @@ from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
 from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import initial_state
-from posegsa.model.family import Family, Occasions, realise
+from posegsa.model.family import (
+    Displacements,
+    Disturbances,
+    Family,
+    NoiseFactors,
+    Occasions,
+    Turns,
+    realise,
+)
 from posegsa.model.first_pose import bias_at_rest, first_pose, waiting_until
 from posegsa.model.fuzzy import Rules
-from posegsa.model.scenario import Bursts, Scenario, Sines
+from posegsa.model.scenario import Bursts, Jumps, NoiseJumps, Scenario, Sines
 from posegsa.model.se3 import project_rotation
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSettings
@@ -37,6 +45,9 @@ from posegsa.search.keys import GENERATOR, held_out_keys, training_keys
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.population import ScenarioBatch, TrackCost, check_cost
 from posegsa.search.schedule_spaces import SIMPLE, NoiseSpaces, noise_space, schedule_space
+
+T = TypeVar("T")
+M = TypeVar("M")
 
 OwnFilter = Filter | Callable[..., Filter]
 """A filter of the user's own, or what makes one: called with the numbers of [filter] by name."""
@@ -136,6 +147,9 @@ def scenario_batch(
 
     Raises:
         ArgumentError: There are no keys, or they belong to another generator.
+
+    Warns:
+        PosegsaWarning: The start waits for a pose that no sample of a scenario fixes.
     """
     dtype = jnp.dtype(experiment.run.dtype)
     filter, drawn_from = filter or filter_of(experiment), family(experiment, dtype)
@@ -156,6 +170,13 @@ def scenario_batch(
         drawn["end"] = None
     if start == "given":
         drawn["begin"] = None
+    elif never := int(np.sum(drawn["begin"] > (samples - 0.5) * experiment.scenario.sampling_time)):
+        warnings.warn(
+            f"scenario.start = {start!r}: in {never} of {count} scenarios no sample fixes a pose; "
+            "nothing is estimated there and nothing counts",
+            PosegsaWarning,
+            stacklevel=2,
+        )
     return ScenarioBatch(
         **drawn, weights=cost_weights(experiment.cost, samples, dtype), filter=filter
     )
@@ -234,12 +255,18 @@ def scenario(experiment: config.Experiment) -> Scenario:
         vector_bias=array([v.bias for v in c.vectors], n, 3),
         vector_noise=array([v.noise for v in c.vectors], n),
         vector_outages=array([], 0, 2),
-        bursts=Bursts(array([], 0, 2), _array([], np.int32), array([], 0, 3)),
+        vector_period=_array([v.period for v in c.vectors], np.int32),
+        vector_begin=_array([_samples(v.begin, c.sampling_time) for v in c.vectors], np.int32),
+        bursts=Bursts(array([], n, 0, 2), array([], n, 0, 3)),
         landmarks=array([p.position for p in c.landmarks], m, 3),
         landmark_bias=array([p.bias for p in c.landmarks], m, 3),
         landmark_noise=array([p.noise for p in c.landmarks], m),
         landmark_outages=array([], 0, 2),
         landmark_period=_array(c.landmark_period, np.int32),
+        landmark_turns=array([], 0),
+        landmark_bursts=Bursts(array([], m, 0, 2), array([], m, 0, 3)),
+        noise_jumps=NoiseJumps(array([], 2 + n + m, 0), array([], 2 + n + m, 0)),
+        jumps=Jumps(array([], 0), array([], 0, 6)),
         rotation=array(c.initial_rotation, 3, 3),
         position=array(c.initial_position, 3),
         rotation_estimate=array(_projected_estimate(c), 3, 3),
@@ -247,6 +274,11 @@ def scenario(experiment: config.Experiment) -> Scenario:
         bias_estimate=array(c.initial_bias_estimate, 6),
         end=array(math.inf),
     )
+
+
+def _samples(time: float, step: float) -> int:
+    """Index of the first sample at a time or after it; at most the largest of 32 bits."""
+    return min(math.ceil(time / step - 1e-6), np.iinfo(np.int32).max)
 
 
 DEFAULT_ESTIMATE = config.ScenarioConfig().initial_rotation_estimate
@@ -278,12 +310,35 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
     def number(value: float | str) -> Array | None:
         return None if isinstance(value, str) else _array(value, dtype)
 
-    def occasions(one: config.Occasions | str) -> Occasions | None:
-        if isinstance(one, str):
-            return None
-        return Occasions(_array(one.rate, dtype), _array(one.duration, dtype))
+    def array(values: tuple[float, ...]) -> Array:
+        return _array(values, dtype)
 
+    # Outages and bursts have the same number of windows, on which what is drawn depends.
     both = [o for o in (section.outages, section.bursts) if not isinstance(o, str)]
+    most = max((_most_windows(o.rate * duration) for o in both), default=0)
+
+    def lasting(one: config.Occasions, most: int | None = None) -> Occasions:
+        expected = one.rate * duration
+        most = _most_windows(expected) if most is None else most
+        return Occasions(_array(one.rate, dtype), array(one.duration), most)
+
+    def sudden(one: config.NoiseJumpsConfig | config.JumpsConfig) -> Occasions:
+        most = _most_windows(one.rate * duration)
+        return Occasions(_array(one.rate, dtype), array((0.0, 0.0)), most)
+
+    def disturbances(one: config.BurstsConfig, most: int | None = None) -> Disturbances:
+        size = one.size if isinstance(one.size, tuple) else (one.size, one.size)
+        return Disturbances(lasting(one, most), array(size), one.each)
+
+    def turns(one: config.InTurn) -> Turns:
+        low, high = one.duration
+        count = min(math.ceil(duration / low) + 1, _most_windows(2 * duration / (low + high)))
+        return Turns(array(one.duration), _array(one.begin, dtype), count)
+
+    def displacements(one: config.JumpsConfig) -> Displacements:
+        low, high = (math.radians(angle) for angle in one.angle)
+        return Displacements(sudden(one), array((low, high)), array(one.distance))
+
     return Family(
         attitude_error=ends(section.attitude_error, math.pi / 180),
         position_error=ends(section.position_error),
@@ -291,26 +346,37 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
         noise_scale=ends(section.noise_scale),
         landmark_spread=_array(section.landmark_spread, dtype),
         motion_scale=ends(section.motion_scale),
+        angular_bias=number(section.angular_velocity_bias),
+        linear_bias=number(section.velocity_bias),
         vector_bias=number(section.vector_bias),
         landmark_bias=number(section.landmark_bias),
         angular_drift=ends(section.angular_velocity_drift),
         linear_drift=ends(section.velocity_drift),
-        outages=occasions(section.outages),
-        bursts=occasions(section.bursts),
-        burst_size=_array(getattr(section.bursts, "size", 0.0), dtype),
+        outages=_made(section.outages, lambda one: lasting(one, most)),
+        bursts=_made(section.bursts, lambda one: disturbances(one, most)),
+        landmark_bursts=_made(section.landmark_bursts, disturbances),
+        noise_jumps=_made(
+            section.noise_jumps, lambda one: NoiseFactors(sudden(one), array(one.factor))
+        ),
+        landmark_turns=_made(section.landmarks_in_turn, turns),
+        jumps=_made(section.jumps, displacements),
         landmark_interval=ends(section.landmark_interval),
         rest=ends(section.rest),
         rest_share=_array(section.rest_share, dtype),
         duration=ends(section.duration),
         random_phase=section.random_phase,
-        outage_of=getattr(section.outages, "sensors", "all"),
-        most_windows=max((_most_windows(o.rate * duration) for o in both), default=0),
+        outage_of="all" if isinstance(section.outages, str) else section.outages.sensors,
     )
 
 
 def _most_windows(expected: float) -> int:
     """A number of windows that is almost never exceeded; powers of two limit recompilation."""
     return 2 ** math.ceil(math.log2(expected + 6 * math.sqrt(expected) + 4))
+
+
+def _made(given: T | Literal["off"], make: Callable[[T], M]) -> M | None:
+    """What is made of a setting; None if it is off."""
+    return None if isinstance(given, str) else make(given)
 
 
 def filter_settings(experiment: config.Experiment) -> FilterSettings:

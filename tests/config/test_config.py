@@ -139,6 +139,34 @@ def test_the_quick_file_only_makes_scenarios_and_search_smaller() -> None:
     }
 
 
+SECTION_13 = {
+    "family.angular_velocity_bias": 0.1,
+    "family.velocity_bias": 0.3,
+    "family.vector_bias": 0.1,
+    "family.outages.rate": 0.02,
+    "family.outages.sensors": "all",
+}
+"""What the families of disturbed and of sparse sensors share."""
+
+
+@pytest.mark.parametrize("name", ["disturbed", "sparse"])
+def test_the_hard_families_have_the_papers_sensors_and_motion_and_three_landmarks(name) -> None:
+    experiment, default = load(CONFIGS / f"{name}.toml"), Experiment()
+    changed = changes(name)
+    assert changed.items() >= SECTION_13.items()
+    assert experiment.cost == default.cost
+    assert experiment.filter.kind == "kalman"
+    for field in ("angular_velocity", "velocity", "angular_velocity_noise", "velocity_noise"):
+        assert getattr(experiment.scenario, field) == getattr(default.scenario, field)
+    for vector, paper in zip(experiment.scenario.vectors, default.scenario.vectors, strict=True):
+        assert (vector.direction, vector.noise) == (paper.direction, paper.noise)
+    assert [landmark.position for landmark in experiment.scenario.landmarks] == [
+        (0.5, 1.41, 1.0),
+        (-2.0, 1.0, 0.5),
+        (1.0, -2.0, 2.0),
+    ]
+
+
 # The types ----------------------------------------------------------------------------------------
 
 
@@ -254,6 +282,8 @@ def test_a_setting_may_hold_a_table() -> None:
 numbers = st.floats(-1e6, 1e6)
 positive = st.floats(1e-6, 1e6)
 non_negative = st.just(0.0) | positive
+ranges = st.tuples(non_negative, non_negative).map(sorted)
+sizes = non_negative | ranges
 triples = st.tuples(numbers, numbers, numbers)
 directions = triples.filter(lambda v: max(map(abs, v)) > 1e-9)
 words = {
@@ -279,6 +309,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     sampling_time = draw(st.sampled_from((0.001, 0.01, 0.02, 0.25)))
     corners = [(x, y, z), (x + size, y, z), (x, y + size, z)]
     vector = {"direction": directions, "bias": triples, "noise": non_negative}
+    vector |= {"period": st.integers(1, 50), "begin": non_negative}
     return {
         "duration": samples * sampling_time,
         "sampling_time": sampling_time,
@@ -327,6 +358,9 @@ def experiments(draw: st.DrawFn) -> Experiment:
             "family": {
                 "vector_bias": draw(non_negative | st.just("off")),
                 "outages": draw(st.just("off") | st.builds(dict, rate=st.floats(0, 1))),
+                "bursts": draw(st.just("off") | st.builds(dict, size=sizes, each=st.booleans())),
+                "noise_jumps": draw(st.just("off") | st.builds(dict, rate=st.floats(0, 1))),
+                "jumps": draw(st.just("off") | st.builds(dict, distance=ranges)),
                 "rest_share": draw(st.floats(0, 1)),
             },
             "gain": {"signal": draw(words["signal"]), "error_scale": draw(positive)},

@@ -1,6 +1,6 @@
 """Scenario families: what is drawn, what is not touched, and that keys stay apart."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 
 import jax
@@ -9,18 +9,28 @@ import numpy as np
 import pytest
 from helpers.experiments import quietly, tiny
 from jax import Array
+from scipy import stats
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from posegsa import config
 from posegsa.config import Experiment, FamilyConfig
-from posegsa.config.family_config import BurstsConfig, Outages
-from posegsa.errors import ConfigError
+from posegsa.config.family_config import (
+    BurstsConfig,
+    InTurn,
+    JumpsConfig,
+    NoiseJumpsConfig,
+    Outages,
+)
+from posegsa.config.shipped import find as config_file
+from posegsa.errors import ConfigError, PosegsaWarning
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.family import Family, draw_scenario, realise
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.report import NO_FAMILY
-from posegsa.search.build import family, tuning_problem
+from posegsa.search.build import all_scenarios, family, scenario, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import Keys, keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
@@ -32,6 +42,10 @@ SHORT = Experiment(
 
 OUTAGES = Outages(rate=0.1, duration=(1.0, 5.0))
 BURSTS = BurstsConfig(rate=0.2, duration=(0.5, 2.0), size=0.7)
+OWN_BURSTS = BurstsConfig(rate=0.05, duration=(0.5, 3.0), size=(0.5, 3.0), each=True)
+NOISE_JUMPS = NoiseJumpsConfig(rate=0.1, factor=(0.5, 4.0))
+IN_TURN = InTurn(duration=(1.0, 3.0), begin=3.0)
+JUMPS = JumpsConfig(rate=0.1, angle=(10.0, 90.0), distance=(0.5, 3.0))
 EVERYTHING = {
     "attitude_error": (0.0, 180.0),
     "position_error": (0.0, 10.0),
@@ -45,6 +59,10 @@ EVERYTHING = {
     "velocity_drift": (0.1, 0.2),
     "outages": OUTAGES,
     "bursts": BURSTS,
+    "landmark_bursts": OWN_BURSTS,
+    "noise_jumps": NOISE_JUMPS,
+    "landmarks_in_turn": IN_TURN,
+    "jumps": JUMPS,
     "landmark_interval": (0.02, 0.2),
     "rest": (5.0, 15.0),
     "duration": (10.0, 60.0),
@@ -155,6 +173,10 @@ CHANGED = {
     "landmark_bias": ("landmark_bias",),
     "outages": ("vector_outages", "landmark_outages"),
     "bursts": ("bursts",),
+    "landmark_bursts": ("landmark_bursts",),
+    "noise_jumps": ("noise_jumps",),
+    "landmarks_in_turn": ("landmark_turns",),
+    "jumps": ("jumps",),
     "landmark_interval": ("landmark_period",),
     "rest": ("rest",),
     "duration": ("end",),
@@ -164,11 +186,12 @@ CHANGED = {
 
 def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
     assert set(EVERYTHING) <= set(FamilyConfig.model_fields)
-    assert set(FamilyConfig.model_fields) - set(EVERYTHING) == {"rest_share"}
+    # `bias_scale` is a factor on the drawn biases too.
+    biases = {"angular_velocity_bias", "velocity_bias"}
+    assert set(FamilyConfig.model_fields) - set(EVERYTHING) == {"rest_share"} | biases
     chosen = {name: varied(**{name: EVERYTHING[name]}) for name in CHANGED}
-    # As many windows as with all settings.
-    full = varied(**EVERYTHING)
-    chosen = {name: replace(f, most_windows=full.most_windows) for name, f in chosen.items()}
+    # Outages alone have as many windows as beside these bursts; the draws depend on that.
+    assert chosen["outages"].outages.most == varied(**EVERYTHING).outages.most
     draws = jax.jit(
         lambda families, key: {n: draw_scenario(base, f, key) for n, f in families.items()}
     )
@@ -186,9 +209,9 @@ def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
             ):
                 close = {"rtol": 1e-6, "atol": 1e-6 if mine else 0}
                 np.testing.assert_allclose(a, b, **close, err_msg=f"{name}: {field}")
-            if mine and field != "bursts":
-                before = np.asarray(getattr(base, field))
-                assert not np.array_equal(before, getattr(one, field)), (name, field)
+            if mine:
+                before, after = (jax.tree.leaves(getattr(a, field))[0] for a in (base, one))
+                assert not np.array_equal(before, after), (name, field)
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
@@ -251,12 +274,128 @@ def test_nothing_happens_at_a_rate_of_zero_and_only_the_noise_differs(base):
 
 def test_bursts_hit_one_vector_in_any_direction_with_their_size(base):
     bursts = drawn(base).bursts
-    np.testing.assert_allclose(np.linalg.norm(bursts.offset, axis=-1), 0.7, rtol=1e-5)
-    count = bursts.vector.size
-    assert np.mean(bursts.vector) == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(count))
+    length = np.linalg.norm(bursts.offset, axis=-1)  # (COUNT, vectors, bursts)
+    np.testing.assert_allclose(length.sum(axis=1), 0.7, rtol=1e-5)
+    assert ((length > 0).sum(axis=1) == 1).all()
+    count = length[:, 0].size
+    assert np.mean(length[:, 0] > 0) == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(count))
     # Coordinates of unit vectors have the deviation 1 / sqrt(3).
     limit = 5 * 0.7 / np.sqrt(3 * count)
-    assert np.abs(np.mean(bursts.offset, axis=(0, 1))).max() < limit
+    assert np.abs(np.mean(bursts.offset.sum(axis=1), axis=(0, 1))).max() < limit
+    np.testing.assert_array_equal(bursts.window[:, 0], bursts.window[:, 1])
+
+
+def poisson(begin: np.ndarray, end: np.ndarray, rate: float) -> None:
+    """Check that events (..., w) start at a rate after the last one's end [1/s, s]."""
+    before = np.concatenate([np.zeros((*begin.shape[:-1], 1)), end[..., :-1]], axis=-1)
+    gaps = begin - before
+    # An exponential distribution: mean and deviation 1 / rate; those of the estimates follow.
+    limit = 5 / rate / np.sqrt(gaps.size)
+    assert gaps.min() > -1e-3
+    assert gaps.mean() == pytest.approx(1 / rate, abs=limit)
+    assert gaps.std() == pytest.approx(1 / rate, abs=np.sqrt(2) * limit)
+    assert np.mean(gaps > 2 / rate) == pytest.approx(np.exp(-2), abs=5 * 0.35 / np.sqrt(gaps.size))
+
+
+def uniform(values: np.ndarray, low: float, high: float) -> None:
+    """Check that values are uniform between two ends."""
+    z = (np.asarray(values, np.float64).ravel() - low) / (high - low)
+    assert z.min() > -1e-4
+    assert z.max() < 1 + 1e-4
+    # The largest distance to the uniform distribution (Kolmogorov), exceeded with chance 1e-7.
+    assert stats.kstest(z, "uniform").statistic < 2.9 / np.sqrt(z.size)
+
+
+def test_each_sensor_has_bursts_of_its_own_of_drawn_sizes(base):
+    landmarks = tuple(config.Landmark(position=p) for p in np.eye(3).tolist())
+    three = SHORT.model_copy(
+        update={"scenario": SHORT.scenario.model_copy(update={"landmarks": landmarks})}
+    )
+    made = varied(landmark_bursts=OWN_BURSTS, bursts=OWN_BURSTS)
+    many = jax.tree.map(np.asarray, draw_many(quietly(three), made, many_keys()))
+    for bursts, sensors in ((many.bursts, 2), (many.landmark_bursts, 3)):
+        window = bursts.window.astype(np.float64)
+        assert window.shape[:2] == (COUNT, sensors)
+        poisson(window[..., 0], window[..., 1], 0.05)
+        uniform(window[..., 1] - window[..., 0], 0.5, 3.0)
+        uniform(np.linalg.norm(bursts.offset, axis=-1), 0.5, 3.0)
+        first = window[:, :, 0, 0] - window[:, :, 0, 0].mean(axis=0)
+        correlation = np.corrcoef(first.T) - np.eye(sensors)
+        assert np.abs(correlation).max() < 5 / np.sqrt(COUNT)
+    assert np.abs(many.bursts.window[:, 0] - many.landmark_bursts.window[:, 0]).min() > 0
+
+
+def test_the_noise_of_each_sensor_jumps_to_log_uniform_factors(base):
+    jumps = drawn(base).noise_jumps
+    assert jumps.time.shape[:2] == (COUNT, 2 + 2 + 1)
+    poisson(jumps.time.astype(np.float64), jumps.time.astype(np.float64), 0.1)
+    uniform(np.log(jumps.factor), np.log(0.5), np.log(4.0))
+    first = np.concatenate([jumps.time[:, :, 0], np.log(jumps.factor[:, :, 0])], axis=1)
+    assert np.abs(np.corrcoef(first.T) - np.eye(10)).max() < 5 / np.sqrt(COUNT)
+
+
+def test_landmarks_come_into_sight_one_after_the_other(base):
+    turns = np.asarray(drawn(base).landmark_turns, np.float64)
+    np.testing.assert_array_equal(turns[:, 0], 3)
+    uniform(np.diff(turns), 1, 3)
+
+
+def test_the_body_jumps_about_any_axis_in_any_direction(base):
+    jumps = drawn(base).jumps
+    poisson(jumps.time.astype(np.float64), jumps.time.astype(np.float64), 0.1)
+    twist = jumps.twist.reshape(-1, 6).astype(np.float64)
+    matrices = np.zeros((len(twist), 4, 4))
+    matrices[:, :3, :3] = [[[0, -z, y], [z, 0, -x], [-y, x, 0]] for x, y, z in twist[:, :3]]
+    matrices[:, :3, 3] = twist[:, 3:]
+    T = expm(matrices)
+    angle = Rotation.from_matrix(T[:, :3, :3]).magnitude()
+    distance = np.linalg.norm(T[:, :3, 3], axis=1)
+    uniform(np.degrees(angle), 10, 90)
+    uniform(distance, 0.5, 3)
+    for vectors, length in ((twist[:, :3], angle), (T[:, :3, 3], distance)):
+        unit = vectors / length[:, None]
+        for coordinate in unit.T:  # of a vector that is uniform on the sphere (Archimedes)
+            uniform(coordinate, -1, 1)
+
+
+def test_biases_of_the_velocities_have_mean_zero_and_may_be_scaled(base):
+    settings = {"angular_velocity_bias": 0.1, "velocity_bias": 0.3}
+    bias = np.asarray(draw_many(base, varied(**settings), many_keys()).bias)
+    for part, deviation in ((bias[:, :3], 0.1), (bias[:, 3:], 0.3)):
+        assert stats.kstest(part.ravel() / deviation, "norm").statistic < 2.9 / np.sqrt(part.size)
+    assert np.abs(np.corrcoef(bias.T) - np.eye(6)).max() < 5 / np.sqrt(COUNT)
+    one = draw_many(base, varied(velocity_bias=0.3), many_keys())
+    np.testing.assert_array_equal(one.bias[:, 3:], bias[:, 3:])
+    np.testing.assert_array_equal(one.bias[:, :3], np.tile(base.bias[:3], (COUNT, 1)))
+    twice = varied(**settings, bias_scale=(2.0, 2.0))
+    np.testing.assert_allclose(draw_many(base, twice, many_keys()).bias, 2 * bias, rtol=1e-6)
+
+
+def shipped(name: str) -> config.Experiment:
+    """A shipped configuration with few scenarios."""
+    few = ["run.training_scenarios=8", "run.held_out_scenarios=8"]
+    return config.override(config.load(config_file(name)), few)
+
+
+def test_disturbed_sensors_show_a_pose_at_once_and_sparse_ones_wait_for_it():
+    for name, waits in (("disturbed", 0.0), ("sparse", 3.0)):
+        experiment = config.override(shipped(name), ["scenario.start=sensors"])
+        batch = all_scenarios(experiment, scenario(experiment))
+        # At 0 or 3 s only an outage hides a pose.
+        first = np.asarray(batch.begin)
+        assert np.median(first) == pytest.approx(waits, abs=1e-5)
+        assert (first > waits - 1e-5).all()
+        at = np.round(first / 0.01).astype(int)
+        rows = np.arange(len(at))
+        for vector in batch.samples.sample.vectors.each:
+            assert (np.asarray(vector.factor)[rows, at] > 0).all()
+
+
+def test_a_start_that_nothing_fixes_is_told():
+    never = ["scenario.start=sensors", "scenario.vectors.1.begin=1000.0"]
+    experiment = config.override(config.override(SHORT, never), ["run.training_scenarios=2"])
+    with pytest.warns(PosegsaWarning, match=r"scenario\.start = 'sensors': in \d+ of \d+ .*fixes"):
+        all_scenarios(experiment, scenario(experiment))
 
 
 def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):

@@ -12,6 +12,7 @@ import pytest
 from helpers import reference
 from helpers.experiments import AT_REST, experiment, quietly
 from jax import Array
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from posegsa.config import Landmark, Sine, Vector
@@ -19,6 +20,8 @@ from posegsa.errors import PosegsaWarning
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import (
     Bursts,
+    Jumps,
+    NoiseJumps,
     Scenario,
     Truth,
     integrate,
@@ -141,13 +144,19 @@ NEVER = ((1e9, 2e9), (3e9, 4e9))
 def lively(given: dict[str, Any] | None = None, **changes: Any) -> Scenario:
     """A scenario of 50 samples with two vectors and two landmarks, with other numbers.
 
-    It has two outages of each sensor and two bursts, all after the end by default, so that all
-    scenarios share one program.
+    It has two outages, bursts, jumps of the noise of each sensor and two of the body, all after the
+    end by default, so that all scenarios share one program.
     """
     s = quietly(experiment(**(SENSORS | (given or {}))))
     windows = jnp.asarray(NEVER)
-    bursts = Bursts(windows, jnp.zeros(2, jnp.int32), jnp.ones((2, 3)))
-    always = {"vector_outages": windows, "landmark_outages": windows, "bursts": bursts}
+    never = Bursts(jnp.tile(windows[None], (2, 1, 1)), jnp.ones((2, 2, 3)))
+    always = {
+        **{"vector_outages": windows, "landmark_outages": windows},
+        **{"bursts": never, "landmark_bursts": never},
+        "noise_jumps": NoiseJumps(jnp.full((6, 2), 1e9), jnp.full((6, 2), 7.0)),
+        "landmark_turns": jnp.zeros(0),
+        "jumps": Jumps(jnp.full(2, 1e9), jnp.ones((2, 6))),
+    }
     return replace(s, **(always | changes))
 
 
@@ -349,17 +358,112 @@ def test_landmarks_are_measured_once_in_a_period() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_burst_is_added_to_one_vector_while_it_lasts() -> None:
-    offsets = np.array([[0.5, 0.0, -1.0], [0.0, 2.0, 0.0]])
-    windows = jnp.asarray([WINDOWS[0], (0.145, 0.245)])
-    bursts = Bursts(windows, jnp.asarray([1, 1], jnp.int32), jnp.asarray(offsets))
-    (_, quiet), (_, disturbed) = simulated(lively()), simulated(lively(bursts=bursts))
+@pytest.mark.parametrize("kind", ["vector", "landmark"])
+def test_a_burst_is_added_to_one_sensor_while_it_lasts(kind: str) -> None:
+    offsets = np.array([[0.5, 0.0, -1.0], [0.0, 2.0, 0.0], [3.0, 0.0, 0.0]])
+    never = NEVER[0]
+    windows = [[WINDOWS[0], WINDOWS[1]], [(0.145, 0.245), never]]
+    given = [[offsets[0], offsets[1]], [offsets[2], offsets[2]]]
+    bursts = Bursts(jnp.asarray(windows), jnp.asarray(given))
+    name = {"vector": "bursts", "landmark": "landmark_bursts"}[kind]
+    (_, quiet), (_, disturbed) = simulated(lively()), simulated(lively(**{name: bursts}))
     added = np.zeros((50, 2, 3))
-    added[10:20, 1] += offsets[0]
-    added[15:25, 1] += offsets[1]
-    change = np.asarray(disturbed.vectors) - np.asarray(quiet.vectors)
+    added[10:20, 0] = offsets[0]
+    added[30, 0] = offsets[1]
+    added[15:25, 1] = offsets[2]
+    change = np.asarray(getattr(disturbed, f"{kind}s")) - np.asarray(getattr(quiet, f"{kind}s"))
     np.testing.assert_allclose(change, added, atol=1e-14)
-    same(disturbed._replace(vectors=quiet.vectors), quiet)
+    same(disturbed._replace(**{f"{kind}s": getattr(quiet, f"{kind}s")}), quiet)
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_vector_has_a_period_and_a_time_from_which_on_it_is_measured() -> None:
+    slow = (
+        vector(2.0, 0.0, 1.0, period=3),
+        vector(0.0, 0.0, 3.0, period=10, begin=0.2),
+    )
+    _, m = simulated(lively({"vectors": slow}))
+    seen = np.zeros((50, 2))
+    seen[::3, 0] = 1
+    seen[20::10, 1] = 1
+    np.testing.assert_array_equal(m.vector_weights, seen)
+    np.testing.assert_array_equal(m.landmark_weights, np.ones((50, 2)))
+
+
+@pytest.mark.parametrize("begin", [0.07, 0.29, 2.0, 4.35, 1e8])
+def test_a_vector_begins_at_the_first_sample_that_is_not_before_its_time(begin: float) -> None:
+    vectors = (vector(1.0, 0.0, 0.0, begin=begin), vector(0.0, 1.0, 0.0, begin=begin + 0.004))
+    first = quietly(experiment("float32", vectors=vectors)).vector_begin
+    wanted = [min(round(begin * 100) + late, 2**31 - 1) for late in (0, 1)]
+    np.testing.assert_array_equal(first, wanted)
+
+
+@pytest.mark.usefixtures("x64")
+def test_landmarks_in_turn_are_in_sight_one_at_a_time() -> None:
+    turns = jnp.asarray([0.055, 0.105, 0.295, 0.395])
+    _, m = simulated(lively({"landmark_period": 2}, landmark_turns=turns))
+    seen = np.zeros((50, 2))
+    seen[6:11:2, 0] = 1
+    seen[12:30:2, 1] = 1
+    seen[30:40:2, 0] = 1
+    seen[40:50:2, 1] = 1
+    np.testing.assert_array_equal(m.landmark_weights, seen)
+    np.testing.assert_array_equal(m.vector_weights, np.ones((50, 2)))
+
+
+@pytest.mark.usefixtures("x64")
+def test_noise_is_multiplied_by_its_factor_from_each_jump_on() -> None:
+    noisy = {"duration": 0.5} | {key: NOISY[key] for key in NOISY if key != "duration"}
+    rng = np.random.default_rng(0)
+    jumps = NoiseJumps(
+        jnp.asarray(np.sort(rng.uniform(0, 0.5, (6, 2)), axis=1)),
+        jnp.asarray(rng.uniform(0.5, 4, (6, 2))),
+    )
+    (_, plain), (_, jumping) = (
+        simulated(lively(noisy, **changes)) for changes in ({}, {"noise_jumps": jumps})
+    )
+    silent = {"vectors": [], "landmarks": []}
+    for kind, sensors in silent.items():
+        sensors += [one.model_copy(update={"noise": 0.0}) for one in noisy[kind]]
+    truth, quiet = simulated(lively({"duration": 0.5, **silent}))
+    before, after = noises(plain, quiet), noises(jumping, quiet)
+    for i, name in enumerate(before):
+        for k, t in enumerate(np.asarray(truth.time)):
+            past = [f for at, f in zip(jumps.time[i], jumps.factor[i], strict=True) if at <= t]
+            factor = float(past[-1]) if past else 1.0
+            wanted = factor * before[name][k]
+            np.testing.assert_allclose(after[name][k], wanted, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_body_jumps_between_two_samples_and_no_velocity_shows_it() -> None:
+    twists = np.array([[0.3, -1.0, 0.5, 1.0, 2.0, -3.0], [0.0, 0.0, 3.0, 0.0, 0.0, 0.5]])
+    jumps = Jumps(jnp.asarray([0.1049, 0.3], jnp.float64), jnp.asarray(twists))
+    (still, seen), (jumped, sensed) = simulated(lively()), simulated(lively(jumps=jumps))
+    for name in ("angular_velocity", "velocity"):
+        np.testing.assert_array_equal(getattr(jumped, name), getattr(still, name))
+        np.testing.assert_array_equal(getattr(sensed, name), getattr(seen, name))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = still.rotation[0], still.position[0]
+    at = {10: twists[0], 29: twists[1]}
+    for k in range(50):
+        np.testing.assert_allclose(jumped.rotation[k], pose[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(jumped.position[k], pose[:3, 3], atol=1e-12)
+        step = 0.01 * np.concatenate([still.angular_velocity[k], still.velocity[k]])
+        pose = pose @ exponential(step) @ exponential(at.get(k, np.zeros(6)))
+    # The sensors see where it is.
+    landmark_0 = np.asarray(SENSORS["landmarks"][0].position)
+    body = from_body(jumped, landmark_0 - np.asarray(jumped.position))
+    body = body + np.array([0.0, 0.5, 0.0])
+    np.testing.assert_allclose(np.asarray(sensed.landmarks)[:, 0], body, atol=1e-13)
+
+
+def exponential(xi: np.ndarray) -> np.ndarray:
+    """exp(xi^) by the power series of the matrix."""
+    (x, y, z), v = xi[:3], xi[3:]
+    return expm(
+        np.block([[np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), v[:, None]], [np.zeros((1, 4))]])
+    )
 
 
 @pytest.mark.usefixtures("x64")

@@ -238,3 +238,24 @@ def test_exp_is_a_rigid_motion(xi) -> None:
     group(T[:3, :3] @ T[:3, :3].T, np.eye(3))
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
     assert T[3].tolist() == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_velocity_to_a_displacement_is_scipys(dtype) -> None:
+    with jax.enable_x64(dtype is np.float64):
+        angles = ANGLES[ANGLES <= 3.15]
+        xi = twists(np.concatenate([angles, [0.0999, 0.1001]]), dtype)
+        omega, displacement = (
+            se3.unstack(jnp.asarray(xi[:, :3])),
+            se3.unstack(jnp.asarray(xi[:, 3:])),
+        )
+        v = se3.stack(jax.jit(se3.velocity_to)(omega, displacement))
+        matrices = np.zeros((len(xi), 4, 4))
+        x, y, z = xi[:, :3].T.astype(np.float64)
+        matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+        matrices[:, :3, :3] -= np.swapaxes(matrices[:, :3, :3], -1, -2)
+        matrices[:, :3, 3] = v
+        moved = scipy.linalg.expm(matrices)[:, :3, 3]
+        # The closed form cancels most just above its threshold, at t^2 = 0.01.
+        allowed = 200 * epsilon(dtype) * np.ones(len(xi))
+        assert_each_close(moved, xi[:, 3:].astype(np.float64), allowed)

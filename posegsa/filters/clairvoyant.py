@@ -1,0 +1,127 @@
+"""The clairvoyant: a Kalman filter that is told what no filter can know. A reference, not a filter.
+
+It starts from the true pose, with biases of 0 and their spread as standard deviations, and is told
+the noise of each sensor at each sample, each burst (it drops that measurement), each outage, and
+each jump of the body (its velocity holds the jump). What it costs, a filter can hardly cost less.
+
+It is the Kalman filter of `filters.kalman`. Its `noise` has the deviations of the start and the
+biases' walks; `vector` and `landmark` are 1, since the weights of its measurements are inverse
+variances (`model.events`). A jump exp(xi^) follows the velocity of its sample:
+
+    T_est <- T_est exp(xi^),    Sigma <- A Sigma A^T,    A = Ad(exp(-xi^)).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self, cast
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from posegsa.filters.base import Record, Samples
+from posegsa.filters.kalman import KalmanFilter, KalmanNoise, KalmanState, propagate, update
+from posegsa.model.estimate import FilterState
+from posegsa.model.events import Events
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample
+from posegsa.model.se3 import Vec3, add, scale, unstack
+from posegsa.model.signal import TruePose
+
+INSTANT = 1e-9
+"""Time in which a jump happens [s]: long enough for float32, too short for a bias to act."""
+
+
+class Told(NamedTuple):
+    """What the clairvoyant is told of the velocities, by components (N,); in the loop, of one."""
+
+    angular_velocity: Array
+    """Density of the angular velocity's noise [rad/sqrt(s)]."""
+    velocity: Array
+    """Density of the velocity's noise [m/sqrt(s)]."""
+    jump: tuple[Vec3, Vec3] | None
+    """Rotation [rad] and displacement [m] of the jump to the next sample, xi of T <- T exp(xi^);
+    None if the body never jumps."""
+
+
+class ToldSamples(NamedTuple):
+    """`Samples` with what the clairvoyant is told."""
+
+    time: Array
+    sample: Sample
+    truth: TruePose | None
+    told: Told
+
+
+def with_events(samples: Samples, events: Events, *, jumps: bool) -> Samples:
+    """The clairvoyant's input: N samples, prepared of weighed measurements, with what it is told.
+
+    Args:
+        samples: N samples, of `events.weighed(measurements)`.
+        events: of the same N samples.
+        jumps: whether the body ever jumps; else a step takes half as long.
+    """
+    root = jnp.sqrt(samples.sample.time_step)
+    tx, ty, tz, x, y, z = unstack(events.jumps)
+    told = Told(
+        angular_velocity=events.angular_noise * root,
+        velocity=events.linear_noise * root,
+        jump=((tx, ty, tz), (x, y, z)) if jumps else None,
+    )
+    # The loop hands each sample on as it is; only this filter reads more of it.
+    return cast(Samples, ToldSamples(*samples, told))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Clairvoyant:
+    """The Kalman filter that is told everything (`filters.base.Filter`, of `with_events`)."""
+
+    noise: KalmanNoise
+    """Deviations of the start and walks of the biases; `vector` and `landmark` are 1, the noises of
+    the velocities are not used."""
+
+    def with_values(self, values: Mapping[str, Array]) -> Self:
+        """The same with some deviations replaced, by their names in `KalmanNoise`."""
+        return replace(self, noise=KalmanFilter(self.noise).with_values(values).noise)
+
+    def prepare(self, measurements: Measurements) -> Sample:
+        """Each vector as measured, and landmarks."""
+        return KalmanFilter(self.noise).prepare(measurements)
+
+    def start(self, initial: FilterState, vectors: int) -> KalmanState:
+        """The state before the first sample; `initial` holds the true pose."""
+        return KalmanFilter(self.noise).start(initial, vectors)
+
+    def ready(self) -> "Clairvoyant":
+        """The filter itself; there is nothing to precompute."""
+        return self
+
+    def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
+        """One sample: update, propagation by the velocities, and the jump, if there is one."""
+        told = cast(ToldSamples, now).told
+        noise = self.noise._replace(angular_velocity=told.angular_velocity, velocity=told.velocity)
+        moved = propagate(update(state, now.sample, noise), now.sample, noise)
+        if told.jump is not None:
+            moved = _jumped(moved, now.sample, *told.jump)
+        return moved, Record()
+
+    def estimate(self, state: KalmanState) -> FilterState:
+        """Pose and biases."""
+        return state.estimate
+
+
+def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) -> KalmanState:
+    """The state after T <- T exp([turn; displacement]^), which is known exactly.
+
+    It is a propagation over an instant, with a velocity that is the jump's and has no error.
+    """
+    zero = jnp.zeros_like(sample.time_step)
+    silent = KalmanNoise(*(zero for _ in KalmanNoise._fields))
+    instant = zero + INSTANT
+    during = sample._replace(
+        time_step=instant,
+        angular_velocity=add(state.estimate.bias_angular, scale(1 / instant, turn)),
+        velocity=add(state.estimate.bias_linear, scale(1 / instant, displacement)),
+    )
+    return propagate(state, during, silent)

@@ -1,0 +1,180 @@
+"""NEES of drawn scenarios: against the matrix form, and against chi-squared where it is exact."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+from helpers import reference_ekf
+from helpers.experiments import quietly
+from helpers.filters import state_of
+from helpers.reference import Sample, se3_exp
+from scipy.spatial.transform import Rotation
+
+from posegsa import config
+from posegsa.config.shipped import find
+from posegsa.errors import ArgumentError
+from posegsa.filters.base import vectors_in
+from posegsa.judging.consistency import Consistency, bound, consistency
+from posegsa.search.build import scenario_batch
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import scenario_keys
+from posegsa.search.population import ScenarioBatch
+
+
+def drawn(count: int, *settings: str, kind: str = "kalman") -> ScenarioBatch:
+    """Scenarios of a second of a Kalman filter, given starts and drawn biases."""
+    short = ["scenario.duration=1.0", "cost.steady_window=[50, 99]", "cost.transient_window=[0, 9]"]
+    experiment = config.override(config.load(find(kind)), [*short, *settings])
+    keys = scenario_keys(jax.random.key(7), count)
+    return scenario_batch(experiment, quietly(experiment), keys)
+
+
+def true_poses(batch: ScenarioBatch) -> np.ndarray:
+    """T (S, N, 4, 4) of the truth, by SciPy's rotations."""
+    truth: Any = batch.samples.truth
+    w, x, y, z = (np.asarray(a, np.float64) for a in truth.attitude)
+    shape = w.shape
+    q = np.stack([w, x, y, z], axis=-1).reshape(-1, 4)
+    rotation = Rotation.from_quat(q, scalar_first=True)
+    T = np.tile(np.eye(4), (*shape, 1, 1))
+    T[..., :3, :3] = rotation.as_matrix().reshape(*shape, 3, 3)
+    origin = np.stack([np.asarray(a, np.float64) for a in truth.origin], axis=-1)
+    T[..., :3, 3] = np.einsum("...ij,...j->...i", T[..., :3, :3], origin)
+    return T
+
+
+def test_the_bound_is_that_of_chi_squared() -> None:
+    assert bound() == pytest.approx(scipy.stats.chi2.ppf(0.95, 6), rel=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+def test_nees_is_that_of_the_matrix_form_at_each_time() -> None:
+    batch = drawn(2, "run.dtype=float64", "scenario.start=given", "family.attitude_error=[5, 20]")
+    found = consistency(Candidate(), batch, (0.0, 0.25, 0.6, 1.0, 2.0))
+    np.testing.assert_array_equal(found.time, [0.0, 0.25, 0.6, 1.0])
+    noise_of: Any = batch.filter
+    n = jax.tree.map(float, noise_of.noise)
+    noise = reference_ekf.Noise(
+        velocity=np.repeat([n.angular_velocity, n.velocity], 3),
+        bias_walk=np.repeat([n.angular_walk, n.linear_walk], 3),
+        vector_walk=n.vector_walk,
+        vector=n.vector,
+        landmark=n.landmark,
+        pose=np.repeat([n.initial_attitude, n.initial_position], 3),
+        bias=np.repeat([n.initial_angular_bias, n.initial_linear_bias], 3),
+        vector_bias=n.initial_vector_bias,
+    )
+    T = true_poses(batch)
+    for i in range(2):
+        start = jax.tree.map(lambda a, i=i: jnp.asarray(a[i]), batch.initial)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = start.rotation, start.position
+        s: Any = jax.tree.map(lambda a, i=i: np.asarray(a[i]), batch.samples.sample)
+        states = reference_ekf.run(
+            [
+                Sample(
+                    dt=float(s.time_step[k]),
+                    omega=np.array([a[k] for a in s.angular_velocity]),
+                    v=np.array([a[k] for a in s.velocity]),
+                    y=np.array([[a[k] for a in p.body] for p in s.landmarks]),
+                    p=np.array([[a[k] for a in p.inertial] for p in s.landmarks]),
+                    sL=np.array([p.factor[k] for p in s.landmarks]),
+                    vB=np.array([[a[k] for a in v.measured] for v in s.vectors.each]),
+                    vI=np.array([[a[k] for a in v.known] for v in s.vectors.each]),
+                    sR=np.array([v.factor[k] for v in s.vectors.each]),
+                )
+                for k in range(100)
+            ],
+            reference_ekf.start(pose, np.zeros(6), 2, noise),
+            noise,
+        )
+        for j, k in enumerate((0, 25, 60, 99)):
+            error = scipy.linalg.logm(np.linalg.inv(states[k].T) @ T[i, k]).real
+            xi = [error[2, 1], error[0, 2], error[1, 0], *error[:3, 3]]
+            wanted = xi @ np.linalg.solve(states[k].Sigma[:6, :6], xi)
+            assert found.nees[i, j] == pytest.approx(wanted, rel=1e-5), (i, k)
+
+
+LINEAR = (
+    "scenario.start=given",
+    *("family.angular_velocity_bias=0.02", "filter.initial_angular_bias=0.02"),
+    *("family.velocity_bias=0.02", "filter.initial_linear_bias=0.02"),
+    *("family.vector_bias=0.02", "filter.initial_vector_bias=0.02"),
+    *(f"filter.{name}_walk=1e-9" for name in ("angular", "linear", "vector")),
+    *("filter.initial_attitude=0.01", "filter.initial_position=0.1"),
+)
+"""A filter whose deviations are those of the start, of the biases and of the noise."""
+
+
+def started_near(batch: ScenarioBatch) -> ScenarioBatch:
+    """The same scenarios, with initial errors that have the filter's covariance."""
+    T = true_poses(batch)[:, 0]
+    xi = np.random.default_rng(3).normal(size=(len(T), 6)) * np.repeat([0.01, 0.1], 3)
+    T = np.stack([one @ se3_exp(-error) for one, error in zip(T, xi, strict=True)])
+    learnt = len(batch.initial.vector_biases)
+    initial = state_of(T, dtype=np.float32, learnt_vectors=learnt)
+    return batch._replace(initial=initial._replace(turning=batch.initial.turning))
+
+
+def test_where_the_filter_is_linear_its_nees_is_chi_squared() -> None:
+    """Errors so small that products of them are negligible, and noise that is all known."""
+    count, times = 400, (0.0, 0.3, 0.99)
+    batch = started_near(drawn(count, *LINEAR))
+    assert vectors_in(batch.samples) == 2
+    found = consistency(Candidate(), batch, times)
+    low, high = scipy.stats.chi2.ppf([5e-5, 1 - 5e-5], 6 * count) / count
+    deviation = np.sqrt(0.95 * 0.05 / count)
+    for j in range(len(times)):
+        # The chance of a larger distance is 1e-4, of the distribution and of its mean.
+        test: Any = scipy.stats.kstest(found.nees[:, j], scipy.stats.chi2(6).cdf)
+        assert test.pvalue > 1e-4
+        assert low < found.mean[j] < high
+        assert abs(found.inside[j] - 0.95) < 4 * deviation
+    # Noises believed three times too small are found out, by numbers of the candidate.
+    believed = ("angular_velocity", "velocity", "vector", "landmark")
+    noise: Any = batch.filter
+    small = Candidate(
+        values=tuple(jnp.asarray(getattr(noise.noise, name) / 3) for name in believed),
+        keys=tuple(f"filter.{name}" for name in believed),
+    )
+    wrong = consistency(small, batch, times)
+    assert wrong.mean[0] == found.mean[0]
+    assert wrong.mean[-1] > 2 * high
+    assert wrong.inside[-1] < 0.6
+
+
+def test_scenarios_count_between_their_start_and_their_end() -> None:
+    values = drawn(4, "scenario.start=sensors")
+    begin = np.array([0.0, 0.4, 0.0, 0.4], np.float32)
+    end = np.array([np.inf, np.inf, 0.45, 0.45], np.float32)
+    found = consistency(Candidate(), values._replace(begin=begin, end=end), (0.2, 0.42, 0.9))
+    counts = ~np.isnan(found.nees)
+    np.testing.assert_array_equal(counts, [[1, 1, 1], [0, 1, 1], [1, 1, 0], [0, 1, 0]])
+    for j in range(3):
+        assert found.mean[j] == pytest.approx(np.mean(found.nees[counts[:, j], j]))
+    none = Consistency(found.time, np.full((4, 3), np.nan))
+    assert np.isnan(none.mean).all()
+    assert np.isnan(none.inside).all()
+    lost = Consistency(np.ones(1), np.array([[np.inf], [3.0]]))
+    assert lost.mean == np.inf
+    assert lost.inside == 0.5
+
+
+def test_times_after_the_end_are_left_out() -> None:
+    found = consistency(Candidate(), drawn(2, "scenario.start=sensors"))
+    assert found.time.shape == found.mean.shape == (0,)
+
+
+@pytest.mark.parametrize("times", [(), (-1.0, 2.0), (2.0, 1.0), (1.0, 1.0)])
+def test_times_that_do_not_ascend_are_refused(times) -> None:
+    with pytest.raises(ArgumentError, match=r"times: .*ascending"):
+        consistency(Candidate(), drawn(2, "scenario.start=sensors"), times)
+
+
+def test_a_filter_without_a_covariance_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"Observer.*KalmanFilter"):
+        consistency(Candidate(), drawn(2, kind="quick"))
