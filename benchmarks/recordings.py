@@ -79,7 +79,7 @@ def euroc(folder: Path) -> list[dict[str, Any]]:
 def _rows(rate: float, judged: Result) -> list[dict[str, Any]]:
     rows, on = [], judged.on_recordings
     assert on is not None
-    filters = {"tuned fuzzy gain": on.held_out, **on.baselines}
+    filters = {"tuned filter": on.held_out, **on.baselines}
     for which, (degrees, metres) in enumerate(STARTS):
         part = slice(which * HELD_OUT_SEEDS, (which + 1) * HELD_OUT_SEEDS)
         for name, scores in filters.items():

@@ -15,6 +15,7 @@ from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.errors import ConfigError
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
+from posegsa.judging.description import kind_of, title_of
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.optimisers.registry import USUAL
@@ -62,7 +63,9 @@ def _filter(experiment: config.Experiment) -> Subject:
         return float(np.mean(costs_by_scenario(one, unseen)))
 
     unseen, count = problem.held_out, experiment.run.training_scenarios
-    return Subject(f"fuzzy gain on {count} training scenarios", search, held_out)
+    return Subject(
+        f"{title_of(kind_of(experiment))} on {count} training scenarios", search, held_out
+    )
 
 
 def _function(function: ClassicalFunction) -> Subject:

@@ -18,7 +18,7 @@ from posegsa.arguments import (
 from posegsa.defaults import SCENARIOS
 from posegsa.judging.baselines import baselines, batch_for
 from posegsa.judging.description import Description, candidate_of
-from posegsa.judging.evaluation import CONTENDERS, TUNED, contender, evaluation
+from posegsa.judging.evaluation import CONTENDERS, contender, evaluation, own_name
 from posegsa.judging.judge import on_scenarios
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.on_scenarios import OnScenarios
@@ -107,7 +107,7 @@ def evaluate(
         drawn = experiment.replace(**{"objective.simulated_share": 0.0})
         problem = tuning_problem(drawn, cost, result.own)
         if result.on_scenarios is None:
-            judged = on_scenarios(problem, result.candidate)
+            judged = on_scenarios(problem, result.candidate, result.filter)
         else:
             judged = result.on_scenarios
         found = _all_found(result, judged, problem)
@@ -133,12 +133,12 @@ def _all_found(
     Those already in the result's evaluation are not searched.
     """
     known = {name: each.filter for name, each in judged.evaluation.contenders.items()}
-    found = {TUNED: (problem.experiment, result.filter)}
+    own = {own_name(result.filter): (problem.experiment, result.filter)}
     possible = baselines(problem, result.filter)
     for name in steps.each("searching", [one for one in possible if one not in known], str):
         known[name] = possible[name].search()
-    found |= {name: (each.experiment, known[name]) for name, each in possible.items()}
-    return {name: found[name] for name in CONTENDERS if name in found}
+    found = {name: (each.experiment, known[name]) for name, each in possible.items()}
+    return own | {name: found[name] for name in CONTENDERS if name in found}
 
 
 def _on_recordings(

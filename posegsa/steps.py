@@ -25,7 +25,8 @@ class Step(NamedTuple):
     about: str = ""
     """Describes the current part."""
     best_cost: float | None = None
-    """Best cost of a search so far, infinite before the first; None for other steps."""
+    """Best cost so far of the search, or of that of the current part; infinite before the first,
+    None without a search."""
 
 
 Listener = Callable[[Step], object]
@@ -61,11 +62,12 @@ def begin(name: str, done: int = 0, parts: int = 1, about: str = "") -> None:
     tell(Step(name, done, parts, about))
 
 
-def share(part: float) -> None:
-    """Report how much of the current part is done, in [0, 1]."""
+def share(part: float, best_cost: float | None = None) -> None:
+    """Report how much of the current part is done, in [0, 1], and the best cost if it searches."""
     present, listener = _PRESENT.get(), _LISTENER.get()
     if present is not None and listener is not None:
-        listener(present._replace(done=present.done + part))
+        best_cost = present.best_cost if best_cost is None else best_cost
+        listener(present._replace(done=present.done + part, best_cost=best_cost))
 
 
 def each(

@@ -185,13 +185,13 @@ def _made(
         tell(runs * at.iteration / at.iterations, at.best_cost)
 
     steps.begin("preparing")
-    tell()
     for batch in _batches(planned, together):
+        tell()
         runs = len({id(one) for one in batch})
         for run in _search(base, batch, partial(tell_batch, runs)):
             done, best = done + 1, min(best, run.training_cost)
             yield run
-        tell()
+    tell()
 
 
 def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]:

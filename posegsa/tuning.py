@@ -97,7 +97,8 @@ def tune(
         figures: Names of the figures to draw in the folder; by default all. On recordings there
             are none.
         cost: A cost to minimise instead of the configured one: a JAX function of a simulation's
-            errors (`ErrorTrack`) and times (N,) [s]. Not on recordings.
+            errors (`ErrorTrack`) and times (N,) [s]. Before a start from the sensors the errors are
+            those of the start. Not on recordings.
         progress: Called with each `steps.Step`: for "searching" when the search is compiled, and
             after each chunk of iterations.
 

@@ -129,7 +129,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line. It does not make the commands' slow imports."""
     parser = Parser(
         prog="posegsa",
-        description="Tunes the fuzzy gain schedule of a nonlinear pose filter on SE(3).",
+        description="Tunes filters for the pose of a rigid body; judges, replays and exports them.",
     )
     parser.add_argument("--version", action="version", version=f"posegsa {VERSION}")
     commands = parser.add_subparsers(title="commands", required=True)

@@ -105,7 +105,7 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
         assert judged is not None
         print(judged.evaluation.table())
         long = found.experiment.run.endurance_scenarios
-        print(f"\n{judged.endurance.table(judged.beside, long)}")
+        print(f"\n{judged.endurance.table((judged.evaluation.own, judged.beside), long)}")
         for warning in found.warnings():
             print(f"  warning: {warning}")
         return found

@@ -112,7 +112,9 @@ class Display:
         """End the current step with a line that says how long it took."""
         if self.present is None or self.quiet:
             return
-        name, done, parts, _, best_cost = self.present
+        name, done, parts, about, best_cost = self.present
+        if about:  # the cost is that of the last part alone
+            best_cost = None
         self.present = None
         if ended == "stopped" and done == 0:  # refused at its start: show nothing
             self._clear()
@@ -129,10 +131,11 @@ class Display:
         name, done, parts, about, best_cost = self.present
         if parts == 1 and done == 0:
             return f"{name}{f' {about}' if about else ''} ..."
+        tail, left = [about] * bool(about), self._left(now)
         if best_cost is not None and math.isfinite(best_cost):
-            about = f"best cost {best_cost:.4g}"
-        left = self._left(now)
-        tail = [about] * bool(about) + [f"{span(left)} left"] * (left is not None)
+            tail.append(f"best cost {best_cost:.4g}")
+        if left is not None:
+            tail.append(f"{span(left)} left")
         bar = ""
         if self.drawn:
             filled = int(BAR * min(done / parts, 1))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from posegsa.arguments import refuse
 from posegsa.export.tables import costs
-from posegsa.judging.evaluation import TUNED
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
 from posegsa.settings.fields import Section
@@ -161,7 +160,7 @@ def _on_scenarios(result: Result, judged: OnScenarios) -> list[str]:
         interval = "[{:.5g}, {:.5g}]".format(*found["held_out_interval"])
         rows.append([label, training, held_out, interval, worst])
     lines = text_table(rows).splitlines()
-    scenarios = len(judged.training[TUNED])
+    scenarios = len(judged.training[judged.evaluation.own])
     return lines + wrapped(
         f"Means over {counted(scenarios, 'training scenario')} and over "
         f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "

@@ -10,7 +10,6 @@ import numpy as np
 
 from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
-from posegsa.judging.evaluation import TUNED
 from posegsa.judging.result import Result
 from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
@@ -140,7 +139,7 @@ def costs(result: Result) -> dict[str, dict[str, Any]]:
         mean, *ends = judged.evaluation.cost(name)
         contender = judged.evaluation.contenders[name]
         found[name] = {
-            "numbers": contender.filter.numbers if name != TUNED else {},
+            "numbers": contender.filter.numbers if name != judged.evaluation.own else {},
             "training_scenarios": len(training),
             "training_mean": float(np.mean(training)),
             "held_out_scenarios": len(contender.metrics.cost),

@@ -15,6 +15,7 @@ from posegsa.judging.evaluation import (
     CONSTANT,
     CONTENDERS,
     EKF_VECTORS,
+    NOT_TUNED,
     SMOOTH,
     SWITCH,
     TUNED,
@@ -32,9 +33,11 @@ ANGLE_SPREAD = 1.0
 """Minimum range of initial angles for a figure over them [deg]."""
 
 _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
+_STYLES[NOT_TUNED] = _STYLES[TUNED]
 """Colour and line style of each contender, the same in all figures."""
 _MARKERS = {
     TUNED: "o",
+    NOT_TUNED: "o",
     AS_CONFIGURED: "s",
     CONSTANT: "s",
     SWITCH: "D",
@@ -42,7 +45,7 @@ _MARKERS = {
     EKF_VECTORS: "P",
 }
 """The contenders that are drawn as curves, with their markers; more would hide each other."""
-_BANDS = (TUNED, CONSTANT, AS_CONFIGURED)
+_BANDS = (TUNED, NOT_TUNED, CONSTANT, AS_CONFIGURED)
 """The contenders whose spread is drawn as a band; more would blend into one colour."""
 _APART = 10.0
 """The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
@@ -52,7 +55,7 @@ _GOLDEN = 0.6180339887498949  # any number of its multiples modulo 1 is spread e
 
 def angles_differ(evaluation: Evaluation) -> bool:
     """Whether the initial attitude errors of the scenarios spread by at least ANGLE_SPREAD."""
-    angles = _metrics(evaluation, TUNED).initial_angle
+    angles = _metrics(evaluation, evaluation.own).initial_angle
     return bool(np.ptp(angles) >= ANGLE_SPREAD)
 
 
@@ -73,7 +76,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     Infinite costs are counted beside the name and left out of all but the mean.
     """
     names = list(evaluation.contenders)
-    others = [name for name in names if name != TUNED]
+    others = [name for name in names if name != evaluation.own]
     rows = (len(names), len(others) + 0.4)
     ratios = rows if others else rows[:1]
     figure, (ax, *below) = style.panels(
@@ -105,7 +108,9 @@ def plot_costs(evaluation: Evaluation) -> Figure:
         _scale_differences(panel, [evaluation.difference(name).mean for name in others])
         if not panel.collections and len(panel.lines) == 1:  # no difference is finite
             panel.set_xticks([0])
-        panel.set_xlabel("Tuned minus this, cost [-]; below 0 tuned is better")
+        panel.set_xlabel(
+            f"{evaluation.own.capitalize()} minus this, cost [-]; below 0 it is better"
+        )
     return figure
 
 
@@ -113,7 +118,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     FIGURES,
     name="bands",
     title="Errors and gain over time",
-    caption="Lines are medians over scenarios. Bands, of the tuned filter and the best constant "
+    caption="Lines are medians over scenarios. Bands, of the first filter and the best constant "
     "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the time switch and of the "
     "Kalman filter, which has no such gain. Other schedules are not drawn. The left shows which "
     "filter reduces the initial error first, the right which one stays lower afterwards. The "
@@ -123,7 +128,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median, and 5 to 95 % or 95 % alone, of attitude error, position error and gain over time.
 
-    Only scenarios with a finite cost are included. The tuned filter and the best constant gains
+    Only scenarios with a finite cost are included. The judged filter and the best constant gains
     have bands; the best time switch and the Kalman filter, whose bands would hide these, have
     lines. The left column enlarges the start.
     """
@@ -192,7 +197,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         alpha = _faint(0.35, len(cost))
         ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=alpha, markersize=3, **points)
         label = f"{name} ({np.count_nonzero(bad)} infinite)" if bad.any() else name
-        order = 4 if name == TUNED else 3  # above the points; the tuned filter on top
+        order = 4 if name == evaluation.own else 3  # above the points; the judged filter on top
         ax.plot(*_running_median(angle, cost), label=label, linewidth=2, zorder=order, **look)
         if bad.any():
             edge = ax.get_xaxis_transform()

@@ -80,6 +80,19 @@ class ErrorTrack(NamedTuple):
         """Some of the scenarios, of leaves (S, ...)."""
         return ErrorTrack(*(leaf[scenarios] for leaf in self))
 
+    def waiting(self, time: Array, begin: Array | None) -> "ErrorTrack":
+        """The errors with those of the start, at `begin` [s], at all samples before it.
+
+        Before a start from the sensors nothing is estimated. `time` is (N,) [s]; None changes
+        nothing.
+        """
+        if begin is None:
+            return self
+        index = jnp.arange(time.shape[0])
+        index = jnp.maximum(index, jnp.argmax(time >= begin))
+        names = ("attitude", "position", "gain", "distance")
+        return self._replace(**{name: getattr(self, name)[index] for name in names})
+
     def until(self, sample: int) -> "ErrorTrack":
         """The errors before a sample, of leaves (S, N)."""
         names = ("attitude", "position", "gain", "distance")

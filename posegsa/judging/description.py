@@ -64,7 +64,19 @@ class Description(NamedTuple):
     @property
     def title(self) -> str:
         """What it is called in a sentence."""
-        return TITLES.get(self.kind, f"{self.kind} gain")
+        return title_of(self.kind)
+
+
+def title_of(kind: Kind) -> str:
+    """What a filter of a kind is called in a sentence."""
+    return TITLES.get(kind, f"{kind} gain")
+
+
+def kind_of(experiment: Experiment) -> Kind:
+    """The kind of the filter that an experiment searches."""
+    section = experiment.filter
+    is_observer = isinstance(section, config.ObserverConfig)
+    return cast(Kind, section.schedule if is_observer else section.kind)
 
 
 def _of_its_kind(found: Description) -> Description:

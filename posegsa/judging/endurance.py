@@ -44,15 +44,16 @@ class Endurance(NamedTuple):
         """The windows one by one, in the order of the fields."""
         return list(zip(*(each.tolist() for each in self), strict=True))
 
-    def table(self, other: str, scenarios: int) -> str:
+    def table(self, names: tuple[str, str], scenarios: int) -> str:
         """The windows as text.
 
         Args:
-            other: Name of the other filter.
+            names: Names of the judged filter and of the one beside it.
             scenarios: Number of scenarios.
         """
         heads = ["attitude", "P_err", "distance"]
-        rows = [["RMS error", "tuned", "", "", other, "", ""], ["", *heads, *heads]]
+        own, other = names
+        rows = [["RMS error", own, "", "", other, "", ""], ["", *heads, *heads]]
         for begin, end, *errors in self.rows():
             both = errors[:3], errors[3:]
             rows.append(
@@ -106,6 +107,13 @@ def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> End
     batch = scenario_batch(longer, one, unseen, filter_of(longer, problem.own))
     # Shifted by half a sample, so that rounding puts no sample into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
+    # Before a start from the sensors nothing is estimated.
+    starts = None if batch.begin is None else np.asarray(batch.begin, np.float64)[:, None]
+
+    def mean_square(error: np.ndarray, begin: float, end: float) -> float:
+        window = (time >= begin) & (time < end)
+        counts = True if starts is None else time[window] > starts
+        return float(np.mean(error[:, window] ** 2, where=counts))
 
     def errors(candidate: Candidate) -> dict[str, np.ndarray]:
         tracks = error_tracks(candidate, batch)
@@ -117,10 +125,7 @@ def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> End
         }
         return {
             name: np.array(
-                [
-                    math.sqrt(np.mean(error[:, (time >= begin) & (time < end)] ** 2))
-                    for begin, end in pairwise(edges)
-                ]
+                [math.sqrt(mean_square(error, begin, end)) for begin, end in pairwise(edges)]
             )
             for name, error in each.items()
         }

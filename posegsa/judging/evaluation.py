@@ -41,6 +41,8 @@ CONTENDERS = (
     "as configured",
 )
 """Names of the filters that can be compared, in the order of the tables."""
+NOT_TUNED = "this filter"
+"""The name of the filter that is judged, in place of the first of these, if no search found it."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -78,18 +80,24 @@ class Summary(NamedTuple):
     worst: float
     diverged: float
     """Share of scenarios on which the filter diverged."""
-    tuned_minus_this: Interval | None
-    """Mean paired difference; below 0 the tuned filter is better. None for the tuned filter."""
+    own_minus_this: Interval | None
+    """Mean paired difference; below 0 the judged filter is better. None for that filter."""
 
 
 def called(name: str) -> str:
     """A contender's name within a sentence."""
-    return "the filter as configured" if name == AS_CONFIGURED else f"the {name}"
+    words = {AS_CONFIGURED: "the filter as configured", NOT_TUNED: NOT_TUNED}
+    return words.get(name, f"the {name}")
+
+
+def own_name(found: Description) -> str:
+    """The name of the filter that is judged."""
+    return TUNED if found.evaluations else NOT_TUNED
 
 
 def _contender_name(name: str) -> str:
-    if name not in CONTENDERS:
-        raise ValueError(f"allowed: {', '.join(CONTENDERS)}")
+    if name not in (allowed := (*CONTENDERS, NOT_TUNED)):
+        raise ValueError(f"allowed: {', '.join(allowed)}")
     return name
 
 
@@ -103,8 +111,8 @@ COSTS: _Columns = (
     ("Median", ".2f", lambda s: s.median),
     ("95th\npercentile", ".2f", lambda s: s.p95),
     ("Worst", ".2f", lambda s: s.worst),
-    ("Tuned\nminus this", "+.2f", lambda s: s.tuned_minus_this.mean if s.tuned_minus_this else ()),
-    ("95 % interval", "+.2f", lambda s: s.tuned_minus_this.ends if s.tuned_minus_this else ()),
+    ("First\nminus this", "+.2f", lambda s: s.own_minus_this.mean if s.own_minus_this else ()),
+    ("95 % interval", "+.2f", lambda s: s.own_minus_this.ends if s.own_minus_this else ()),
     ("Diverged\n[%]", ".1f", lambda s: 100 * s.diverged),
 )
 """Columns of the cost table, from a `Summary`."""
@@ -141,22 +149,27 @@ class Evaluation:
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
-    """By name, the tuned filter first."""
+    """By name, the filter that is judged first."""
+
+    @property
+    def own(self) -> str:
+        """The name of the filter that is judged."""
+        return TUNED if TUNED in self.contenders else NOT_TUNED
 
     @property
     def scenarios(self) -> int:
         """S, the number of scenarios."""
-        return len(self.contenders[TUNED].metrics.cost)
+        return len(self.contenders[self.own].metrics.cost)
 
     def cost(self, name: str) -> Interval:
         """Mean cost of a contender."""
         return interval(self.contenders[name].metrics.cost)
 
     def difference(self, name: str) -> Interval:
-        """Paired cost difference, tuned minus contender; below 0 the tuned filter is better."""
-        tuned = self.contenders[TUNED].metrics.cost
+        """Paired cost difference, own minus contender; below 0 the judged filter is better."""
+        own = self.contenders[self.own].metrics.cost
         with np.errstate(invalid="ignore"):
-            return interval(tuned - self.contenders[name].metrics.cost)
+            return interval(own - self.contenders[name].metrics.cost)
 
     def summary(self, name: str) -> Summary:
         """Statistics of a contender's costs."""
@@ -167,7 +180,7 @@ class Evaluation:
             p95=float(np.quantile(metrics.cost, 0.95, method="higher")),
             worst=float(np.max(metrics.cost)),
             diverged=float(np.mean(metrics.diverged)),
-            tuned_minus_this=None if name == TUNED else self.difference(name),
+            own_minus_this=None if name == self.own else self.difference(name),
         )
 
     def tables(self, write: Callable[[float, str], str] = format) -> tuple[Rows, Rows]:
@@ -185,7 +198,7 @@ class Evaluation:
         which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
         title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
-        waited = self.contenders[TUNED].metrics.waited
+        waited = self.contenders[self.own].metrics.waited
         if np.any(waited > 0):
             parts.append(
                 f"The sensors fixed a pose to start from after {np.median(waited):.3g} s (median), "

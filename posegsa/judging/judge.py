@@ -11,15 +11,15 @@ from posegsa import steps
 from posegsa.config import ObserverConfig
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
-from posegsa.judging.description import describe
+from posegsa.judging.description import Description, describe
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
     SMOOTH,
-    TUNED,
     contender,
     evaluation,
+    own_name,
 )
 from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
@@ -64,9 +64,10 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
         beside = problem.beside is not None
         tuned_on = "recordings and scenarios" if beside else "recordings"
         own_cost, weight = cost_name(None), recorded.position_weight
+    description = describe(tuned, problem.experiment, problem.experiment.search.evaluations)
     result = Result(
         experiment=problem.experiment,
-        filter=describe(tuned, problem.experiment, problem.experiment.search.evaluations),
+        filter=description,
         search=FoundBy(
             tuned_on=tuned_on,
             cost=own_cost,
@@ -77,7 +78,7 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
             search_seconds=found.search_seconds,
             history=jax.tree.map(_stored, search.history),
         ),
-        on_scenarios=on_scenarios(problem, tuned) if recorded is None else None,
+        on_scenarios=on_scenarios(problem, tuned, description) if recorded is None else None,
         environment=environment(),
         version=VERSION,
         own=problem.own,
@@ -94,13 +95,17 @@ def _stored(column: jax.Array) -> np.ndarray:
     return a.astype(np.float64) if a.dtype.kind == "f" else a.astype(np.int64)
 
 
-def on_scenarios(problem: TuningProblem, tuned: Candidate) -> OnScenarios:
-    """What a candidate is worth on drawn scenarios, beside the filter that always stands there."""
+def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -> OnScenarios:
+    """What a candidate is worth on drawn scenarios, beside the filter that always stands there.
+
+    `found` is its description.
+    """
     experiment, scenarios = problem.experiment, problem.simulated
     _begin("the filter beside it")
     name, other, evaluations = _beside(problem, tuned)
-    candidates = {TUNED: tuned, name: other}
-    spent = {TUNED: experiment.search.evaluations, name: evaluations}
+    own = own_name(found)
+    candidates = {own: tuned, name: other}
+    descriptions = {own: found, name: describe(other, experiment, evaluations)}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
     count = experiment.run.training_scenarios
@@ -113,7 +118,7 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate) -> OnScenarios:
         name: contender(
             each.select(slice(count, None)),
             problem.held_out,
-            describe(candidates[name], experiment, spent[name]),
+            descriptions[name],
             problem.cost,
         )
         for name, each in tracks.items()
@@ -127,7 +132,7 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate) -> OnScenarios:
         training=training,
         evaluation=evaluation(contenders, problem.held_out),
         endurance=long_after,
-        trust=trust.check(problem, tuned, tracks[TUNED], trajectory),
+        trust=trust.check(problem, tuned, tracks[own], trajectory),
         trajectory=trajectory,
     )
 

@@ -119,7 +119,8 @@ def metrics_of(
     )
     total = transient + steady
     if cost is not None:
-        own = jax.vmap(cost)(jax.tree.map(jnp.asarray, tracks), batch.samples.time)
+        given = jax.tree.map(jnp.asarray, (tracks, batch.samples.time, batch.begin))
+        own = jax.vmap(lambda track, t, begin: cost(track.waiting(t, begin), t))(*given)
         total = np.asarray(own, np.float64)
     finite = np.isfinite(total)
     window = np.asarray(batch.weights.window) & counts

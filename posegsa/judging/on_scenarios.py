@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from posegsa.judging.endurance import Endurance
-from posegsa.judging.evaluation import TUNED, Evaluation, called
+from posegsa.judging.evaluation import Evaluation, called
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
 from posegsa.settings.arrays import Numbers
@@ -32,8 +32,8 @@ class OnScenarios:
 
     @property
     def beside(self) -> str:
-        """The name of the filter that always stands beside the tuned one."""
-        return next(name for name in self.training if name != TUNED)
+        """The name of the filter that always stands beside the judged one."""
+        return next(name for name in self.training if name != self.evaluation.own)
 
     def text(self, endurance_scenarios: int) -> str:
         """A short text.
@@ -48,7 +48,7 @@ class OnScenarios:
         for name, training in self.training.items():
             found = self.evaluation.contenders[name]
             gain = found.filter.numbers.get("gain", [])
-            label = f"{name} {gain[0]:.4g}/s" if gain and name != TUNED else name
+            label = f"{name} {gain[0]:.4g}/s" if gain and name != self.evaluation.own else name
             costs = (np.mean(training), np.mean(found.metrics.cost), np.max(found.metrics.cost))
             bad = np.count_nonzero(found.metrics.diverged)
             rows.append([label, *(f"{c:.4g}" for c in costs), f"diverged on {bad}" if bad else ""])
@@ -58,7 +58,7 @@ class OnScenarios:
             f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
             f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
             f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
-            self.endurance.table(self.beside, endurance_scenarios),
+            self.endurance.table((self.evaluation.own, self.beside), endurance_scenarios),
         ]
         if self.trust.rule_weights is not None:
             parts.append(
@@ -69,15 +69,15 @@ class OnScenarios:
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
-        found, t = [], self.trust
+        found, t, own = [], self.trust, self.evaluation.own
         if t.sensitive:
             found.append(
                 f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
                 f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "
                 "agree within 1 %. The simulation is chaotic: do not trust this filter"
             )
-        if bad := int(np.sum(self.evaluation.contenders[TUNED].metrics.diverged)):
-            found.append(f"the tuned filter diverged on {counted(bad, 'held-out scenario')}")
+        if bad := int(np.sum(self.evaluation.contenders[own].metrics.diverged)):
+            found.append(f"{called(own)} diverged on {counted(bad, 'held-out scenario')}")
         if t.uncovered:
             found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
         if worse := self.endurance.worse():

@@ -15,7 +15,7 @@ from posegsa import config
 from posegsa.figures import evaluation_figures, schedule_figures, trajectory_figures
 from posegsa.figures import search as search_figures
 from posegsa.judging import metrics
-from posegsa.judging.evaluation import SWITCH, TUNED, called
+from posegsa.judging.evaluation import SWITCH, called
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
 from posegsa.report import report_tables
@@ -101,7 +101,6 @@ def templates() -> "Environment":
     environment.filters |= {function.__name__: function for function in as_text}
     environment.filters["median"] = np.median
     environment.globals |= {
-        "TUNED": TUNED,
         "SWITCH": SWITCH,
         "SENSITIVE": SENSITIVE,
         "metrics": metrics,

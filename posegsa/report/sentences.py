@@ -12,7 +12,6 @@ from posegsa.judging.evaluation import (
     OPEN_LOOP,
     REPLAYED,
     SWITCH,
-    TUNED,
     Evaluation,
     called,
 )
@@ -24,24 +23,25 @@ from posegsa.words import counted
 
 
 def verdict(judged: OnScenarios) -> str:
-    """A sentence that compares the tuned filter with the one that always stands beside it."""
+    """A sentence that compares the judged filter with the one that always stands beside it."""
     evaluation, beside = judged.evaluation, judged.beside
+    own_filter = _starting(evaluation)
     difference = evaluation.difference(beside)
     mean, low, high = difference
     against = f"{called(beside)} on {counted(evaluation.scenarios, 'unseen scenario')}"
     if not (math.isfinite(low) and math.isfinite(high)):
-        own, other = (evaluation.contenders[name].metrics.cost for name in (TUNED, beside))
+        own, other = (evaluation.contenders[name].metrics.cost for name in (evaluation.own, beside))
         bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
         if not any(bad):
-            return f"The tuned filter cannot be compared with {against}: there are too few."
+            return f"{own_filter} cannot be compared with {against}: there are too few."
         return (
-            f"The mean cost of the tuned filter cannot be compared with that of {against}: "
+            f"The mean cost of {called(evaluation.own)} cannot be compared with that of {against}: "
             f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
             f"{cost(float(np.median(own)))} and {cost(float(np.median(other)))}."
         )
     if low <= 0 <= high:
         return (
-            f"The tuned filter does not differ significantly from {against}: the 95 % interval "
+            f"{own_filter} does not differ significantly from {against}: the 95 % interval "
             f"of the difference, {interval(difference)}, includes 0."
         )
     less = high < 0
@@ -49,7 +49,7 @@ def verdict(judged: OnScenarios) -> str:
     constant = evaluation.cost(beside).mean
     share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
     return (
-        f"The tuned filter costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
+        f"{own_filter} costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
         f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
 
@@ -77,9 +77,9 @@ def cost_words(result: Result) -> str:
 
 
 def worse_words(judged: OnScenarios) -> str:
-    """Where the tuned filter's errors are larger than those of the filter beside it, if any."""
+    """Where the judged filter's errors are larger than those of the filter beside it, if any."""
     contenders, beside = judged.evaluation.contenders, judged.beside
-    tuned, constant = (contenders[name].metrics for name in (TUNED, beside))
+    tuned, constant = (contenders[name].metrics for name in (judged.evaluation.own, beside))
     worse = []
     for head, form, of in BEHAVIOUR:
         own, other = (float(np.mean(np.asarray(of(metrics)))) for metrics in (tuned, constant))
@@ -94,23 +94,23 @@ def worse_words(judged: OnScenarios) -> str:
         return ""
     listed = "; ".join(worse)
     return (
-        f"The tuned filter is worse than {called(beside)} in: {listed}. The search "
+        f"{_starting(judged.evaluation)} is worse than {called(beside)} in: {listed}. The search "
         "minimises only the cost; quantities that are not part of it, for example the errors of "
         "the estimated biases, may get worse."
     )
 
 
 def better_words(judged: OnScenarios) -> str:
-    """Which contenders, except the one beside it, are better than the tuned filter, if any.
+    """Which contenders, except the one beside it, are better than the judged one, if any.
 
     The mean counts as better if the interval of the paired differences excludes 0, the median if it
     is lower in the digits shown.
     """
     evaluation = judged.evaluation
-    own, lower = evaluation.summary(TUNED), _lower_medians(evaluation)
+    own, lower = evaluation.summary(evaluation.own), _lower_medians(evaluation)
     found = []
     for name in evaluation.contenders:
-        if name in (TUNED, judged.beside):
+        if name in (evaluation.own, judged.beside):
             continue
         this, difference = evaluation.summary(name), evaluation.difference(name)
         parts = []
@@ -123,24 +123,31 @@ def better_words(judged: OnScenarios) -> str:
             found.append(f"{name} by {' and '.join(parts)}")
     if not found:
         return ""
-    return f"Other filters are better than the tuned filter on these scenarios: {'; '.join(found)}."
+    own_filter = called(evaluation.own)
+    return f"Other filters are better than {own_filter} on these scenarios: {'; '.join(found)}."
+
+
+def _starting(evaluation: Evaluation) -> str:
+    """The judged filter, at the start of a sentence."""
+    words = called(evaluation.own)
+    return words[:1].upper() + words[1:]
 
 
 def _clearly_better(evaluation: Evaluation) -> list[str]:
-    """Contenders whose mean cost is significantly lower than that of the tuned filter."""
-    others = (name for name in evaluation.contenders if name != TUNED)
+    """Contenders whose mean cost is significantly lower than that of the judged filter."""
+    others = (name for name in evaluation.contenders if name != evaluation.own)
     return [name for name in others if evaluation.difference(name).low > 0]
 
 
 def _lower_medians(evaluation: Evaluation) -> list[str]:
-    """Contenders whose median cost is lower than that of the tuned filter in the digits shown."""
-    own = evaluation.summary(TUNED).median
+    """Contenders whose median cost is lower than that of the judged filter in the digits shown."""
+    own = evaluation.summary(evaluation.own).median
     medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
     return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
 
 
 def _instead(names: list[str]) -> str:
-    """Advice if these filters are better than the tuned filter."""
+    """Advice if these filters are better than the judged one."""
     advice = f"These have a lower mean cost: {'; '.join(names)}. "
     if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
         advice += (
@@ -150,7 +157,7 @@ def _instead(names: list[str]) -> str:
     if any(name in (EKF, EKF_VECTORS) for name in names):
         advice += "`--set filter.kind=kalman` tunes a Kalman filter. "
     return (
-        f"{advice}Their parameters are in `result.json`. The tuned filter can still be "
+        f"{advice}Their parameters are in `result.json`. The filter of this page can still be "
         "exported: `posegsa export RUN --format c`."
     )
 
@@ -168,13 +175,13 @@ def next_words(result: Result) -> list[str]:
         steps.append(_instead(better))
     elif evaluation.difference(beside).high < 0:
         steps.append(
-            f"The tuned filter is better than {called(beside)}: export it as C with "
+            f"{_starting(evaluation)} is better than {called(beside)}: export it as C with "
             "`posegsa export RUN --format c`, or run it on your own recordings with "
             "`posegsa replay RUN FILE`."
         )
     else:
         steps.append(
-            f"The tuned filter is not better than {called(beside)}: search longer "
+            f"{_starting(evaluation)} is not better than {called(beside)}: search longer "
             "(`search.iterations`) or with more training scenarios, or take the simpler one: "
             f"{filter_words(evaluation.contenders[beside].filter)}."
         )

@@ -13,7 +13,7 @@ from posegsa.figures import result_figures
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.figures.result_figures import draw
 from posegsa.figures.style import png
-from posegsa.judging.evaluation import TUNED
+from posegsa.judging.evaluation import own_name
 from posegsa.judging.result import Result
 from posegsa.report import report_html
 from posegsa.saving import imu
@@ -196,13 +196,14 @@ def _refuse_disagreement(source: Path, result: Result) -> None:
         judged, samples = result.on_scenarios, experiment.scenario.samples
         last = round(float(judged.evaluation.time[-1]) / experiment.scenario.sampling_time)
         contenders = judged.evaluation.contenders
-        own = contenders[TUNED].filter.numbers if TUNED in contenders else None
+        name = own_name(result.filter)
+        own = contenders[name].filter.numbers if name in contenders else None
         both = [name for name in judged.training if name in contenders]
         rules = [one is not None for one in (judged.trust.rule_weights, judged.trust.uncovered)]
         checks += [
             ("on_scenarios.training", [*judged.training], both),
             ("number of on_scenarios.training", len(both), 2),
-            (f"on_scenarios: filter of {TUNED}", own, result.filter.numbers),
+            (f"on_scenarios: filter of {name}", own, result.filter.numbers),
             ("on_scenarios: sample of the last time", last, samples - 1),
             ("on_scenarios: length of trajectory", len(judged.trajectory.time), samples),
             (

@@ -220,7 +220,8 @@ def agent_costs(
                 # Applied here, so that only the candidate's numbers are batched over agents.
                 filter = one.applied(batch.filter)
                 if cost is not None:
-                    return cost(simulate_errors(filter, samples, initial), samples.time)
+                    track = simulate_errors(filter, samples, initial)
+                    return cost(track.waiting(samples.time, begin), samples.time)
                 if recorded is not None:
                     return simulate_recorded_cost(filter, samples, initial, recorded)
                 return simulate_cost(filter, samples, initial, weights).total

@@ -59,7 +59,7 @@ def tell_search(progress: Progress) -> None:
 
 def tell_share(progress: Progress) -> None:
     """Report the progress of a search that is part of a longer step (`posegsa.steps`)."""
-    steps.share(progress.iteration / progress.iterations)
+    steps.share(progress.iteration / progress.iterations, progress.best_cost)
 
 
 AfterChunk = Callable[[Search, float, float], object]

@@ -164,6 +164,17 @@ def test_a_cost_is_shown_once_there_is_one():
         assert lines(stream) == ["sweeping [###########.........] 3/6, best cost 0.25, 5 s left"]
 
 
+def test_the_cost_of_a_part_is_shown_beside_its_name_and_not_as_that_of_all():
+    stream, clock = Terminal(), Clock()
+    with Display(stream=stream, clock=clock):
+        steps.begin("comparing", 1, 2, "gsa 2/2")
+        clock.now = 4.0
+        steps.share(0.5, 0.25)
+        shown = "comparing [###############.....] 1/2, gsa 2/2, best cost 0.25, 4 s left"
+        assert lines(stream) == [shown]
+    assert lines(stream) == ["comparing: done after 4 s", ""]
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [

@@ -14,6 +14,7 @@ from helpers.messages import assert_told
 from scipy import stats
 
 import posegsa
+from posegsa import comparing, config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, MemoryLimitError, PosegsaWarning, RunFolderError
 from posegsa.figures.comparison_figures import plot_comparison
@@ -149,7 +150,8 @@ def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     assert np.all(np.diff(third.times) >= 0)
     searches = [step for step in told if step.name == "comparing"]
     assert searches[0] == Step("comparing", 0, 6, "gsa 1/3")
-    assert searches[-1] == Step("comparing", 6, 6, "random_search 3/3")
+    best = comparison.repeats["random_search"][-1].cost
+    assert searches[-1] == Step("comparing", 6, 6, "random_search 3/3", best)
 
 
 def test_the_folder_is_complete_and_gone_on_from(on_sphere) -> None:
@@ -203,6 +205,17 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
         pytest.raises(RunFolderError, match="another run is"),
     ):
         posegsa.compare(tiny(), **(same | {"evaluations": 32}))
+
+
+@pytest.mark.parametrize(
+    ("setting", "title"),
+    [
+        ("filter.schedule=smooth", "smooth gain on 3 training scenarios"),
+        ("filter.kind=kalman", "Kalman filter on 3 training scenarios"),
+    ],
+)
+def test_its_title_names_the_filter_that_is_searched(setting, title) -> None:
+    assert comparing._filter(config.override(tiny(), [setting])).title == title
 
 
 def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:

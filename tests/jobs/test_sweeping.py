@@ -97,6 +97,19 @@ def test_a_run_that_is_done_is_not_made_again(whole, searched, tmp_path):
     assert set(map(repr, more.runs)) > set(map(repr, found.runs))
 
 
+def test_it_says_that_it_prepares_while_it_does(monkeypatch):
+    told, structure = [], sweeping._structure
+
+    def looked(experiment):
+        assert {step.name for step in told} == {"preparing"}
+        return structure(experiment)
+
+    monkeypatch.setattr(sweeping, "_structure", looked)
+    monkeypatch.setattr(sweeping, "_search", lambda *given: iter(()))
+    posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, progress=told.append)
+    assert [step.name for step in told][-1] == "sweeping"
+
+
 def test_stopped_it_goes_on(whole, searched, tmp_path):
     _, found = whole
 

@@ -1,6 +1,7 @@
 """Errors long after the window that a filter was tuned for."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,14 @@ from helpers.messages import assert_told
 from helpers.results import endurance as made
 
 from posegsa import config
+from posegsa.judging import endurance as endurance_module
 from posegsa.judging.endurance import Endurance, endurance
 from posegsa.judging.metrics import error_tracks
 from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
+from posegsa.search.population import ScenarioBatch
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -73,6 +76,24 @@ def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
     assert once.worse() == []
 
 
+def test_what_precedes_a_start_from_the_sensors_does_not_count(monkeypatch) -> None:
+    begins = 0.01 * jnp.array([0.0, 150.0] + [80.0] * (COUNT - 2), jnp.float32)
+
+    def late(*given: Any) -> ScenarioBatch:
+        return scenario_batch(*given)._replace(begin=begins)
+
+    before = long_after(RUN)
+    monkeypatch.setattr(endurance_module, "scenario_batch", late)
+    found = long_after(RUN)
+    longer = config.override(RUN, ["scenario.duration=16.0"])
+    batch = scenario_batch(longer, quietly(longer), endurance_keys(RUN.run.seed, COUNT))
+    distance = np.asarray(error_tracks(constant(20), batch).distance, np.float64)
+    first = [0, 150, *[80] * (COUNT - 2)]
+    counted = np.concatenate([one[k:200] for one, k in zip(distance, first, strict=True)])
+    assert found.distance[0] == pytest.approx(np.sqrt(np.mean(counted**2)), rel=1e-5)
+    np.testing.assert_allclose(found.distance[1:], before.distance[1:], rtol=1e-12)
+
+
 def test_its_scenarios_are_no_others() -> None:
     seed = RUN.run.seed
     keys = {
@@ -97,7 +118,7 @@ def test_worse_names_the_windows_after_the_first() -> None:
 def test_the_distance_has_a_table_and_a_warning_of_its_own() -> None:
     far = made(distance=np.array([3.0, 0.25, 0.2, 1.0]))
     assert far.worse() == ["distance from 60 to 120 s"]
-    title, *_, last, words = far.table("constant", 16).splitlines()
+    title, *_, last, words = far.table(("tuned filter", "constant"), 16).splitlines()
     assert_told(title, "16")
     assert last.split("  ")[0] == "60 to 120 s"
     assert [float(cell) for cell in last.replace("deg", "cm").split() if cell.count(".")] == [

@@ -13,6 +13,7 @@ from helpers.messages import assert_told
 from scipy import stats
 
 import posegsa
+from posegsa import evaluating
 from posegsa.cli.command import main
 from posegsa.evaluating import evaluate
 from posegsa.judging import tuned_kalman
@@ -22,7 +23,9 @@ from posegsa.judging.evaluation import (
     CONTENDERS,
     EKF,
     EKF_VECTORS,
+    NOT_TUNED,
     REPLAYED,
+    SMOOTH,
     TUNED,
     Evaluation,
     interval,
@@ -116,6 +119,27 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     drawn = {path.stem for path in (folder / "figures").iterdir()}
     assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
     assert (folder / "evaluation.txt").read_text().strip() in said.out
+
+
+def test_a_filter_that_was_not_searched_is_not_called_tuned(monkeypatch, tmp_path):
+    every = evaluating.baselines
+    monkeypatch.setattr(
+        evaluating,
+        "baselines",
+        lambda *given: {SMOOTH: every(*given)[SMOOTH]},  # the one that stands beside it
+    )
+    by_hand = posegsa.configured(tiny(), schedule=posegsa.ConstantGain(np.float32(8.0)))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
+    result = evaluate(by_hand, scenarios=3)
+    assert result.on_scenarios is not None
+    contenders = result.on_scenarios.evaluation.contenders
+    assert [*contenders] == [NOT_TUNED, SMOOTH]
+    assert contenders[NOT_TUNED].filter.evaluations == 0
+    posegsa.save(result, tmp_path / "judged", figures=("costs", "bands"))
+    assert posegsa.load(tmp_path / "judged").filter == by_hand.filter
+    for name in ("evaluation.txt", "summary.txt", "report.html"):
+        text = (tmp_path / "judged" / name).read_text()
+        assert NOT_TUNED in text.lower()
+        assert TUNED not in text.lower(), name
 
 
 def test_the_first_held_out_scenarios_are_those_that_tune_judged_on(evaluated):

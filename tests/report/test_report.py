@@ -290,7 +290,7 @@ def test_warnings_are_shown_before_all_else():
     assert len(bad.warnings()) == 4
     for warning in bad.warnings():
         assert warning[1:] in found.text
-    assert found.text.index("SENSITIVE") < found.text.index("Held out: tuned")
+    assert found.text.index("SENSITIVE") < found.text.index("Held out: tuned filter")
     assert any(a.get("class") == "warnings" for _, a in found.elements)
     assert_told(found.text, "Sensitive", "more than 1 %", "No rule fires", "20.0 %")
 

@@ -3,11 +3,14 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.experiments import paper
+from helpers.experiments import paper, tiny
 
 from posegsa.filters.rollout import ErrorTrack
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.model.schedules import ConstantGain
 from posegsa.search.build import tuning_problem
-from posegsa.search.population import evaluate_population
+from posegsa.search.candidates import Candidate
+from posegsa.search.population import costs_by_scenario, evaluate_population
 from posegsa.search.run_search import first_search, run_search
 
 
@@ -39,3 +42,22 @@ def test_the_configured_cost_by_hand_gives_the_same_costs_and_nan_loses() -> Non
     costs = evaluate_population(jnp.asarray(vectors), problem.training, problem.space)
     np.testing.assert_allclose(costs[::20], [one.best_cost for one in found], rtol=1e-5)
     assert len(np.unique(costs[::20])) == 5
+
+
+def early(track: ErrorTrack, time) -> jnp.ndarray:
+    """The mean distance over the first half second."""
+    return jnp.mean(jnp.where(time < 0.495, track.distance, 0)) * time.size / 50
+
+
+def test_before_a_start_from_the_sensors_a_cost_sees_the_errors_of_the_start() -> None:
+    training = tuning_problem(tiny()).training
+    late = training._replace(begin=0.01 * jnp.array([50, 80, 0], training.dtype))
+    one = Candidate(ConstantGain(jnp.float32(20)))
+    tracks = error_tracks(one, training)
+    distance = np.asarray(tracks.distance)
+    expected = [distance[0, 50], distance[1, 80], distance[2, :50].mean()]
+    agent = jax.tree.map(lambda a: a[None], one)
+    np.testing.assert_allclose(
+        costs_by_scenario(agent, late, None, early)[:, 0], expected, rtol=1e-5
+    )
+    np.testing.assert_allclose(metrics_of(tracks, late, early)[0].cost, expected, rtol=1e-5)
