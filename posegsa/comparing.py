@@ -15,7 +15,7 @@ from posegsa.defaults import EVALUATIONS, REPEATS
 from posegsa.errors import ConfigError
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, Repeat
-from posegsa.judging.description import kind_of, title_of
+from posegsa.judging.description import check_kind, kind_of, title_of
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.optimisers.registry import USUAL
@@ -130,6 +130,8 @@ def compare(
     check_callable("progress", progress)
     drawn = chosen_figures(figures, ["comparison"])
     one = config.as_experiment(experiment)
+    if function is None:
+        check_kind(one, "compare")
     names = several("optimisers", optimisers, str, "several names")
     if not names:
         raise ConfigError("optimisers: none were given; allowed: at least one")

@@ -46,7 +46,7 @@ def replay(
             refuse(f"{name} without out", "both, or neither")
     if result == SHIPPED:
         result = load_imu()
-    allowed = 'a Result, an ImuConfig or "imu"'
+    allowed = 'a Result (of tune, load or configured), an ImuConfig or "imu"'
     check_type("result", result, Result, ImuConfig, allowed=allowed)
     given = [recordings] if isinstance(recordings, Recording) else recordings
     each = several("recordings", given, Recording, "recordings, or one")

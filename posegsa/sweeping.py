@@ -15,7 +15,7 @@ from posegsa import config, steps
 from posegsa.arguments import MAX_INTEGER, check_callable, check_type, check_whole, refuse, several
 from posegsa.defaults import TOGETHER
 from posegsa.errors import MemoryLimitError
-from posegsa.judging.description import describe
+from posegsa.judging.description import check_kind, describe
 from posegsa.judging.sweep_runs import SEED, Sweep, SweepRun, Values, run_name, with_values
 from posegsa.runtime import environment
 from posegsa.saving.folder import as_path
@@ -93,6 +93,7 @@ def sweep(
     check_type("overwrite", overwrite, bool)
     check_whole("together", together, 1)
     base = config.as_experiment(experiment)
+    check_kind(base, "sweep")
     mine = _part(_planned(base, vary, seeds), shard)
     if out is None:
         with steps.listening(progress):

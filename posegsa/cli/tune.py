@@ -158,6 +158,7 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
     parts = {"window": options.held_out_window, "training-window": options.window}
     words = [f"--{name} {shlex.quote(path)}" for name, paths in files.items() for path in paths]
     words += [f"--{name} {a!r}:{b!r}" for name, part in parts.items() if part for a, b in [part]]
+    words += [f"--filter {shlex.quote(options.filter)}"] if options.filter else []
     words += [f"--bridge {options.bridge}"] if options.bridge else []
     words += [f"--longest-gap {options.longest_gap!r}"] if options.longest_gap else []
     return (

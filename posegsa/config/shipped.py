@@ -13,16 +13,20 @@ def names() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.toml"))
 
 
-def find(name: str) -> Path:
+def find(name: str, *, files: bool = False) -> Path:
     """The file of a configuration.
+
+    Args:
+        name: That of the configuration.
+        files: Whether the caller takes files too, for the error.
 
     Raises:
         ConfigError: There is no configuration with that name.
     """
     if name not in names():
+        no_file, a_file = ("no file, and ", "a TOML file, or ") if files else ("", "")
         raise ConfigError(
-            f"{name}: no file, and no configuration of posegsa; allowed: a TOML file, or "
-            f"{', '.join(names())}"
+            f"{name}: {no_file}no configuration of posegsa; allowed: {a_file}{', '.join(names())}"
         )
     return _folder() / f"{name}.toml"
 
@@ -34,7 +38,7 @@ def path_of(given: str | Path) -> str | Path:
         ConfigError: It is neither.
     """
     if _NAME.fullmatch(str(given)) and not (there(given) and Path(given).is_file()):
-        return find(str(given))
+        return find(str(given), files=True)
     return given
 
 

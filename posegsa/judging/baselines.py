@@ -127,6 +127,7 @@ def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]
     """
     own = problem.experiment
     observer = observer_experiment(own)
+    experiments = experiments_beside(own, tuned)
     evaluations = own.search.evaluations
 
     variants: list[TuningProblem] = [problem]
@@ -149,19 +150,36 @@ def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]
     def random() -> Description:
         return describe(random_search(problem), own, evaluations)
 
+    def kalman(name: str) -> Description:
+        return tune_kalman(made(experiments[name]))
+
+    searches: dict[str, Callable[[], Description]] = {
+        AS_CONFIGURED: lambda: describe(Candidate(), own, 0),
+        **{name: partial(schedule, kind) for name, kind in _SCHEDULES.items()},
+        REPLAYED: replay,
+        RANDOM: random,
+        **{name: partial(kalman, name) for name in (EKF, EKF_VECTORS)},
+    }
+    return {name: Baseline(one, searches[name]) for name, one in experiments.items()}
+
+
+_SCHEDULES = {CONSTANT: "constant", SWITCH: "switch", SMOOTH: "smooth", OPEN_LOOP: "open loop"}
+
+
+def experiments_beside(
+    experiment: config.Experiment, tuned: Description
+) -> dict[str, config.Experiment]:
+    """The experiments of the filters that can stand beside a tuned one, by name."""
     found = {}
     if tuned.kind in ("kalman", "own"):
-        found[AS_CONFIGURED] = Baseline(own, lambda: describe(Candidate(), own, 0))
-    kinds = {CONSTANT: "constant", SWITCH: "switch", SMOOTH: "smooth", OPEN_LOOP: "open loop"}
-    for name, kind in kinds.items():
-        if kind != tuned.kind:
-            found[name] = Baseline(observer, partial(schedule, kind))
+        found[AS_CONFIGURED] = experiment
+    observer = observer_experiment(experiment)
+    found |= {name: observer for name, kind in _SCHEDULES.items() if kind != tuned.kind}
     if tuned.kind in ("fuzzy", "smooth"):
-        found[REPLAYED] = Baseline(own, replay)
-    found[RANDOM] = Baseline(own, random)
+        found[REPLAYED] = experiment
+    found[RANDOM] = experiment
     for name in (EKF, EKF_VECTORS):
-        kalman = kalman_experiment(own, vector_biases=name == EKF_VECTORS)
-        found[name] = Baseline(kalman, lambda kalman=kalman: tune_kalman(made(kalman)))
+        found[name] = kalman_experiment(experiment, vector_biases=name == EKF_VECTORS)
     return found
 
 

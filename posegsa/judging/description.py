@@ -50,6 +50,12 @@ TITLES: Mapping[Kind, str] = {"kalman": "Kalman filter", "own": "filter of the u
 """Kinds that are not called a gain."""
 
 
+def check_kind(experiment: Experiment, job: str) -> None:
+    """Refuse an experiment of a user's own filter, for a job that takes none."""
+    if experiment.filter.kind == "own":
+        refuse('filter.kind = "own"', f"a filter of posegsa, as `{job}` takes no filter")
+
+
 class Description(NamedTuple):
     """A filter as it is stored, by its own numbers."""
 

@@ -88,7 +88,7 @@ def _observer_on_recordings(experiment: config.Experiment) -> config.Experiment:
     if experiment.filter.kind == "observer":
         return experiment
     observer = config.load("landmarks")
-    names = ("run", "scenario", "objective", "search")
+    names = ("run", "scenario", "cost", "objective", "search")
     return observer.model_copy(update={name: getattr(experiment, name) for name in names})
 
 

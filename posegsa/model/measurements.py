@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_dtype
 from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.model import limits
 
 
 class Measurements(NamedTuple):
@@ -96,7 +97,8 @@ class Measurements(NamedTuple):
 
         Raises:
             MeasurementError: an array has the wrong shape, holds NaN or infinity where it may not,
-                a time step is not positive or a weight is negative. The message names the argument.
+                a time step is not positive, a weight is negative, or a number is beyond those of
+                `posegsa.model.limits`. The message names the argument.
         """
         check_dtype("dtype", dtype)
         values = checked_arrays(
@@ -174,6 +176,10 @@ def checked_arrays(
     if (step <= 0).any():
         k = int(np.argmax(step <= 0))
         raise MeasurementError(f"time_step: must be positive, got {step[k]:g} s at sample {k}")
+    limits.TIME_STEP.checked("time_step", step)
+    limits.ANGULAR_VELOCITY.checked("angular_velocity", omega)
+    moves = finite_array("velocity", velocity, (samples, 3))
+    limits.VELOCITY.checked("velocity", moves)
     v, v_ref, v_weight = _sightings("vector", vectors, vector_references, vector_weights, samples)
     y, y_ref, y_weight = _sightings(
         "landmark", landmarks, landmark_references, landmark_weights, samples
@@ -181,7 +187,7 @@ def checked_arrays(
     return {
         "time_step": step,
         "angular_velocity": omega,
-        "velocity": finite_array("velocity", velocity, (samples, 3)),
+        "velocity": moves,
         "vectors": v,
         "vector_references": v_ref,
         "vector_weights": v_weight,
@@ -189,6 +195,13 @@ def checked_arrays(
         "landmark_references": y_ref,
         "landmark_weights": y_weight,
     }
+
+
+_LIMITS = {
+    "vector": (limits.VECTOR, limits.VECTOR),
+    "landmark": (limits.LANDMARK, limits.POSITION),
+}
+"""Limits of measurements and references, by sensor."""
 
 
 def finite_array(
@@ -263,6 +276,8 @@ def _sightings(
     known = finite_array(
         f"{name}_references", known, (count, 3) if known.ndim == 2 else (samples, count, 3)
     )
+    of_body, of_known = _LIMITS[name]
+    of_known.checked(f"{name}_references", known)
     weight = _numbers(f"{name}_weights", 1.0 if weights is None else weights)
     if weight.shape not in ((), (count,), (samples, count)):
         raise MeasurementError(
@@ -279,8 +294,10 @@ def _sightings(
     if infinite.any():
         where = tuple(int(i) for i in np.argwhere(infinite)[0])
         raise MeasurementError(f"{name}s: must not be infinite, got {values[where]} at {where}")
+    limits.WEIGHT.checked(f"{name}_weights", weight)
     seen = np.isfinite(values).all(axis=-1) & (weight > 0)
     known = np.broadcast_to(known, (samples, count, 3))
+    of_body.checked(f"{name}s", values[seen])
     if name == "vector":
         # A zero vector has no direction: as a reference it is refused, as a measurement missing.
         if (~known.any(axis=-1) & (weight > 0)).any():

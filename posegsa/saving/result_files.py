@@ -1,7 +1,7 @@
 """A result in its folder: one file that counts, and tables, figures and a report made from it."""
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +13,8 @@ from posegsa.figures import result_figures
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.figures.result_figures import draw
 from posegsa.figures.style import png
-from posegsa.judging.evaluation import own_name
+from posegsa.judging.baselines import experiments_beside
+from posegsa.judging.evaluation import REPLAYED, Contender, own_name
 from posegsa.judging.result import Result
 from posegsa.report import report_html
 from posegsa.saving import imu
@@ -179,6 +180,18 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
     return result
 
 
+def _keys_beside(
+    result: Result, contenders: Mapping[str, Contender]
+) -> Iterator[tuple[str, list[str], list[str]]]:
+    """The keys of the numbers of the filters beside a result's own: name, found, needed."""
+    for name, one in experiments_beside(result.experiment, result.filter).items():
+        if name in contenders and (also := sorted(contenders[name].filter.also)):
+            # Replayed gains are run with the numbers that stand beside the filter's own schedule.
+            keys = result.also if name == REPLAYED else [each.key for each in one.also]
+            needed = sorted(keys)
+            yield f"on_scenarios: keys of filter.also of {name}", also, needed
+
+
 def _refuse_disagreement(source: Path, result: Result) -> None:
     """Raise a RunFolderError where parts of a result do not fit together."""
     experiment = result.experiment
@@ -204,6 +217,7 @@ def _refuse_disagreement(source: Path, result: Result) -> None:
             ("on_scenarios.training", [*judged.training], both),
             ("number of on_scenarios.training", len(both), 2),
             (f"on_scenarios: filter of {name}", own, result.filter.numbers),
+            *_keys_beside(result, contenders),
             ("on_scenarios: sample of the last time", last, samples - 1),
             ("on_scenarios: length of trajectory", len(judged.trajectory.time), samples),
             (

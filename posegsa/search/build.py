@@ -456,7 +456,7 @@ def filter_of(
         numbers = {name: _array(value, dtype) for name, value in section.numbers.items()}
         return _own_filter(own, numbers, dtype)
     if own is not None:
-        refuse(f"filter with filter.kind = {section.kind!r}", 'one of them, or filter.kind = "own"')
+        refuse(f"filter, with filter.kind = {section.kind!r}", 'none, or with filter.kind = "own"')
     if isinstance(section, config.KalmanConfig):
         noise = {name: _array(getattr(section, name), dtype) for name in KalmanNoise._fields}
         return KalmanFilter(

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -22,7 +23,8 @@ import pytest
 from helpers.experiments import TINY
 
 from posegsa import config
-from posegsa.cli.command import main
+from posegsa.cli.command import main, parser
+from posegsa.cli.tune import _how_to_compare
 from posegsa.export import FORMATS
 from posegsa.figures import style as figure_style
 from posegsa.optimisers import OPTIMISERS
@@ -281,6 +283,19 @@ def test_a_filter_of_the_users_own_is_named_by_module_and_class(
     assert not (tmp_path / "posegsa-run").exists()
 
 
+def test_the_command_that_compares_a_run_on_recordings_has_all_that_it_needs():
+    given = ["--filter", "my own:Mine", "--recording", "a 1.csv", "--window", ":40", "--bridge"]
+    given += ["hold", "--held-out", "b.csv", "--held-out-window", "40:"]
+    tuned = parser().parse_args(["tune", *given])
+    *_, line = _how_to_compare(tuned, "a run").splitlines()
+    words = shlex.split(line)
+    assert words[0] == "posegsa"
+    found = parser().parse_args(words[1:])
+    assert (found.run, found.filter, found.bridge) == ("a run", "my own:Mine", "hold")
+    assert (found.recording, found.window) == (["b.csv"], tuned.held_out_window)
+    assert (found.training, found.training_window) == (["a 1.csv"], tuned.window)
+
+
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def test_export_writes_each_format(finished, tmp_path, capsys):
     run = str(finished[0] / "posegsa-run")
@@ -312,7 +327,9 @@ def test_configurations_are_listed_and_printed(capsys):
     assert main(["config", "show", "quick"]) == 0
     shown = capsys.readouterr().out
     assert config.from_dict(tomllib.loads(shown)) == config.load("quick")
-    assert main(["config", "show", "quik"]) == 2
+    assert main(["config", "show", "quik.toml"]) == 2, "it prints no files"
+    assert "quik.toml: no configuration of posegsa; allowed: field" in capsys.readouterr().err
+    assert main(["tune", "quik"]) == 2
     assert "allowed: a TOML file, or field" in capsys.readouterr().err
 
 

@@ -45,6 +45,8 @@ def description(kind: Kind, evaluations: int = 960, **numbers) -> Description:
 K = [0.5] * 22
 KNOTS = {"time": [0.0, 7.5, 15.0], "log_gain": np.log([90.0, 50.0, 10.0])}
 NOISES = {one.key: 0.1 for one in KALMAN_ALSO}
+OF_BIASES = ("filter.vector_walk", "filter.initial_vector_bias")
+"""Noises of a Kalman filter with the vectors' biases as states."""
 FILTERS = {
     TUNED: description("fuzzy", k=K),
     CONSTANT: description("constant", gain=53.5),
@@ -53,7 +55,7 @@ FILTERS = {
     RANDOM: description("fuzzy", k=K),
     SMOOTH: description("smooth", low=20.0, high=90.0, half=0.1),
     OPEN_LOOP: description("open loop", **KNOTS),
-    EKF: Description("kalman", {}, NOISES, 400),
+    EKF: Description("kalman", {}, {k: v for k, v in NOISES.items() if k not in OF_BIASES}, 400),
     EKF_VECTORS: Description("kalman", {}, NOISES, 400),
     AS_CONFIGURED: Description("kalman", {}, {}, 0),
 }

@@ -3,6 +3,7 @@
 import json
 import shutil
 import warnings
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -216,6 +217,12 @@ def test_another_comparisons_folder_is_refused(on_sphere, tmp_path) -> None:
 )
 def test_its_title_names_the_filter_that_is_searched(setting, title) -> None:
     assert comparing._filter(config.override(tiny(), [setting])).title == title
+
+
+@pytest.mark.parametrize("job", [posegsa.compare, partial(posegsa.sweep, vary={"run.seed": [1]})])
+def test_a_filter_of_the_users_own_is_refused(job) -> None:
+    with pytest.raises(ArgumentError, match=r'filter\.kind = "own"; allowed: a filter of posegsa'):
+        job(config.override(tiny(), ["filter.kind=own"]))
 
 
 def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:

@@ -17,7 +17,7 @@ from posegsa import config
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError
 from posegsa.filters.rollout import Estimates
-from posegsa.judging import baselines
+from posegsa.judging import baselines, recorded_baselines
 from posegsa.judging.description import Description, described_filter
 from posegsa.judging.evaluation import CONSTANT, EKF, TUNED
 from posegsa.judging.judge import Recorded, judge
@@ -115,6 +115,14 @@ def test_what_cannot_be_judged_is_refused(result: Result, recordings: list[Recor
 
 
 # A run on simulated scenarios ---------------------------------------------------------------------
+
+
+def test_constant_gains_for_another_filter_have_the_windows_of_its_scenario() -> None:
+    short = ["scenario.duration=15.0", "cost.steady_window=[400, 1400]", "filter.kind=kalman"]
+    own = config.override(config.load("kalman"), short)
+    found = recorded_baselines._observer_on_recordings(own)
+    constant = config.override(found, ["filter.schedule=constant"])
+    assert (constant.scenario, constant.cost) == (own.scenario, own.cost)
 
 
 @pytest.fixture(scope="module")

@@ -47,6 +47,34 @@ def unit(a: np.ndarray) -> np.ndarray:
 # From arrays -----------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("name", "place", "value"),
+    [
+        ("angular_velocity", (1, 0), 1e4),
+        ("velocity", (0, 2), -2e4),
+        ("vectors", (3, 1, 2), 1e7),
+        ("vector_references", (2, 0), 1e7),
+        ("landmarks", (0, 1, 1), 1e7),
+        ("landmark_references", (1, 0), 1e10),
+    ],
+)
+def test_what_no_sensor_measures_is_refused_as_by_a_stream(name, place, value) -> None:
+    given = arrays(**array_with(name, place, value))
+    words = re.escape(f"{name} = {value:g}; allowed: ")
+    with pytest.raises(MeasurementError, match=words):
+        Measurements.from_arrays(**given)
+    weight = np.ones((N, VECTORS if "vector" in name else LANDMARKS))
+    weight[place[0]] = 0
+    if name in ("vectors", "landmarks"):  # what is not used may be anything
+        Measurements.from_arrays(**given, **{f"{name[:-1]}_weights": weight})
+
+
+@pytest.mark.parametrize(("name", "value"), [("time_step", 61.0), ("landmark_weights", 1e7)])
+def test_one_number_for_all_samples_has_the_limits_of_a_stream(name, value) -> None:
+    with pytest.raises(MeasurementError, match=re.escape(f"{name} = {value:g}; allowed: ")):
+        Measurements.from_arrays(**arrays(**{name: value}))
+
+
 def test_from_arrays_spreads_scalars_and_constants_over_all_samples() -> None:
     given = arrays(vector_weights=[1.0, 0.5, 2.0], landmark_weights=3.0)
     m = Measurements.from_arrays(**given)

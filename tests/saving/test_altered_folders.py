@@ -9,6 +9,7 @@ happens: no other exception, now or later, and no control character in the outpu
 import contextlib
 import copy
 import json
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -28,7 +29,15 @@ from posegsa.errors import ArgumentError, ConfigError, RunFolderError
 from posegsa.export import export
 from posegsa.judging.comparison import Gradients, OptimiserComparison, Repeat
 from posegsa.judging.description import Description, candidate_of, described_filter
-from posegsa.judging.evaluation import CONSTANT, EKF, OPEN_LOOP, SWITCH, TUNED
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    EKF,
+    EKF_VECTORS,
+    OPEN_LOOP,
+    SMOOTH,
+    SWITCH,
+    TUNED,
+)
 from posegsa.judging.known_sensors import KnownSensors
 from posegsa.judging.on_recordings import OnRecordings, RecordingScore, SimulatedScore
 from posegsa.judging.result import FoundBy, Result
@@ -369,6 +378,17 @@ def test_parts_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, value
     (tmp_path / "result.json").write_text(to_json(made, SCHEMA), encoding="utf-8")
     with pytest.raises(RunFolderError, match=rf"result\.json: .*{said}"):
         posegsa.load(tmp_path)
+
+
+@pytest.mark.parametrize("name", [SMOOTH, EKF, EKF_VECTORS])
+def test_a_filter_beside_with_other_keys_is_refused(tmp_path, monkeypatch, name):
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
+    data = json.loads(to_json(consistent(), SCHEMA))
+    also = data["on_scenarios"]["evaluation"]["contenders"][name]["filter"]["also"]
+    also["filter.nothing"] = 1.0
+    (tmp_path / "result.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(RunFolderError, match=f"keys of filter.also of {re.escape(name)} = "):
+        posegsa.load(tmp_path, edited=True)
 
 
 @pytest.mark.parametrize(
