@@ -8,7 +8,9 @@ from .experiment import RunConfig as RunConfig
 from .experiment import TunedConfig as TunedConfig
 from .family_config import FamilyConfig as FamilyConfig
 from .family_config import Occasions as Occasions
+from .filter_config import IMU_ALSO as IMU_ALSO
 from .filter_config import KALMAN_ALSO as KALMAN_ALSO
+from .filter_config import AttitudeConfig as AttitudeConfig
 from .filter_config import FilterConfig as FilterConfig
 from .filter_config import KalmanConfig as KalmanConfig
 from .filter_config import ObserverConfig as ObserverConfig

@@ -30,8 +30,8 @@ from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 
-Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "kalman", "own"]
-"""The observer by its gain schedule, the Kalman filter, or a user's own filter."""
+Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "kalman", "imu", "own"]
+"""The observer by its gain schedule, another filter of posegsa, or a user's own."""
 SCHEDULES: dict[Kind, type] = {
     "constant": ConstantGain,
     "switch": SwitchGain,
@@ -39,7 +39,11 @@ SCHEDULES: dict[Kind, type] = {
     "open loop": KnotGain,
 }
 """The types of schedules without a controller, by the kind of their `Description`."""
-TITLES: Mapping[Kind, str] = {"kalman": "Kalman filter", "own": "filter of the user's own"}
+TITLES: Mapping[Kind, str] = {
+    "kalman": "Kalman filter",
+    "imu": "attitude filter for inertial sensors",
+    "own": "filter of the user's own",
+}
 """Kinds that are not called a gain."""
 
 
@@ -72,7 +76,7 @@ def _of_its_kind(found: Description) -> Description:
             time = found.numbers.get("time", [])
             same = lengths == dict.fromkeys(("time", "log_gain"), max(1, len(time)))
             fits, allowed = same and bool(np.all(np.diff(time) > 0)), "ascending time, and log_gain"
-        case "kalman" | "own":
+        case "kalman" | "imu" | "own":
             fits, allowed = not lengths, "none, they are among those of `also`"
         case kind:
             names = [field.name for field in fields(SCHEDULES[kind])]
