@@ -16,11 +16,6 @@ from .filter_config import KalmanConfig as KalmanConfig
 from .filter_config import ObserverConfig as ObserverConfig
 from .filter_config import OwnConfig as OwnConfig
 from .filter_config import ScheduleKind as ScheduleKind
-from .imu import ImuConfig as ImuConfig
-from .imu import ImuObserverConfig as ImuObserverConfig
-from .imu import ImuParametersConfig as ImuParametersConfig
-from .imu import ImuVectorsConfig as ImuVectorsConfig
-from .imu import load_imu as load_imu
 from .scenario_config import Landmark as Landmark
 from .scenario_config import ScenarioConfig as ScenarioConfig
 from .scenario_config import Sine as Sine
@@ -40,7 +35,6 @@ from .toml_files import as_experiment as as_experiment
 from .toml_files import from_dict as from_dict
 from .toml_files import load as load
 from .toml_files import override as override
-from .toml_files import override_imu as override_imu
 from .toml_files import to_toml as to_toml
 from .toml_files import values_of as values_of
 from .toml_files import with_tuned as with_tuned

@@ -126,35 +126,35 @@ class AttitudeConfig(Section):
     gyroscope_interval: Interval = "before"
     """Whether an angular velocity is the mean over the interval before its time stamp, since the
     last sample, or after it, until the next sample."""
-    velocity: Annotated[Positive, Tunable()] = 0.145
+    velocity: Annotated[Positive, Tunable()] = 0.098
     """Noise density of "the velocity is 0", from which the inclination follows [m/s sqrt(s)]."""
-    angular_velocity: Annotated[Positive, Tunable()] = 0.005
+    angular_velocity: Annotated[Positive, Tunable()] = 0.0011
     """Density of the gyroscope's noise [rad/sqrt(s)]."""
-    turning: Annotated[NonNegative, Tunable()] = 0.0002
+    turning: Annotated[NonNegative, Tunable()] = 0.001
     """More of it while the body turns, as a share of the angular velocity [sqrt(s)]."""
-    turning_heading: Annotated[NonNegative, Tunable()] = 0.002
+    turning_heading: Annotated[NonNegative, Tunable()] = 0.0017
     """More of it for the heading alone, as a share of the angular velocity [sqrt(s)]."""
-    angular_walk: Annotated[Positive, Tunable()] = 4e-5
+    angular_walk: Annotated[Positive, Tunable()] = 0.00012
     """Random walk of the gyroscope's bias [rad/s/sqrt(s)]."""
-    heading: Annotated[Positive, Tunable()] = 0.1
+    heading: Annotated[Positive, Tunable()] = 0.058
     """Noise density of the field's heading [rad sqrt(s)]."""
-    inclination_in_heading: Annotated[NonNegative, Tunable()] = 0.3
+    inclination_in_heading: Annotated[NonNegative, Tunable()] = 3.0
     """Share of the inclination's variance that makes the field's heading uncertain, no unit."""
-    field_time: Annotated[NonNegative, Tunable()] = 0.36
+    field_time: Annotated[NonNegative, Tunable()] = 0.42
     """Time constant of the field's mean in the almost inertial frame [s]."""
-    field_tolerance: Annotated[Positive, Tunable()] = 0.084
+    field_tolerance: Annotated[Positive, Tunable()] = 0.062
     """Distance of the field from its mean, as a share of it, at which it is half believed."""
-    field_memory: Annotated[Positive, Tunable()] = 12.0
+    field_memory: Annotated[Positive, Tunable()] = 3.6
     """Time over which its horizontal and vertical part are averaged, while the body turns [s]."""
-    disbelieved: Annotated[Positive, Tunable()] = 0.076
+    disbelieved: Annotated[Positive, Tunable()] = 0.042
     """Share at which the means follow a field that is not believed, no unit."""
-    iron_time: Annotated[Positive, Tunable()] = 16.0
+    iron_time: Annotated[Positive, Tunable()] = 22.0
     """Time constant with which iron that turns with the body is learnt [s]."""
     magnetometer_delay: Annotated[NonNegative, Tunable()] = 0.011
     """By how much the magnetometer is later than the gyroscope [s]."""
-    rest_bias: Annotated[Positive, Tunable()] = 0.0014
+    rest_bias: Annotated[Positive, Tunable()] = 0.0011
     """Noise density of the gyroscope at rest, as a measurement of its bias [rad/s sqrt(s)]."""
-    initial_bias: Annotated[Positive, Tunable()] = 0.0036
+    initial_bias: Annotated[Positive, Tunable()] = 0.0038
     """Standard deviation of each component of the gyroscope's bias at the start [rad/s]."""
     outlier: Annotated[Positive, Tunable()] = 10.0
     """An acceleration or a field more than this many times as long as its reference is ignored."""
