@@ -91,7 +91,7 @@ def main() -> None:
     parser.add_argument("--only", choices=("simulated", "recordings"))
     options = parser.parse_args()
     trials = {
-        path.name[:2]: posegsa.as_imu(Recording.read(path)).window(0, SECONDS)
+        path.name[:2]: Recording.read(path).window(0, SECONDS)
         for path in sorted(options.folder.glob("*.mat"))
     }
     rows = [["", "rules", "trained on", "held out"]]

@@ -23,6 +23,8 @@ from .figures.result_figures import draw as draw
 from .figures.schedule_figures import plot_input_terms as plot_input_terms
 from .figures.schedule_figures import plot_output_terms as plot_output_terms
 from .figures.schedule_figures import plot_surface as plot_surface
+from .filters.attitude import AttitudeFilter as AttitudeFilter
+from .filters.attitude import AttitudeNumbers as AttitudeNumbers
 from .filters.base import Filter as Filter
 from .filters.base import Sensors as Sensors
 from .filters.kalman import KalmanFilter as KalmanFilter
@@ -31,9 +33,7 @@ from .filters.observer import FilterSettings as FilterSettings
 from .filters.observer import Observer as Observer
 from .filters.rollout import Estimates as Estimates
 from .filters.rollout import step as step
-from .imu_tuning import tune_imu as tune_imu
 from .judging.comparison import OptimiserComparison as OptimiserComparison
-from .judging.imu import ImuResult as ImuResult
 from .judging.result import Result as Result
 from .judging.result import TuneBatch as TuneBatch
 from .judging.sweep_runs import Sweep as Sweep
@@ -58,7 +58,6 @@ from .recordings.accuracy import recording_errors as recording_errors
 from .recordings.accuracy import rmse as rmse
 from .recordings.imu import as_imu as as_imu
 from .recordings.imu import imu as imu
-from .recordings.imu_filter import run_imu as run_imu
 from .recordings.recording import Recording as Recording
 from .recordings.running import run_filter as run_filter
 from .recordings.start import Start as Start

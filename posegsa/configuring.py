@@ -23,6 +23,7 @@ from posegsa.judging.judge import on_recordings
 from posegsa.judging.result import Result
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.schedules import FuzzyGain, GainSchedule
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
 from posegsa.search.build import OwnFilter, parameter_space, rule_table
@@ -70,7 +71,8 @@ def configured(
         version=VERSION,
         own=filter,
     )
-    return on_recordings(result, [], recordings) if recordings else result
+    each = [as_read_by(found.kind, one) for one in recordings]
+    return on_recordings(result, [], each) if each else result
 
 
 def _by_hand(schedule: GainSchedule, experiment: Experiment) -> tuple[Experiment, Description]:

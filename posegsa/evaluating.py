@@ -25,6 +25,7 @@ from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.other_filters import OTHER_FILTERS, installed
 from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
 from posegsa.judging.result import Result
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
 from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
@@ -157,6 +158,9 @@ def _on_recordings(
     if both := {id(one) for one in unseen} & {id(one) for one in seen}:
         name = next(one.name for one in unseen if id(one) in both)
         refuse(f"recordings: {name} is in training too", "recordings that are not")
+    unseen, seen = (
+        [as_read_by(result.filter.kind, one) for one in some] for some in (unseen, seen)
+    )
     names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
     if others is None:
         names = [name for name in names if installed(name)]

@@ -11,7 +11,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type, refuse
+from posegsa.configuring import configured
 from posegsa.errors import MeasurementError, PosegsaWarning
+from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.base import Filter, check_filter
 from posegsa.filters.observer import Observer
 from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
@@ -20,6 +22,7 @@ from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
+from posegsa.recordings.imu import references as imu_references
 
 FORMAT = 3
 """Version of the checkpoint's layout."""
@@ -61,11 +64,13 @@ class PoseFilter:
     compiles it again.
 
     Args:
-        source: A tuned result, or any filter: an `Observer` with a schedule, a `KalmanFilter`, or
-            your own (`posegsa.filters.base.Filter`). A result brings the references of its
-            experiment or recordings; the weights of its recordings are in its filter.
-        rotation: (3, 3) R_est at the first sample, body to inertial.
-        position: (3,) P_est there [m], inertial frame.
+        source: A tuned result, the name of a configuration such as "imu", or any filter: an
+            `Observer` with a schedule, a `KalmanFilter`, an `AttitudeFilter`, or your own
+            (`posegsa.filters.base.Filter`). A result brings the references of its experiment or
+            recordings; the weights of its recordings are in its filter.
+        rotation: (3, 3) R_est at the first sample, body to inertial. The attitude filter needs
+            none: it begins upright and to the north by itself.
+        position: (3,) P_est there [m], inertial frame; of the attitude filter none.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
             `update`; by default those of the result, or none. Vectors beyond those of the
@@ -86,10 +91,10 @@ class PoseFilter:
 
     def __init__(
         self,
-        source: Result | Filter,
+        source: Result | Filter | str,
         *,
-        rotation: ArrayLike,
-        position: ArrayLike,
+        rotation: ArrayLike | None = None,
+        position: ArrayLike | None = None,
         bias: ArrayLike | None = None,
         vector_references: ArrayLike | None = None,
         landmark_references: ArrayLike | None = None,
@@ -100,6 +105,8 @@ class PoseFilter:
     ) -> None:
         self._hold_time = _duration("hold_time", hold_time)
         self._window = _duration("observable_window", observable_window)
+        if isinstance(source, str):
+            source = configured(source)
         known = None
         stated = vector_references is not None and landmark_references is not None
         if isinstance(source, Result) and not stated:
@@ -109,6 +116,14 @@ class PoseFilter:
             if landmark_references is None:
                 landmark_references = np.array(known.landmarks)
         self._attitude_only = known is not None and known.attitude_only
+        self._inertial = _is_inertial(source)
+        if self._inertial:
+            self._attitude_only = True
+            if vector_references is None:
+                vector_references = imu_references()
+            rotation, position = _given(rotation, np.eye(3)), _given(position, np.zeros(3))
+        if rotation is None or position is None:
+            refuse("rotation, position: not both given", "both, or the attitude filter (imu)")
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
         if isinstance(source, Result):
@@ -142,6 +157,9 @@ class PoseFilter:
         landmarks: ArrayLike | Sequence[ArrayLike | None] | None = None,
         vector_weights: ArrayLike | None = None,
         landmark_weights: ArrayLike | None = None,
+        gyr: ArrayLike | None = None,
+        acc: ArrayLike | None = None,
+        mag: ArrayLike | None = None,
     ) -> Pose:
         """Process one sample. The class documents how missing values are handled.
 
@@ -154,6 +172,10 @@ class PoseFilter:
             vector_weights: scalar or (n,) factors on the weights of this sample; by default those
                 of the constructor.
             landmark_weights: scalar or (m,) likewise.
+            gyr: (3,) `angular_velocity` by another name.
+            acc: (3,) specific force [m/s^2], 9.8 upwards at rest, body frame; only of the attitude
+                filter, where acc and mag are `vectors` by other names.
+            mag: (3,) magnetic field in any unit, body frame; likewise.
 
         Returns:
             The pose at the next sample, `time_step` later.
@@ -165,6 +187,14 @@ class PoseFilter:
         """
         dt = float(limits.TIME_STEP.checked("time_step", finite_array("time_step", time_step, ())))
         ages = self._ages + self._time_step
+        if gyr is not None:
+            if angular_velocity is not None:
+                refuse("gyr with angular_velocity", "one of both")
+            angular_velocity = gyr
+        if acc is not None or mag is not None:
+            if not self._inertial or vectors is not None:
+                refuse("acc, mag", "without vectors, and only of the attitude filter (imu)")
+            vectors = [acc, mag]
         omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
         still = velocity is None and self._attitude_only
         v = self._held("velocity", _STILL if still else velocity, 1, ages, limits.VELOCITY)
@@ -214,6 +244,11 @@ class PoseFilter:
     def gain_used(self) -> float:
         """The gain K of the last update after the gain limit, mean over the sub-steps [1/s]."""
         return _number(self._unpacked.gain_used)
+
+    @property
+    def own_state(self) -> Any:
+        """The filter's own state; `AttitudeState` tells rest, belief and deviations."""
+        return jax.tree.map(np.copy, self._unpacked.state)
 
     @property
     def time(self) -> float:
@@ -466,6 +501,17 @@ def _dtype_of(filter: Filter) -> np.dtype:
     """The widest floating-point type of a filter's arrays, at least float32."""
     dtypes = (leaf.dtype for leaf in jax.tree.leaves(filter) if hasattr(leaf, "dtype"))
     return np.result_type(np.float32, *(dtype for dtype in dtypes if dtype.kind == "f"))
+
+
+def _is_inertial(source: Any) -> bool:
+    """Whether a source is the attitude filter, which reads raw inertial sensors."""
+    if isinstance(source, Result):
+        return source.filter.kind == "imu"
+    return isinstance(source, AttitudeFilter)
+
+
+def _given(value: ArrayLike | None, default: np.ndarray) -> ArrayLike:
+    return default if value is None else value
 
 
 def _number(value: Any) -> float:

@@ -14,6 +14,7 @@ from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolder
 from posegsa.judging.judge import Recorded, judge
 from posegsa.judging.result import Result, TuneBatch
 from posegsa.recordings.fingerprint import fingerprint
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import (
     CheckpointedRun,
@@ -130,7 +131,8 @@ def tune(
         if resume is not None:
             folder = folder_to_resume(resume, out, overwrite)
             return _resume(folder, experiment, seed, iterations, recorded, filter, cost, drawn)
-        task = _Task(_chosen(experiment, seed, iterations), recorded, filter, cost)
+        chosen = _chosen(experiment, seed, iterations)
+        task = _Task(chosen, _as_read(recorded, chosen), filter, cost)
         task.check()
         # Only one of the joined processes writes.
         if out is not None and jax.process_index() == 0:
@@ -207,11 +209,23 @@ def _recorded(
         name = next(one.name for one in training if id(one) in both)
         refuse(f"held_out: {name} is tuned on", "recordings that are not")
     for one in (*training, *unseen):
-        one.check_seen()
         if not one.masks()["judged"].any():
             raise RecordingError(f"{one.name}: no sample is judged where the truth is known")
     check_number("position_weight", position_weight, 0.0, 1e6)
     return Recorded(training, unseen, position_weight)
+
+
+def _as_read(recorded: Recorded | None, experiment: config.Experiment) -> Recorded | None:
+    """Recordings as the experiment's filter reads them, each with something that it sees."""
+    if recorded is None:
+        return None
+    training, unseen = (
+        [as_read_by(experiment.filter.kind, one) for one in some]
+        for some in (recorded.training, recorded.held_out)
+    )
+    for one in (*training, *unseen):
+        one.check_seen()
+    return recorded._replace(training=training, held_out=unseen)
 
 
 def tune_batch(
@@ -290,7 +304,9 @@ def _resume(
             "devices, which gives the same bits"
         )
     with locked_folder(folder, overwrite=True):
-        run, asked_for = newest_checkpoint(folder), _stored(recorded)
+        run = newest_checkpoint(folder)
+        recorded = _as_read(recorded, run.about.experiment)
+        asked_for = _stored(recorded)
         check_same_recordings(run.about.recorded, asked_for, folder)
         check_same_cost(cost, run.about.cost)
         stored = run.about.experiment

@@ -95,10 +95,6 @@ _UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
 
 def _numbers(result) -> str:
     """The parameters that a search found, with all digits."""
-    from posegsa.judging.imu import ImuResult  # slow, but already imported here
-
-    if isinstance(result, ImuResult):
-        return result.config.to_toml()
     return str(result.filter)
 
 

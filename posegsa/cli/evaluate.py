@@ -7,9 +7,11 @@ from posegsa.cli.options import (
     RECORDING,
     add_bridge,
     add_figures,
+    add_frame,
     add_quiet,
     add_run,
     add_window,
+    in_frame,
     is_configuration,
     read,
     result_of,
@@ -47,6 +49,7 @@ def add(commands) -> None:
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
     add_window(group)
     add_bridge(group)
+    add_frame(group)
     words = (
         "a recording that the run was tuned on: constant gains and the Kalman filter are tuned on "
         "it too (without any, both are left out)"
@@ -83,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     on_recordings = options.recording is not None
-    others = ("window", "bridge", "longest_gap", "training", "training_window")
+    others = ("window", "bridge", "longest_gap", "frame", "training", "training_window")
     if on_recordings:
         others = ("scenarios", "seed")
     for name in (name for name in others if getattr(options, name) not in (None, [])):
@@ -112,6 +115,9 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
     bridge = options.bridge, options.longest_gap
     recordings = read(options.recording, options.window, *bridge)
     training = read(options.training or [], options.training_window, *bridge)
+    recordings, training = (
+        in_frame(options, result.filter.kind, each) for each in (recordings, training)
+    )
     for one in (*training, *recordings):
         print(one.describe())
     with Display(quiet=options.quiet):

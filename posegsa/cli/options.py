@@ -9,7 +9,7 @@ import importlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, get_args
 
 from posegsa.config import shipped
 from posegsa.errors import ArgumentError
@@ -170,12 +170,27 @@ def window(text: str) -> tuple[float, float]:
     return found
 
 
-def add_imu(parser: argparse._ActionsContainer) -> None:
-    """--frame and --rest, of the filter for inertial sensors."""
-    words = "only with imu: x, y and z of the inertial frame (default: %(default)s)"
-    parser.add_argument("--frame", choices=tuple(UP), default="ENU", help=words)
-    words = "only with imu: time at rest at the start [s], 0 for none (default: detected)"
-    parser.add_argument("--rest", type=_rest, default="auto", metavar="S", help=words)
+def add_frame(parser: argparse._ActionsContainer) -> None:
+    """--frame, of the filter for inertial sensors."""
+    words = "only with imu: x, y and z of the inertial frame (default: ENU)"
+    parser.add_argument("--frame", choices=tuple(UP), help=words)
+
+
+def in_frame(
+    options: argparse.Namespace, kind: str, recordings: "list[Recording]"
+) -> "list[Recording]":
+    """Recordings as a kind of filter reads them, in the inertial frame of --frame.
+
+    Raises:
+        ArgumentError: --frame is given for a filter that reads no inertial sensors.
+    """
+    from posegsa.recordings.imu import as_imu
+
+    if kind == "imu":
+        return [as_imu(each, frame=options.frame or "ENU") for each in recordings]
+    if options.frame is not None:
+        raise ArgumentError("--frame; allowed: with the filter for inertial sensors (imu)")
+    return recordings
 
 
 def add_bridge(parser: argparse._ActionsContainer) -> None:
@@ -188,23 +203,6 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
     )
     words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g})"
     parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
-
-
-def _rest(text: str) -> float | Literal["auto"]:
-    """Read --rest."""
-    if text == "auto":
-        return "auto"
-    try:
-        return float(text)
-    except ValueError:
-        words = f"{text!r}; allowed: auto, or a time in seconds"
-        raise argparse.ArgumentTypeError(words) from None
-
-
-def refuse_imu_options(options: argparse.Namespace) -> None:
-    """Raise an ArgumentError if --frame or --rest is given with a filter that has neither."""
-    if options.frame != "ENU" or options.rest != "auto":
-        raise ArgumentError("--frame, --rest; allowed: with the filter for inertial sensors (imu)")
 
 
 def read(

@@ -6,11 +6,11 @@ from posegsa.cli.options import (
     RECORDING,
     add_bridge,
     add_figures,
-    add_imu,
+    add_frame,
     add_run,
     add_window,
+    in_frame,
     read,
-    refuse_imu_options,
     result_of,
 )
 from posegsa.errors import ArgumentError
@@ -25,11 +25,11 @@ def add(commands) -> None:
         "reference, shows root mean square errors by phase: total, heading, inclination and "
         "position. Writes the table, trajectories (TUM) and figures to a folder.",
     )
-    add_run(parser, '"imu" for the attitude filter for inertial sensors, or its own TOML file')
+    add_run(parser)
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
-    add_imu(parser)
+    add_frame(parser)
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     add_figures(parser)
     parser.add_argument(
@@ -41,22 +41,14 @@ def add(commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
     from posegsa import replaying
-    from posegsa.config.imu import ImuConfig, load_imu, names_imu
     from posegsa.judging.replayed import replay_table
-    from posegsa.recordings.imu import as_imu
 
     for name in ("overwrite", "figures"):
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
-    result = load_imu(options.run) if names_imu(options.run) else result_of(options)
-    if isinstance(result, ImuConfig):
-        recordings = [
-            as_imu(each, frame=options.frame, rest=options.rest, settings=result.vectors)
-            for each in recordings
-        ]
-    else:
-        refuse_imu_options(options)
+    result = result_of(options)
+    recordings = in_frame(options, result.filter.kind, recordings)
     where = {"out": options.out, "overwrite": options.overwrite, "figures": options.figures}
     replays = replaying.replay(result, recordings, **where)
     for one in replays:

@@ -12,17 +12,16 @@ from posegsa.cli.options import (
     add_bridge,
     add_figures,
     add_filter,
-    add_imu,
+    add_frame,
     add_search_arguments,
     add_window,
+    in_frame,
     own_filter,
     read,
-    refuse_imu_options,
     window,
 )
 from posegsa.cli.progress import Display
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.saving.interrupt import resumable
 
 if TYPE_CHECKING:
     from posegsa.saving.checkpointing import CheckpointedRun
@@ -40,7 +39,8 @@ def add(commands) -> None:
         "--recording, on recordings. Writes the result, tables, figures and report.html to a "
         "folder; on recordings the result and tables. The filter is that of CONFIG: the observer "
         "with a fuzzy gain, another one by --set filter.schedule=constant (or smooth) or --set "
-        "filter.kind=kalman, or your own with --filter.",
+        "filter.kind=kalman, that for inertial sensors by the CONFIG imu, or your own with "
+        "--filter.",
     )
     add_search_arguments(
         parser,
@@ -72,7 +72,7 @@ def add(commands) -> None:
         "--held-out-window", metavar="A:B", type=window, help="--window for --held-out"
     )
     add_bridge(group)
-    add_imu(group)
+    add_frame(group)
     together = parser.add_argument_group(
         "several processes",
         "Start the same command in each process, on one machine or several; the first process "
@@ -91,17 +91,14 @@ def add(commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Tune, judge and print the result."""
     from posegsa import tuning
-    from posegsa.config.imu import names_imu
     from posegsa.saving.result_files import written
 
     first = _join(options)
-    if names_imu(options.config):
-        return _tune_imu(options)
-    refuse_imu_options(options)
     if options.figures and options.recording is not None:
         words = "without --recording, as a search on recordings draws none"
         raise ArgumentError(f"--figures; allowed: {words}")
-    experiment, recorded = _experiment(options), _recordings(options)
+    experiment = _experiment(options)
+    recorded = _recordings(options, experiment.filter.kind)
     for one in (each for several in recorded.values() for each in several):
         print(one.describe())
     out = OUT if options.out is None and options.resume is None else options.out
@@ -129,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _recordings(options: argparse.Namespace) -> "dict[str, Any]":
+def _recordings(options: argparse.Namespace, kind: str) -> "dict[str, Any]":
     """The recordings to tune on and those held out, as `tune` takes them; {} on scenarios."""
     if options.held_out_window is not None and options.held_out is None:
         raise ArgumentError("--held-out-window; allowed: with --held-out")
@@ -141,10 +138,11 @@ def _recordings(options: argparse.Namespace) -> "dict[str, Any]":
     if options.distributed:
         raise ArgumentError("--recording with --distributed; allowed: one of them")
     bridge = options.bridge, options.longest_gap
-    return {
+    found = {
         "recordings": read(options.recording, options.window, *bridge),
         "held_out": read(options.held_out or [], options.held_out_window, *bridge),
     }
+    return {name: in_frame(options, kind, each) for name, each in found.items()}
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
@@ -165,43 +163,6 @@ def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
         "To compare it with the best constant gains and a Kalman filter, in about twice the time "
         f"of this search:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
     )
-
-
-def _tune_imu(options: argparse.Namespace) -> int:
-    from posegsa import imu_tuning
-    from posegsa.saving.imu import FILES
-
-    if options.recording is None:
-        raise ArgumentError(
-            f"{options.config}: is tuned only on recordings; allowed: with --recording FILE"
-        )
-    for name in ("resume", "distributed", "filter"):
-        if getattr(options, name):
-            raise ArgumentError(
-                f"--{name}; allowed: without {options.config}, which is searched in one process"
-            )
-    if options.figures:
-        raise ArgumentError(f"--figures; allowed: without {options.config}, which draws none")
-    given = [] if options.iterations is None else [f"search.iterations={options.iterations}"]
-    filter = config.override_imu(config.load_imu(options.config), [*options.set, *given])
-    out = options.out or OUT
-    recorded = _recordings(options)
-    with (
-        resumable(lambda: "interrupted; nothing is kept"),
-        Display(quiet=options.quiet, after_search="then seconds to judge what it finds"),
-    ):
-        result = imu_tuning.tune_imu(
-            filter,
-            **recorded,
-            frame=options.frame,
-            rest=options.rest,
-            seed=options.seed or 0,
-            out=out,
-            overwrite=options.overwrite,
-        )
-    print(result.summary())
-    print(f"\nWritten to {out}: {', '.join(FILES)}")
-    return 0
 
 
 def _join(options: argparse.Namespace) -> bool:

@@ -17,7 +17,7 @@ def with_values(
     """The data of an experiment with values replaced, and the values that cannot be.
 
     Args:
-        data: Plain data of a whole experiment, or of an `ImuConfig`; changed in place.
+        data: Plain data of a whole experiment; changed in place.
         before: The optimiser of the experiment before the changes.
         values: Paths of keys and array indices, such as `scenario.vectors.0.noise`, or of a whole
             section, each with its value.

@@ -9,6 +9,7 @@ from posegsa.config.changes import with_values
 from posegsa.config.family_config import FamilyConfig
 from posegsa.config.filter_config import (
     ALSO_OF_KIND,
+    IMU_ALSO,
     KALMAN_ALSO,
     NOISE_NUMBERS,
     ONE_FILTER,
@@ -53,7 +54,7 @@ from posegsa.settings.violations import (
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
-_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO)
+_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *IMU_ALSO)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
 SCHEDULE_NUMBERS: dict[str, tuple[str, ...]] = {
     "fuzzy": PARAMETERS,

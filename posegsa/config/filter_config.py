@@ -1,4 +1,4 @@
-"""The filter: the observer, the invariant Kalman filter, or a user's own."""
+"""The filter: the observer, one of two Kalman filters, or a user's own."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field
 
 from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
+from posegsa.filters.attitude import Interval
 from posegsa.filters.observer import GainLaw, Law
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
@@ -37,7 +38,7 @@ class ObserverConfig(Section):
     """[filter]: the paper's nonlinear observer, its gain set by a schedule."""
 
     kind: Literal["observer"] = "observer"
-    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
     schedule: ScheduleKind = "fuzzy"
     """What sets the gain K: "fuzzy", the controller of k1..k22; "constant", one gain; "smooth", a
     gain K(e) = low + (high - low) e^2 / (e^2 + half^2)."""
@@ -100,7 +101,7 @@ class KalmanConfig(Section):
     """
 
     kind: Literal["kalman"] = "kalman"
-    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
     vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated, as states."""
     angular_velocity: Annotated[Positive, Tunable()] = 0.02
@@ -164,6 +165,51 @@ class KalmanConfig(Section):
         return {role: kind for role, kind in kinds.items() if kind != "off"}
 
 
+class AttitudeConfig(Section):
+    """[filter]: the attitude filter for gyroscope, accelerometer and magnetometer.
+
+    It reads recordings of inertial sensors, not drawn scenarios (`posegsa.filters.attitude`).
+    """
+
+    kind: Literal["imu"] = "imu"
+    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
+    gyroscope_interval: Interval = "before"
+    """Whether an angular velocity is the mean over the interval before its time stamp, since the
+    last sample, or after it, until the next sample."""
+    velocity: Annotated[Positive, Tunable()] = 0.098
+    """Noise density of "the velocity is 0", from which the inclination follows [m/s sqrt(s)]."""
+    angular_velocity: Annotated[Positive, Tunable()] = 0.0011
+    """Density of the gyroscope's noise [rad/sqrt(s)]."""
+    turning: Annotated[NonNegative, Tunable()] = 0.001
+    """More of it while the body turns, as a share of the angular velocity [sqrt(s)]."""
+    turning_heading: Annotated[NonNegative, Tunable()] = 0.0017
+    """More of it for the heading alone, as a share of the angular velocity [sqrt(s)]."""
+    angular_walk: Annotated[Positive, Tunable()] = 0.00012
+    """Random walk of the gyroscope's bias [rad/s/sqrt(s)]."""
+    heading: Annotated[Positive, Tunable()] = 0.058
+    """Noise density of the field's heading [rad sqrt(s)]."""
+    inclination_in_heading: Annotated[NonNegative, Tunable()] = 3.0
+    """Share of the inclination's variance that makes the field's heading uncertain, no unit."""
+    field_time: Annotated[NonNegative, Tunable()] = 0.42
+    """Time constant of the field's mean in the almost inertial frame [s]."""
+    field_tolerance: Annotated[Positive, Tunable()] = 0.062
+    """Distance of the field from its mean, as a share of it, at which it is half believed."""
+    field_memory: Annotated[Positive, Tunable()] = 3.6
+    """Time over which its horizontal and vertical part are averaged, while the body turns [s]."""
+    disbelieved: Annotated[Positive, Tunable()] = 0.042
+    """Share at which the means follow a field that is not believed, no unit."""
+    iron_time: Annotated[Positive, Tunable()] = 22.0
+    """Time constant with which iron that turns with the body is learnt [s]."""
+    magnetometer_delay: Annotated[NonNegative, Tunable()] = 0.011
+    """By how much the magnetometer is later than the gyroscope [s]."""
+    rest_bias: Annotated[Positive, Tunable()] = 0.0011
+    """Noise density of the gyroscope at rest, as a measurement of its bias [rad/s sqrt(s)]."""
+    initial_bias: Annotated[Positive, Tunable()] = 0.0038
+    """Standard deviation of each component of the gyroscope's bias at the start [rad/s]."""
+    outlier: Annotated[Positive, Tunable()] = 10.0
+    """An acceleration or a field more than this many times as long as its reference is ignored."""
+
+
 class OwnConfig(Section):
     """[filter]: a filter of the user's own, with its numbers by name.
 
@@ -174,7 +220,7 @@ class OwnConfig(Section):
     model_config = ConfigDict(extra="allow")
 
     kind: Literal["own"] = "own"
-    """Which filter: "observer", "kalman", or "own", a filter that the user passes."""
+    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
     __pydantic_extra__: dict[str, Annotated[Number, Tunable()]] = Field(init=False)
     """The numbers; each can be tuned."""
 
@@ -184,8 +230,16 @@ class OwnConfig(Section):
         return dict(self.__pydantic_extra__ or {})
 
 
-FilterConfig = ObserverConfig | KalmanConfig | OwnConfig
-ONE_FILTER = Choice("kind", {"observer": ObserverConfig, "kalman": KalmanConfig, "own": OwnConfig})
+FilterConfig = ObserverConfig | KalmanConfig | AttitudeConfig | OwnConfig
+ONE_FILTER = Choice(
+    "kind",
+    {
+        "observer": ObserverConfig,
+        "kalman": KalmanConfig,
+        "imu": AttitudeConfig,
+        "own": OwnConfig,
+    },
+)
 """The filters that [filter] can select."""
 
 KALMAN_ALSO = tuple(
@@ -208,8 +262,24 @@ KALMAN_ALSO = tuple(
     )
 )
 """The numbers of a Kalman filter that are tuned by default."""
+IMU_ALSO = tuple(
+    AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
+    for name, lower, upper in (
+        ("velocity", 0.03, 1.0),
+        ("angular_velocity", 0.0005, 0.02),
+        ("turning_heading", 0.0003, 0.02),
+        ("angular_walk", 1e-6, 0.001),
+        ("heading", 0.02, 1.0),
+        ("field_tolerance", 0.02, 0.5),
+        ("iron_time", 5.0, 500.0),
+        ("magnetometer_delay", 0.001, 0.05),
+        ("initial_bias", 0.001, 0.05),
+    )
+)
+"""The numbers of the attitude filter that are tuned by default."""
 ALSO_OF_KIND: Mapping[str, tuple[AlsoTuned, ...]] = {
     "observer": DEFAULT_ALSO,
     "kalman": KALMAN_ALSO,
+    "imu": IMU_ALSO,
 }
 """What is tuned by default, by kind of filter; of a user's own nothing is."""

@@ -14,7 +14,6 @@ from posegsa.arguments import check_type, several
 from posegsa.config import shipped
 from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
-from posegsa.config.imu import ImuConfig, is_imu
 from posegsa.config.reading import read_toml
 from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError
@@ -38,11 +37,10 @@ def load(path: str | Path) -> Experiment:
     check_type("path", path, str, os.PathLike, allowed=allowed)
     path = shipped.path_of(path)
     data = read_toml(path)
-    if is_imu(data):
+    if data.keys() & {"vectors", "observer"}:
         raise ConfigError(
-            f"{path}: is an attitude filter for inertial sensors; allowed: an experiment (`posegsa "
-            "replay imu`, `posegsa tune imu --recording FILE`, posegsa.tune_imu and "
-            "config.load_imu take the filter)"
+            f"{path}: has [vectors] and [observer] of the attitude filter before version 0.9; "
+            'allowed: an experiment with [filter] kind = "imu", as configs/imu.toml is now'
         )
     return _validated(data, f"{path} is not a valid experiment")
 
@@ -100,7 +98,11 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
         ConfigError: If a setting cannot be read, or the result is not a valid experiment.
     """
     check_type("experiment", experiment, Experiment)
-    data = _changed(experiment, settings, "texts such as filter.substeps=4")
+    settings = several("settings", settings, str, "texts such as filter.substeps=4")
+    data = experiment.model_dump(mode="json")
+    data, refused = _with_settings(data, experiment.search, settings)
+    if refused:
+        raise violations_error("settings that cannot be applied", refused)
     return _validated(data, "not a valid experiment with these settings")
 
 
@@ -136,32 +138,6 @@ def _parts(written: str) -> list[str]:
         else:
             parts[-1] += character
     return parts
-
-
-def override_imu(imu: ImuConfig, settings: Iterable[str]) -> ImuConfig:
-    """Change single values of an attitude filter for inertial sensors, like `override`.
-
-    Raises:
-        ConfigError: If a setting cannot be read, or the result is not a valid filter.
-    """
-    check_type("imu", imu, ImuConfig)
-    data = _changed(imu, settings, "texts such as vectors.low_pass=3.0")
-    try:
-        return ImuConfig.model_validate(data)
-    except ValidationError as error:
-        title = "not a valid attitude filter for inertial sensors with these settings"
-        raise config_error(title, error, ImuConfig) from None
-
-
-def _changed(
-    given: Experiment | ImuConfig, settings: Iterable[str], allowed: str
-) -> dict[str, Any]:
-    """The plain data of a configuration with settings applied."""
-    settings = several("settings", settings, str, allowed)
-    data, refused = _with_settings(given.model_dump(mode="json"), given.search, settings)
-    if refused:
-        raise violations_error("settings that cannot be applied", refused)
-    return data
 
 
 def with_tuned(experiment: Experiment, values: Mapping[str, float]) -> Experiment:

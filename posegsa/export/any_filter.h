@@ -11,7 +11,7 @@
 {% for field in memory %}
            posegsa_are_within({{ "" if field.size else "&" }}state->{{ field.name }}, {{ field.size or 1 }}, POSEGSA_C(INFINITY)) &&
 {% endfor %}
-           posegsa_are_finite(state->bias_linear, 3);
+           posegsa_are_finite(state->{{ "bias_angular" if attitude_only else "bias_linear" }}, 3);
 {% endblock %}
 {% block init_variables %}
     posegsa_state first, begun, *const next = &begun;
@@ -20,9 +20,11 @@
     int i;
 {% endblock %}
 {% block init_state %}
+{% if not attitude_only %}
     for (i = 0; i < 3; ++i) {
         first.position[i] = position[i];
     }
+{% endif %}
 {% if uses_time %}
     begun.time = 0;
 {% endif %}

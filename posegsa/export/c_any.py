@@ -30,6 +30,7 @@ from posegsa.export.c_step import (
 from posegsa.export.c_text import KEYWORDS, comment, wrapped
 from posegsa.export.scalar_loops import written_in_loops
 from posegsa.export.scalar_trace import Known, passed_on
+from posegsa.filters.attitude import REST_TIME, AttitudeFilter
 from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.model.estimate import FilterState
@@ -39,11 +40,23 @@ from posegsa.words import counted
 
 _ESTIMATE = ("attitude", "position", "bias_angular", "bias_linear", "vector_bias", "turning")
 """Fields of the struct that every state may have."""
+_NO_FIELD: Any = ("", "", "")
 _TAKEN = {*_ESTIMATE, "time", *KEYWORDS}
 _KNOWN_FIELDS = {
-    "covariance": "upper triangle by rows: attitude, position, biases [their units squared]"
+    KalmanFilter: {
+        "covariance": "upper triangle by rows: attitude, position, biases [their units squared]"
+    },
+    AttitudeFilter: {
+        "covariance": "upper triangle by rows: attitude error about east, north and up [rad^2], "
+        "bias, velocity",
+        "velocity": "to the east and north [m/s]",
+        "field": "mean magnetic field to the east, north and up",
+        "iron": "mean field that turns with the body, body frame",
+        "field_belief": "how far the field is believed, 0 to 1",
+        "still_time": f"for how long the body has been still [s]; it rests from {REST_TIME:g} on",
+    },
 }
-"""What the Kalman filter's fields hold."""
+"""What fields hold, by filter."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +101,8 @@ def any_filter(
         states = 12 + 3 * step.learnt
     codes = [piece.code for piece in step.pieces.values()]
     return {
-        "title": "a pose filter",
-        "attitude_only": False,
+        "title": "an attitude filter" if step.alone else "a pose filter",
+        "attitude_only": step.alone,
         "purpose": comment(_purpose(filter, known, states)),
         "vectors": len(v),
         "landmarks": len(p),
@@ -112,6 +125,9 @@ class _Step:
     def __init__(self, filter: Filter, known: References, crossed: bool) -> None:
         self._vectors = len(known.vectors)
         self._sensors = Sensors(len(known.vectors), len(known.landmarks))
+        self._known_fields = _KNOWN_FIELDS.get(type(filter), {})
+        self.alone = isinstance(filter, AttitudeFilter)
+        """Whether there is no position: its fields are left out."""
         leaves, self._filter_structure = jax.tree.flatten(filter)
         self.numbers = _named_numbers(filter)
         assert len(leaves) == len(self.numbers)
@@ -136,14 +152,17 @@ class _Step:
         self.learnt = len(estimate.vector_biases)
         self.turning = len(estimate.turning) > 0
         self._structure = jax.tree.structure(state)
-        leaves = jax.tree.leaves(_estimate_in_c("->", self.learnt, self.turning))
+        names = _estimate_in_c("->", self.learnt, self.turning)
+        if self.alone:
+            names = names._replace(place=_NO_FIELD, bias_linear=_NO_FIELD)
+        leaves = jax.tree.leaves(names)
         self.memory, self._state, self._computed = self._laid_out(state, leaves)
         self.pieces = self._written(
             sample_of(
                 self._vectors,
                 len(known.landmarks),
                 crossed=crossed,
-                velocity=vec3("seen->velocity"),
+                velocity=(0.0, 0.0, 0.0) if self.alone else vec3("seen->velocity"),
                 farthest="farthest",
             )
         )
@@ -192,7 +211,7 @@ class _Step:
         for name, leaves in groups.items():
             field = _Field(
                 name=name,
-                about=_KNOWN_FIELDS.get(name, "of the filter's own state"),
+                about=self._known_fields.get(name, "of the filter's own state"),
                 size=len(leaves) if len(leaves) > 1 else 0,
             )
             fields.append(field)
@@ -220,12 +239,13 @@ class _Step:
             after, _ = ready.step(state, Samples(time, sample, None))
             return jax.tree.leaves(after), ready.estimate(after)
 
-        before = [f"now{text}" for text in self._state]
-        results = (
-            [f"next{text}" for text in self._state],
-            [text and f"next{text}" for text in self._computed],
+        before = [f"now{text}" if text else 0.0 for text in self._state]
+        results = tuple(
+            [f"next{text}" if text else None for text in texts]
+            for texts in (self._state, self._computed)
         )
-        attitude, place = numbered("now->attitude", 4), vec3("now->position")
+        attitude = numbered("now->attitude", 4)
+        place = (0.0, 0.0, 0.0) if self.alone else vec3("now->position")
         begun = written_in_loops(start, (self._given, attitude, place, 0.0), results)
         given = (self._given, before, "now->time", sample)
         after = written_in_loops(advance, given, results)
@@ -348,6 +368,13 @@ def _references(filter: Filter, v: np.ndarray, p: np.ndarray) -> tuple[Reference
 
 def _purpose(filter: Filter, known: References, states: int) -> list[str]:
     """A description of the filter's inputs and outputs."""
+    if isinstance(filter, AttitudeFilter):
+        return wrapped(
+            "From angular velocity, specific force (vectors[0], [m/s^2], 9.8 upwards at rest) and "
+            "magnetic field (vectors[1], any unit; weight 0 without one) it estimates the "
+            "attitude. It begins upright and to the north by itself, from any attitude that "
+            "posegsa_init is given. Filter: AttitudeFilter."
+        )
     sensors = [
         counted(len(known.vectors), "vector") if len(known.vectors) else "",
         counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",

@@ -25,6 +25,7 @@ FORMULAS = {
     "switch": "K = before [1/s] until time [s], then K = after [1/s]",
     "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
     "kalman": "Invariant extended Kalman filter; its numbers stand in filter.",
+    "imu": "Attitude filter for inertial sensors; its numbers stand in filter.",
     "own": "A filter of the user's own; its numbers stand in filter.",
 }
 """What each kind of filter is: of a schedule its formula, with the names of its numbers."""
@@ -51,7 +52,7 @@ def export_json(result: Result) -> str:
     """
     check_type("result", result, Result)
     tuned, found = result.tuned, result.filter
-    observer = found.kind not in ("kalman", "own")
+    observer = found.kind not in ("kalman", "imu", "own")
     about = f"Pose filter on SE(3). {FORMULAS[found.kind]}"
     numbers = {name: each for name, each in found.numbers.items() if name != "rules"}
     if "k" in numbers:

@@ -35,8 +35,8 @@ from posegsa.search.schedule_spaces import KNOTS, knot_times
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 
-Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "kalman", "own"]
-"""The observer by its gain schedule, the Kalman filter, or a user's own filter."""
+Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "kalman", "imu", "own"]
+"""The observer by its gain schedule, another filter of posegsa, or a user's own."""
 SCHEDULES: dict[Kind, type] = {
     "constant": ConstantGain,
     "switch": SwitchGain,
@@ -46,7 +46,11 @@ SCHEDULES: dict[Kind, type] = {
 """The types of schedules without a controller, by the kind of their `Description`."""
 OF_NOISES = {"constant": ConstantGain, "smooth": SmoothGain, "ramp": RampGain, "clock": KnotGain}
 """The same of a Kalman filter's noises."""
-TITLES: Mapping[Kind, str] = {"kalman": "Kalman filter", "own": "filter of the user's own"}
+TITLES: Mapping[Kind, str] = {
+    "kalman": "Kalman filter",
+    "imu": "attitude filter for inertial sensors",
+    "own": "filter of the user's own",
+}
 """Kinds that are not called a gain."""
 
 
@@ -101,7 +105,7 @@ def _of_its_kind(found: Description) -> Description:
             roles = {name.partition(".")[0] for name in lengths}
             fits = roles <= {*NoiseGains._fields}
             allowed = "those of its schedules, by role, such as unknown.k"
-        case "own":
+        case "imu" | "own":
             fits, allowed = not lengths, "none, they are among those of `also`"
         case kind:
             names = [field.name for field in fields(SCHEDULES[kind])]

@@ -49,7 +49,9 @@ def judged_beside_baselines(
     before = result.on_recordings
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         own = [own_score(result, one) for one in recordings]
-        if training:
+        if result.filter.kind == "imu":  # no other filter of posegsa reads these sensors
+            baselines = {}
+        elif training:
             baselines = _tuned_on(result, recordings, training)
         elif result.on_scenarios is not None and not (before and before.training):
             baselines = _tuned_on_scenarios(result, recordings, cost)

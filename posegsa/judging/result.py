@@ -33,6 +33,7 @@ from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.optimisers import History
+from posegsa.recordings.imu import as_read_by, references
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.search.build import OwnFilter
@@ -154,6 +155,14 @@ class Result:
                 "in Python, filter_to_c or PoseFilter with result.filter_on(recording) and "
                 "references of your own",
             )
+        if self.filter.kind == "imu":
+            return KnownSensors(
+                vectors=[(x, y, z) for x, y, z in references().tolist()],
+                vector_weights=[1.0, 1.0],
+                landmarks=[],
+                landmark_weights=[],
+                attitude_only=True,
+            )
         return of_scenario(self.experiment)
 
     def filter_for(self, vectors: int, landmarks: int) -> Filter:
@@ -202,6 +211,8 @@ class Result:
         """
         check_type("measurements", measurements, Measurements, Recording)
         dtype = np.dtype(self.experiment.run.dtype)
+        if isinstance(measurements, Recording):
+            measurements = as_read_by(self.filter.kind, measurements)
         with jax.enable_x64(dtype == np.float64):
             own_start = rotation is None and position is None and bias is None
             if isinstance(measurements, Recording) and own_start:

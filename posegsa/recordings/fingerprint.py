@@ -5,10 +5,8 @@ from dataclasses import fields
 
 import jax
 import numpy as np
-from pydantic import BaseModel
 
 from posegsa.recordings.recording import Recording
-from posegsa.settings.plain import plain
 
 WORDS = "name", "sources", "notes"
 """Fields that describe a recording and do not change an estimate."""
@@ -18,12 +16,7 @@ def fingerprint(recording: Recording) -> str:
     """SHA-256 of a recording's numbers, in hexadecimal; the same on every machine."""
     digest = hashlib.sha256()
     numbers = {each.name: getattr(recording, each.name) for each in fields(recording)}
-    counted = {
-        # Settings, which an `ImuRecording` has, are not a pytree but would be one opaque leaf.
-        name: plain(value) if isinstance(value, BaseModel) else value
-        for name, value in numbers.items()
-        if name not in WORDS
-    }
+    counted = {name: value for name, value in numbers.items() if name not in WORDS}
     for path, leaf in jax.tree_util.tree_leaves_with_path(counted):
         array = leaf if isinstance(leaf, str) else np.asarray(leaf)
         if isinstance(array, np.ndarray):

@@ -8,9 +8,9 @@ North is magnetic north."""
 
 UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
 """The direction up in each frame."""
-EAST: dict[str, tuple[float, float, float]] = {
-    "ENU": (1, 0, 0),
-    "NED": (0, 1, 0),
-    "NWU": (0, -1, 0),
+NORTH: dict[str, tuple[float, float, float]] = {
+    "ENU": (0, 1, 0),
+    "NED": (1, 0, 0),
+    "NWU": (1, 0, 0),
 }
-"""The direction east in each frame."""
+"""The direction of magnetic north in each frame."""

@@ -1,13 +1,4 @@
-"""Low-pass filter for the acceleration, in an almost inertial frame.
-
-Over seconds the specific force is gravity plus a motion that averages out, so its mean is a better
-direction of gravity than a single sample. In the body frame gravity turns with the body. In the
-frame S that results from integrating the gyroscope it is constant, except for the gyroscope's bias.
-So it is low-passed in S and then rotated back into the body frame (D. Laidig, T. Seel, "VQF: Highly
-accurate IMU orientation estimation with bias estimation and magnetic disturbance rejection",
-Information Fusion 91, 2023). The filter is causal and
-needs no estimate of the attitude.
-"""
+"""The frame that results from integrating the angular velocity from the first sample on."""
 
 import math
 
@@ -53,38 +44,3 @@ def running_products(steps: np.ndarray) -> np.ndarray:
         before[k] = joined / np.linalg.norm(joined)
     q = product(before[:, None], blocks).reshape(-1, 4)[:count]
     return q / np.linalg.norm(q, axis=1, keepdims=True)
-
-
-def low_passed(
-    values: np.ndarray, time_constant: float, time_step: float, start: np.ndarray
-) -> np.ndarray:
-    """Values (K, 3) after a second-order Butterworth filter, initially settled at `start` (3,).
-
-    Its cut-off frequency is sqrt(2) / (2 pi time constant), as in VQF: it damps noise like a
-    first-order filter with this time constant. A time constant of 0 changes nothing.
-
-    Args:
-        values: without NaN.
-        time_constant: [s].
-        time_step: of all samples [s].
-        start: (3,) the value before the first sample.
-    """
-    from scipy.signal import lfilter  # not at the top: takes a while to load
-
-    if time_constant == 0:
-        return values
-    # At most 0.45 of the sampling rate, for time constants that are too short for it.
-    cut_off = min(math.sqrt(2) / (2 * math.pi * time_constant), 0.45 / time_step)
-    # The analog filter 1 / (s^2 + sqrt(2) s + 1), by the bilinear transform.
-    c = 1 / math.tan(math.pi * cut_off * time_step)
-    gain = 1 / (1 + math.sqrt(2) * c + c * c)
-    feedback = 2 * gain * (1 - c * c), gain * (1 - math.sqrt(2) * c + c * c)
-    settled = np.outer([1 - gain, gain - feedback[1]], start)
-    forward, back = [gain, 2 * gain, gain], [1, *feedback]
-    return lfilter(forward, back, values, axis=0, zi=settled)[0]
-
-
-def held(values: np.ndarray, known: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Values (K, ...) with unknown ones replaced by the last known one, or by `start`."""
-    latest = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    return np.where((latest >= 0).reshape(-1, *[1] * (values.ndim - 1)), values[latest], start)

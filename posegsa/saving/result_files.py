@@ -17,13 +17,11 @@ from posegsa.judging.baselines import experiments_beside
 from posegsa.judging.evaluation import REPLAYED, Contender, own_name
 from posegsa.judging.result import Result
 from posegsa.report import report_html
-from posegsa.saving import imu
 from posegsa.saving.checkpointing import checkpoint_paths
 from posegsa.saving.folder import (
     FIGURES,
     RESULT,
     as_path,
-    holds_run,
     locked_folder,
     read_text,
     replace_files,
@@ -149,13 +147,6 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
     """
     check_callable("filter", filter if callable(filter) else None)
     path = as_path("folder", folder)
-    if path.name == imu.FILTER or ((path / imu.FILTER).exists() and not holds_run(path)):
-        file = path if path.name == imu.FILTER else path / imu.FILTER
-        raise RunFolderError(
-            f"{path}: a filter for inertial sensors, and no run; `posegsa replay {file} RECORDING` "
-            "runs it, in Python run_imu with config.load_imu(...). Its vectors are made in Python, "
-            "so that it has no export (docs/imu.md says what can be exported of it)"
-        )
     if path.is_file():
         raise RunFolderError(f"{path}: is a file; allowed: the folder of a run")
     if (path / "recorded.json").exists() and not (path / RESULT).exists():

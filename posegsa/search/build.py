@@ -17,6 +17,7 @@ from jax.typing import DTypeLike
 from posegsa import config
 from posegsa.arguments import check_dtype, check_type, fitting, refuse
 from posegsa.errors import ConfigError, PosegsaWarning
+from posegsa.filters.attitude import AttitudeFilter, AttitudeNumbers
 from posegsa.filters.base import Filter, Sensors, check_filter, samples_of
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
@@ -96,13 +97,19 @@ def tuning_problem(
     Raises:
         MemoryLimitError: It would need more memory than there is.
         ArgumentError: The user's cost does not return one number, or the filter is missing.
-        ConfigError: It has a share for simulated scenarios, which only a search on recordings has.
+        ConfigError: It has a share for simulated scenarios, which only a search on recordings has;
+            or its filter reads inertial sensors, which scenarios do not have.
     """
     check_type("experiment", experiment, config.Experiment)
     if experiment.objective.simulated_share:
         raise ConfigError(
             f"objective.simulated_share = {experiment.objective.simulated_share}; allowed: 0.0 "
             "without recordings"
+        )
+    if isinstance(experiment.filter, config.AttitudeConfig):
+        raise ConfigError(
+            'filter.kind = "imu" reads an accelerometer and a magnetometer, which no scenario has; '
+            "allowed: recordings of inertial sensors"
         )
     memory.check([experiment])
     run, one = experiment.run, scenario(experiment)
@@ -465,6 +472,9 @@ def filter_of(
             signals=_noise_signals(section, dtype) if section.roles else None,
             iterations=section.iterations,
         )
+    if isinstance(section, config.AttitudeConfig):
+        each = {name: _array(getattr(section, name), dtype) for name in AttitudeNumbers._fields}
+        return AttitudeFilter(AttitudeNumbers(**each), section.gyroscope_interval)
     settings = filter_settings(experiment)
     if sensors is not None:
         settings = _for_sensors(settings, *sensors)

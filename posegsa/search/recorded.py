@@ -168,7 +168,7 @@ def with_effect_on(
     """
     kept = []
     for one in experiment.also:
-        if experiment.filter.kind == "own" or _has_effect(one.key, vectors, landmarks):
+        if experiment.filter.kind in ("own", "imu") or _has_effect(one.key, vectors, landmarks):
             kept.append(one.model_dump(mode="json"))
         elif strict and one not in _come_with_posegsa():
             raise ConfigError(

@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 
 from posegsa import steps
 from posegsa.errors import ConfigError, PosegsaWarning, SearchInterrupted
+from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.optimisers import (
     Search,
@@ -198,7 +199,8 @@ def _warn_of_slow_filter(problem: TuningProblem) -> None:
     Measured: 9 to 13 us a Kalman filter and sample instead of 0.2; the observer takes three times
     as long, which is a matter of seconds.
     """
-    slow = isinstance(problem.training.filter, KalmanFilter) and not has_fast_path()
+    large = isinstance(problem.training.filter, KalmanFilter | AttitudeFilter)
+    slow = large and not has_fast_path()
     if jax.default_backend() == "cpu" and slow:
         warnings.warn(
             "a population of Kalman filters is some 40 times slower without XLA's options for "

@@ -15,7 +15,7 @@ from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evo
 pytestmark = pytest.mark.quick
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
-FILES = sorted(set(CONFIGS.glob("*.toml")) - {CONFIGS / "imu.toml"})  # not an experiment
+FILES = sorted(CONFIGS.glob("*.toml"))
 WHOLE = ("paper", "paper_literal", "recommended")
 PI = 3.141592653589793
 

@@ -190,7 +190,7 @@ def test_they_are_gone_with_another_schedule_unless_named() -> None:
         override(base, ["filter.kind=kalman", "tuned.numbers=[20.0]"])
 
 
-EXPERIMENTS = sorted(path for path in CONFIGS.glob("*.toml") if path.stem != "imu")
+EXPERIMENTS = sorted(CONFIGS.glob("*.toml"))
 
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)

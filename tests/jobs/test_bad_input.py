@@ -128,7 +128,7 @@ def measured() -> posegsa.Measurements:
         (lambda r: posegsa.run_filter(5, measured(), STATE), "filter: a int"),
         (lambda r: posegsa.run_filter(r.filter_for(0, 0), 5), "a Measurements or a Recording"),
         (lambda r: posegsa.run_filter(r.filter_for(0, 0), measured(), 5), "initial: a int"),
-        (lambda r: posegsa.replay(5, []), r"result:.* int.*Result.*, an Imu"),
+        (lambda r: posegsa.replay(5, []), r"result:.* int.*Result, or the name"),
         (lambda r: posegsa.replay(r, 5), "recordings: a int"),
         (lambda r: posegsa.evaluate(r, recordings=[]), "recordings: none"),
         (lambda r: posegsa.evaluate(r, training=[]), "training, others without recordings"),

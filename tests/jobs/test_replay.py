@@ -118,7 +118,7 @@ def test_what_a_file_lacks_is_bridged_by_name(
     rows[300, 1] = np.nan
     path = tmp_path / "log.csv"
     np.savetxt(path, rows, delimiter=",", header="time,wx,wy,wz,ax,ay,az", comments="")
-    command = ["replay", "imu", str(path), "--rest", "1"]
+    command = ["replay", "imu", str(path)]
     assert main(command) == 2
     assert "(--bridge)" in capsys.readouterr().err
     refused = [

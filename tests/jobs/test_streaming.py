@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.recordings import inertial_motion
 from helpers.results import trust
 from helpers.schedules import K, tuned
 
@@ -405,7 +406,6 @@ def test_bad_sources_are_refused(result):
     constant = posegsa.ConstantGain(jnp.float32(7.0))
     for source, message in (
         (7.0, "source: a float; allowed: a Result"),
-        ("run", "source: a str; allowed: a Result"),
         (result.controller, "source: a FuzzyController; allowed: .*Observer"),
         (posegsa.Observer, "source: the class Observer; allowed"),
         (posegsa.Observer(posegsa.ConstantGain(jnp.float32(-7.0))), "gain = -7.0; allowed"),
@@ -421,6 +421,10 @@ def test_bad_sources_are_refused(result):
     ):
         with pytest.raises(ArgumentError, match=message):
             posegsa.PoseFilter(source, **START)
+    with pytest.raises(posegsa.PosegsaError, match=r"run: no file, and no configuration.* imu"):
+        posegsa.PoseFilter("run", **START)
+    with pytest.raises(ArgumentError, match="rotation, position: not both given; allowed: both"):
+        posegsa.PoseFilter(posegsa.Observer(constant))
 
 
 @pytest.mark.parametrize(
@@ -508,3 +512,47 @@ def test_what_is_no_estimate_is_refused(factor, message):
     with pytest.raises(MeasurementError, match=message):
         pose_filter.update(time_step=0.01, angular_velocity=np.ones(3), velocity=np.ones(3))
     np.testing.assert_array_equal(pose_filter.pose.rotation, START["rotation"])
+
+
+# The attitude filter for inertial sensors ---------------------------------------------------------
+
+
+def test_the_attitude_filter_runs_live_as_it_replays() -> None:
+    """Without a start; missing values are None; it pickles and continues from a checkpoint."""
+    given = inertial_motion(2.0, 4.0, noise=0.3, shaking=2.0)
+    given["mag"][300:320] = np.nan
+    recording = posegsa.imu(**given)
+    replayed = posegsa.replay("imu", recording)[0].estimates
+    live, m = posegsa.PoseFilter("imu"), recording.measurements
+    for k in range(recording.samples - 1):
+        if k == 250:
+            checkpoint = live.checkpoint()
+            live = pickle.loads(pickle.dumps(live))
+            again = posegsa.PoseFilter("imu")
+            again.restore(checkpoint)
+        field = None if np.isnan(given["mag"][k]).any() else given["mag"][k]
+        sample = {"time_step": m.time_step[k], "gyr": given["gyr"][k], "acc": given["acc"][k]}
+        pose = live.update(**sample, mag=field)
+        if k >= 250:
+            np.testing.assert_array_equal(again.update(**sample, mag=field).rotation, pose.rotation)
+        np.testing.assert_allclose(pose.rotation, replayed.rotation[k + 1], atol=1e-12)
+        np.testing.assert_allclose(live.bias, replayed.bias[k + 1], atol=1e-12)
+        assert bool(live.own_state.at_rest) or k != 185
+    assert not bool(live.own_state.at_rest)
+    assert 0.5 < live.own_state.field_belief <= 1
+    assert 0 < live.own_state.inclination_deviation < live.own_state.heading_deviation < 0.2
+    assert live.observable
+    np.testing.assert_array_equal(live.pose.position, 0.0)
+
+
+def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> None:
+    live = posegsa.PoseFilter("imu")
+    still = {"time_step": 0.01, "gyr": [0, 0, 0], "acc": [0, 0, 9.81]}
+    with pytest.raises(ArgumentError, match="gyr with angular_velocity; allowed: one of"):
+        live.update(**still, angular_velocity=[0, 0, 0])
+    with pytest.raises(ArgumentError, match="acc, mag; allowed: without vectors"):
+        live.update(**still, vectors=[None, None])
+    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only of the attitude filter"):
+        posegsa.PoseFilter(result, **START).update(**still)
+    with pytest.raises(MeasurementError, match="angular_velocity: missing"):
+        live.update(time_step=0.01, acc=[0, 0, 9.81])

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.experiments import TINY
-from helpers.recordings import bench
+from helpers.recordings import bench, inertial_motion
 from jax import Array
 
 import posegsa
@@ -60,6 +60,7 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "constant": ({"schedule": "constant"}, None),
     "smooth": ({"schedule": "smooth"}, None),
     "kalman": ({"kind": "kalman", "vector_bias": "off"}, None),
+    "imu": ({"kind": "imu"}, None),
     "own filter": (
         OWN | {"attitude_gain": 5.0, "position_gain": 4.0, "bias_gain": 0.2},
         runpy.run_path(str(EXAMPLES / "own_filter.py"))["ComplementaryFilter"],
@@ -67,9 +68,16 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "own schedule": (OWN | {"low": 5.0, "slope": 40.0}, observer_with_linear_gain),
 }
 """By name: its section of the configuration, and what the user passes."""
-SEARCHED = {"kalman": "vector", "own filter": "attitude_gain", "own schedule": "low"}
+SEARCHED = {
+    "kalman": "vector",
+    "imu": "heading",
+    "own filter": "attitude_gain",
+    "own schedule": "low",
+}
 """A number that is searched, of filters without a schedule of posegsa."""
 DATA = ("scenarios", "recordings")
+ONLY_RECORDINGS = ("imu",)
+"""Filters that read sensors which no scenario has."""
 
 
 def experiment(name: str) -> config.Experiment:
@@ -89,8 +97,10 @@ def experiment(name: str) -> config.Experiment:
 
 
 @cache
-def recording(seen: str) -> Recording:
-    """A short recording with the sensors of the experiment."""
+def recording(seen: str, filter: str = "") -> Recording:
+    """A short recording with the sensors of the experiment, or of the filter."""
+    if filter in ONLY_RECORDINGS:
+        return posegsa.imu(**inertial_motion(1.0, 1.0), name=seen)
     return Recording.from_arrays(**bench(), name=seen)
 
 
@@ -99,7 +109,7 @@ def tuned(name: str, data: str) -> Result:
     """The filter, tuned on scenarios or on a recording."""
     recordings: dict[str, Any] = {}
     if data == "recordings":
-        recordings = {"recordings": recording("one"), "held_out": recording("other")}
+        recordings = {"recordings": recording("one", name), "held_out": recording("other", name)}
     return posegsa.tune(experiment(name), filter=FILTERS[name][1], **recordings)
 
 
@@ -107,7 +117,17 @@ def cell(name: str, data: str) -> Any:
     return pytest.param(name, data, id=f"{name}, {data}")
 
 
-CELLS = [cell(name, data) for name in FILTERS for data in DATA]
+def found(name: str) -> Result:
+    """The filter, tuned on scenarios if it reads what they have."""
+    return tuned(name, "recordings" if name in ONLY_RECORDINGS else "scenarios")
+
+
+CELLS = [
+    cell(name, data)
+    for name in FILTERS
+    for data in DATA
+    if data == "recordings" or name not in ONLY_RECORDINGS
+]
 
 
 @pytest.mark.parametrize(("name", "data"), CELLS)
@@ -128,9 +148,10 @@ def test_every_filter_is_evaluated(name: str, data: str, monkeypatch: pytest.Mon
         return {RANDOM: baselines(problem, found)[RANDOM]}  # each of the others takes a search
 
     monkeypatch.setattr(evaluating, "baselines", one_of_them)
-    result = tuned(name, "scenarios")
+    result = found(name)
     if data == "recordings":
-        on = posegsa.evaluate(result, recordings=recording("other"), others=False).on_recordings
+        unseen = recording("other", name)
+        on = posegsa.evaluate(result, recordings=unseen, others=False).on_recordings
         assert on is not None
         assert np.isfinite(on.held_out[0].errors["judged"].total)
     else:
@@ -143,7 +164,7 @@ def test_every_filter_is_evaluated(name: str, data: str, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("name", FILTERS)
 def test_every_filter_runs_as_a_stream(name: str) -> None:
     """A stream computes what the filter computes over arrays."""
-    result, seen = tuned(name, "scenarios"), recording("one")
+    result, seen = found(name), recording("one", name)
     start, m = seen.initial(), seen.measurements
     known = {"vector_references": np.asarray(m.vector_references)[0]}
     known |= {"landmark_references": np.asarray(m.landmark_references)[0]}
@@ -160,13 +181,14 @@ def test_every_filter_runs_as_a_stream(name: str) -> None:
             landmarks=m.landmarks[k],
         )
         np.testing.assert_allclose(pose.rotation, arrays.rotation[k + 1], atol=2e-5)
-        np.testing.assert_allclose(pose.position, arrays.position[k + 1], atol=2e-5)
+        if not seen.attitude_only:
+            np.testing.assert_allclose(pose.position, arrays.position[k + 1], atol=2e-5)
 
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_every_filter_is_written_as_c(name: str) -> None:
     """`tests/export` runs the C; here each kind of filter of a result comes out as a header."""
-    header = posegsa.export_c(tuned(name, "scenarios"))
+    header = posegsa.export_c(found(name))
     assert "posegsa_step(" in header
     assert "Tuned with posegsa" in header
 
@@ -177,5 +199,13 @@ def test_every_result_is_saved_and_read(name: str, tmp_path: Any) -> None:
     posegsa.save(result, tmp_path / "run", figures=[])
     again = posegsa.load(tmp_path / "run", filter=FILTERS[name][1])
     assert again.filter == result.filter
-    first, second = (one.estimate(recording("one")).rotation[-1] for one in (result, again))
+    first, second = (one.estimate(recording("one", name)).rotation[-1] for one in (result, again))
     np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("name", ONLY_RECORDINGS)
+def test_what_no_scenario_has_is_refused_there(name: str) -> None:
+    with pytest.raises(posegsa.PosegsaError, match=r"filter\.kind = .imu.* allowed: recordings"):
+        posegsa.tune(experiment(name))
+    with pytest.raises(posegsa.PosegsaError, match=r"filter\.kind = .imu.* allowed: recordings"):
+        posegsa.evaluate(posegsa.configured(name), scenarios=3)

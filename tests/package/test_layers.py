@@ -13,7 +13,7 @@ LAYERS = (
     "errors arguments words defaults version compiled_programs runtime steps settings"
     " | optimisers model | filters | exchange config | recordings | search | judging | figures"
     " | report export | saving"
-    " | tuning imu_tuning configuring evaluating replaying comparing sweeping streaming"
+    " | configuring | tuning evaluating replaying comparing sweeping streaming"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package. Those between two bars do not import each other, but may

@@ -1,0 +1,590 @@
+"""An attitude filter for gyroscope, accelerometer and magnetometer: a Kalman filter and two means.
+
+It reads two vectors as they are measured: the specific force a [m/s^2], which points up at rest,
+and the magnetic field m in any unit. Their references say what the inertial frame is: up, with the
+length of gravity, and magnetic north. The velocity of a sample and landmarks are not used.
+
+symbol | meaning                                      | here                       | unit, frame
+------ | -------------------------------------------- | -------------------------- | -----------
+R      | estimated attitude                           | `estimate`, `at_sample`    | B to I
+b      | estimated bias of the gyroscope              | `estimate`                 | rad/s, B
+v      | estimated horizontal velocity (east, north)  | `velocity`                 | m/s, I
+theta  | attitude error, R_true = exp(theta^) R       | states 0 to 2 (e, n, up)   | rad, I
+Sigma  | covariance of theta, the error of b, and v   | `covariance`               |
+f      | mean field of the earth                      | `field`                    | as m, I
+c      | mean field that turns with the body (iron)   | `iron`                     | as m, B
+
+I is the almost inertial frame of the estimate: it drifts with what is left of the bias, and all
+means in it are turned with each correction.
+
+**Inclination.** No second sensor tells gravity from acceleration, but the velocity of a body stays
+within bounds: v integrates R a + gravity, and "v is 0, give or take" is the measurement. A wrong
+inclination makes v grow at g theta. The stationary Kalman filter of this model is a low-pass filter
+of second order of the acceleration in an almost inertial frame, as in VQF (D. Laidig, T. Seel,
+"VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
+rejection", Information Fusion 91, 2023), the bias learnt from what it corrects. Its gains follow
+from the covariance, high at the start, when little is known, and low later.
+
+**Heading.** From one sample to the next m = R^T f + c - delay omega x R^T f is compared with what
+is measured: a magnetometer is some milliseconds slower than a gyroscope. f follows what turns with
+the earth, c what turns with the body, such as an attached magnet, and only while the body turns. f
+points north, or the heading is wrong. Iron nearby is seen by the horizontal and vertical part of
+the field, which do not depend on the attitude: their distance d from their own slow mean, as a
+share of its length, gives the belief 1 / (1 + (d / tolerance)^2), by which the field's information
+is multiplied. An inclination error tilts the field, which changes its heading by up to tan(dip)
+times as much: that too is added to the heading's variance.
+
+**Rest.** While gyroscope and accelerometer stay near their means over half a second (thresholds of
+VQF), the gyroscope measures its bias, and the velocity is 0 more precisely.
+
+**Start.** The first acceleration turns the initial attitude upright, the first field to the north,
+by the smallest rotations that do; large variances then let both improve in seconds. Without a
+magnetometer the initial heading stays, and drifts.
+
+A gyroscope's value is the mean over the interval before its stamp, or after it
+(`gyroscope_interval`). If before, the estimate at the next sample is predicted by the last value,
+and the next step starts again from the last sample with the right one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from posegsa.arguments import refuse
+from posegsa.filters.base import Record, Samples, Sensors
+from posegsa.model.elementwise import choose, maximum, minimum
+from posegsa.model.estimate import FilterState
+from posegsa.model.measurements import Measurements
+from posegsa.model.sample import Sample, prepare
+from posegsa.model.se3 import (
+    Matrix3,
+    Quaternion,
+    Vec3,
+    add,
+    compose,
+    cross,
+    dot,
+    exp_coefficients,
+    norm,
+    rotate,
+    rows,
+    safe_sqrt,
+    scale,
+    subtract,
+    unrotate,
+)
+from posegsa.model.vectors import VectorSample, VectorSamples, VectorSettings
+
+Interval = Literal["before", "after"]
+"""Which interval an angular velocity is the mean of: before its time stamp, or after it."""
+Covariance = tuple[tuple[Array, ...], ...]
+"""Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..."""
+
+EAST, NORTH, UP = 0, 1, 2
+"""States of the attitude error, about each axis."""
+BIAS, VELOCITY, STATES = 3, 6, 8
+"""Index of the first state of the bias and of the velocity, and the number of states."""
+
+INITIAL_INCLINATION = 0.35
+"""Standard deviation of the inclination from one acceleration of a moving body, by axis [rad]."""
+INITIAL_HEADING = 1.0
+"""Standard deviation of the heading from one sample of the field [rad]."""
+INITIAL_VELOCITY = 1.0
+"""Standard deviation of the velocity at the start [m/s]."""
+REST_VELOCITY = 0.05
+"""Noise density of "v is 0" at rest [m/s sqrt(s)]."""
+ACCELERATION = 0.03
+"""Noise density of the accelerometer [m/s^2 sqrt(s)]."""
+REST_MEAN, REST_TIME = 0.5, 1.5
+"""Time constant of the means that rest is seen by, and how long they must have been near [s]."""
+REST_TURNING, REST_SHAKING = float(np.deg2rad(2.0)), 0.5
+"""Largest distances from these means at rest [rad/s, m/s^2]."""
+LARGEST_BIAS = float(np.deg2rad(6.0))
+"""Maximum bias of a gyroscope [rad/s]; above it the body turns at a constant rate."""
+FIELD_NOISE_TIME = 0.1
+"""Time constant of the low-pass filter of d, so that noise is no disturbance [s]."""
+ALL_TURNING = 0.5
+"""Angular velocity from which on a body shows its field from all sides [rad/s]."""
+AS_MEASURED = VectorSettings(
+    weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
+)
+"""Settings that leave the vectors as measured."""
+
+
+class AttitudeNumbers(NamedTuple):
+    """The numbers of the filter; all are traced."""
+
+    velocity: Array
+    """Noise density of "the velocity is 0" [m/s sqrt(s)]."""
+    angular_velocity: Array
+    """Density of the gyroscope's noise [rad/sqrt(s)]."""
+    turning: Array
+    """More of it, as a share of the angular velocity [sqrt(s)]."""
+    turning_heading: Array
+    """More of it for the heading alone, as a share of the angular velocity [sqrt(s)]."""
+    angular_walk: Array
+    """Random walk of the gyroscope's bias [rad/s/sqrt(s)]."""
+    heading: Array
+    """Noise density of the field's heading [rad sqrt(s)]."""
+    inclination_in_heading: Array
+    """Share of the inclination's variance that makes the field's heading uncertain."""
+    field_time: Array
+    """Time constant of f [s]."""
+    field_tolerance: Array
+    """Distance d of the field from its mean, as a share of it, at which the belief is 1/2."""
+    field_memory: Array
+    """Time over which the field's horizontal and vertical part are averaged, while the body turns
+    [s]."""
+    disbelieved: Array
+    """Share at which the means follow a field that is not believed."""
+    iron_time: Array
+    """Time constant of c while the body turns [s]."""
+    magnetometer_delay: Array
+    """By how much the magnetometer is later than the gyroscope [s]."""
+    rest_bias: Array
+    """Noise density of the gyroscope at rest, as a measurement of its bias [rad/s sqrt(s)]."""
+    initial_bias: Array
+    """Standard deviation of each component of the gyroscope's bias at the start [rad/s]."""
+    outlier: Array
+    """An acceleration or a field more than this many times as long as its reference is ignored."""
+
+
+class AttitudeState(NamedTuple):
+    """The filter between two samples."""
+
+    estimate: FilterState
+    """The attitude at the next sample, and the gyroscope's bias; the rest is 0."""
+    at_sample: Quaternion
+    """The attitude at the last sample."""
+    last_step: Array
+    """Time since the last sample [s]; 0 before the first."""
+    velocity: tuple[Array, Array]
+    """v, to the east and to the north [m/s]."""
+    covariance: Covariance
+    """Sigma: attitude error (east, north, up), the bias's error, velocity."""
+    field: Vec3
+    """f by east, north, up."""
+    iron: Vec3
+    """c."""
+    parts: tuple[Array, Array]
+    """Mean horizontal and vertical part of the field."""
+    parts_time: Array
+    """Time over which they are averaged [s]."""
+    off: tuple[Array, Array]
+    """Low-passed distances of both parts from their means, as shares of its length."""
+    field_belief: Array
+    """How far the field is believed, in [0, 1]."""
+    upright: Array
+    """1 once an acceleration has been seen, else 0."""
+    field_age: Array
+    """Time since the first field [s]; below 0 before it."""
+    slow_turning: Vec3
+    """Mean of the gyroscope over REST_MEAN [rad/s], body frame."""
+    slow_force: Vec3
+    """Mean of the accelerometer over REST_MEAN [m/s^2], body frame."""
+    still_time: Array
+    """For how long both have been near these means [s]."""
+
+    @property
+    def at_rest(self) -> Array:
+        """Whether the body rests."""
+        return self.still_time >= REST_TIME
+
+    @property
+    def heading_deviation(self) -> Array:
+        """Standard deviation of the heading [rad]."""
+        return safe_sqrt(_entry(self.covariance, UP, UP))
+
+    @property
+    def inclination_deviation(self) -> Array:
+        """Standard deviation of the inclination [rad]."""
+        return safe_sqrt(
+            _entry(self.covariance, EAST, EAST) + _entry(self.covariance, NORTH, NORTH)
+        )
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AttitudeFilter:
+    """The attitude filter for inertial sensors (`filters.base.Filter`)."""
+
+    numbers: AttitudeNumbers
+    """Its numbers."""
+    gyroscope_interval: Interval = field(default="before", metadata={"static": True})
+    """Whether an angular velocity is the mean over the interval before its time stamp, since the
+    last sample, or after it, until the next sample."""
+
+    def with_values(self, values: Mapping[str, Array]) -> Self:
+        """The same filter with some numbers replaced, by their names in `AttitudeNumbers`.
+
+        Raises:
+            ArgumentError: A name is not in `AttitudeNumbers`.
+        """
+        for key in values:
+            if key not in AttitudeNumbers._fields:
+                refuse(f"{key}: not a number of this filter", ", ".join(AttitudeNumbers._fields))
+        return replace(self, numbers=self.numbers._replace(**values))
+
+    def prepare(self, measurements: Measurements) -> Sample:
+        """The vectors as measured.
+
+        Raises:
+            ArgumentError: There are other vectors than specific force and magnetic field.
+        """
+        _check_vectors(np.shape(measurements.vector_weights)[-1])
+        return prepare(measurements, AS_MEASURED)
+
+    def start(self, initial: FilterState, sensors: Sensors) -> AttitudeState:
+        """The state before the first sample.
+
+        The first acceleration and the first field correct the attitude of `initial`. What they do
+        not tell is kept: its bias, and its heading where there is no magnetometer.
+
+        Raises:
+            ArgumentError: There are other vectors than specific force and magnetic field.
+        """
+        _check_vectors(sensors.vectors)
+        zero = jnp.zeros_like(initial.place[0])
+        zeros = (zero, zero, zero)
+        deviations = [INITIAL_INCLINATION] * 2 + [INITIAL_HEADING]
+        variances = [zero + s * s for s in deviations]
+        variances += [zero + self.numbers.initial_bias * self.numbers.initial_bias] * 3
+        variances += [zero + INITIAL_VELOCITY * INITIAL_VELOCITY] * 2
+        return AttitudeState(
+            estimate=FilterState(initial.attitude, zeros, initial.bias_angular, zeros),
+            at_sample=initial.attitude,
+            last_step=zero,
+            velocity=(zero, zero),
+            covariance=tuple((variances[i], *(zero,) * (STATES - 1 - i)) for i in range(STATES)),
+            field=zeros,
+            iron=zeros,
+            parts=(zero, zero),
+            parts_time=zero,
+            off=(zero, zero),
+            field_belief=zero,
+            upright=zero,
+            field_age=zero - 1,
+            slow_turning=zeros,
+            slow_force=zeros,
+            still_time=zero,
+        )
+
+    def ready(self) -> "AttitudeFilter":
+        """The filter itself; there is nothing to precompute."""
+        return self
+
+    def estimate(self, state: AttitudeState) -> FilterState:
+        """Attitude and gyroscope bias; position and velocity bias are 0."""
+        return state.estimate
+
+    def step(self, state: AttitudeState, now: Samples) -> tuple[AttitudeState, Record]:
+        """One sample: what it tells, then the turn until the next one."""
+        sample, numbers = now.sample, self.numbers
+        assert isinstance(sample.vectors, VectorSamples)
+        force, field_seen = sample.vectors.each
+        gyr, dt = sample.angular_velocity, sample.time_step
+        q, bias = state.estimate.attitude, state.estimate.bias_angular
+        if self.gyroscope_interval == "before":
+            turned = scale(state.last_step, subtract(gyr, bias))
+            q = compose(state.at_sample, _rotation_by(turned))
+        axes = _axes(force, field_seen)
+        gravity = norm(force.known)
+
+        # The first acceleration and the first field set the attitude.
+        longest = numbers.outlier * gravity
+        of_force = choose(
+            dot(force.measured, force.measured) < longest * longest, force.factor, 0.0
+        )
+        level = (of_force > 0) & (state.upright < 1)
+        to_up = _smallest_rotation(_unit(rotate(rows(q), force.measured)), axes[UP], axes[EAST])
+        q = compose(_if(level, to_up), q)
+        parts, started = state.parts, state.field_age >= 0
+        longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
+        m = field_seen.measured
+        usable = (dot(m, m) < longest) | jnp.logical_not(started)
+        upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
+        of_field = choose(usable & (upright > 0), field_seen.factor, 0.0)
+        first = (of_field > 0) & jnp.logical_not(started)
+        seen = rotate(rows(q), m)
+        level_part = subtract(seen, scale(dot(seen, axes[UP]), axes[UP]))
+        q = compose(_if(first, _smallest_rotation(_unit(level_part), axes[NORTH], axes[UP])), q)
+
+        R = _in(axes, rows(q))
+        omega = subtract(gyr, bias)
+        speed = norm(omega)
+        still, slow_turning, slow_force = _stillness(state, gyr, force.measured, of_force, dt)
+        still_time = choose(still, state.still_time + dt, 0.0)
+        rests = still_time >= REST_TIME
+        state = state._replace(upright=upright)
+        state = self._with_field(state, R, omega, m, of_field, dt)
+
+        # Corrections, each of them one number.
+        correction = (jnp.zeros_like(dt),) * STATES
+        found = state.covariance, correction
+        spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
+        certain = choose(of_force > 0, dt / (spread * spread), 0.0)
+        for i in range(2):
+            found = _measured(found, VELOCITY + i, -state.velocity[i], certain)
+        f, (level_mean, upwards) = state.field, state.parts
+        level_length = norm((f[0], f[1], jnp.zeros_like(dt)))
+        known = (of_field > 0) & (level_length > 0) & (level_mean > 0)
+        safe = choose(known, level_length, 1.0)
+        dip = upwards / choose(known, level_mean, 1.0)
+        tilt = _entry(state.covariance, EAST, EAST) + _entry(state.covariance, NORTH, NORTH)
+        noise = (
+            numbers.heading
+            * numbers.heading
+            / (dt * state.field_belief * choose(known, of_field, 1.0))
+            + 0.5 * numbers.inclination_in_heading * dip * dip * tilt
+        )
+        certain = choose(known, 1 / noise, 0.0)
+        behind = choose(f[0] >= 0, jnp.ones_like(dt), -1.0)
+        found = _measured(found, UP, choose(f[1] > 0, f[0] / safe, behind), certain)
+        per_rest = numbers.rest_bias * numbers.rest_bias
+        certain = choose(rests, dt / per_rest, 0.0)
+        for i in range(3):
+            found = _measured(found, BIAS + i, omega[i], certain)
+        covariance, x = found
+        turn = _rotation_by(_out(axes, (x[0], x[1], x[2])))
+        q = compose(turn, q)
+        bias = add(bias, (x[3], x[4], x[5]))
+        v = state.velocity[0] + x[6], state.velocity[1] + x[7]
+        f = rotate(rows(_rotation_by((x[0], x[1], x[2]))), f)
+
+        # The time until the next sample.
+        R = _in(axes, rows(q))
+        pushed = rotate(R, force.measured)
+        pull = choose(of_force > 0, dt, 0.0)
+        v = v[0] + pull * pushed[EAST], v[1] + pull * pushed[NORTH]
+        omega = subtract(gyr, bias)
+        next_attitude = compose(q, _rotation_by(scale(dt, omega)))
+        density = numbers.angular_velocity**2 + numbers.turning**2 * speed * speed
+        of_heading = numbers.turning_heading**2 * speed * speed
+        walk = numbers.angular_walk**2
+        noises = [density, density, density + of_heading, walk, walk, walk]
+        noises += [jnp.full_like(dt, ACCELERATION**2)] * 2
+        covariance = _moved(covariance, R, dt, pull * gravity)
+        covariance = tuple(
+            (row[0] + dt * noise, *row[1:]) for row, noise in zip(covariance, noises, strict=True)
+        )
+        return state._replace(
+            estimate=state.estimate._replace(attitude=next_attitude, bias_angular=bias),
+            at_sample=q,
+            last_step=dt,
+            velocity=v,
+            covariance=covariance,
+            field=f,
+            slow_turning=slow_turning,
+            slow_force=slow_force,
+            still_time=still_time,
+        ), Record()
+
+    def _with_field(
+        self,
+        state: AttitudeState,
+        R: Matrix3,
+        omega: Vec3,
+        measured: Vec3,
+        factor: Array,
+        dt: Array,
+    ) -> AttitudeState:
+        """The means of the field, and the belief in it, after a sample.
+
+        Args:
+            state: before it.
+            R: rows of the attitude, to east, north, up.
+            omega: angular velocity without its bias [rad/s].
+            measured: the magnetic field, body frame.
+            factor: 0 where it is missing.
+            dt: to the next sample [s].
+        """
+        numbers, seen = self.numbers, factor > 0
+        first = seen & (state.field_age < 0)
+        age = maximum(state.field_age, 0.0)
+        time = dt * factor
+        slow = unrotate(R, state.field)
+        late = choose(first, jnp.zeros_like(dt), numbers.magnetometer_delay)
+        m = subtract(subtract(measured, state.iron), scale(late, cross(omega, slow)))
+        earthly = rotate(R, m)
+        level = norm((earthly[EAST], earthly[NORTH], jnp.zeros_like(dt)))
+        parts = tuple(
+            choose(first, new, old)
+            for new, old in zip((level, earthly[UP]), state.parts, strict=True)
+        )
+        size = parts[0] * parts[0] + parts[1] * parts[1]
+        per_size = 1 / safe_sqrt(choose(size > 0, size, 1.0))
+        new = time / (FIELD_NOISE_TIME + time)
+        off = tuple(
+            old + new * ((now - mean) * per_size - old)
+            for old, now, mean in zip(state.off, (level, earthly[UP]), parts, strict=True)
+        )
+        square = off[0] * off[0] + off[1] * off[1]
+        tolerance = numbers.field_tolerance * numbers.field_tolerance
+        belief = tolerance / (tolerance + square)
+        follow = numbers.disbelieved + (1 - numbers.disbelieved) * belief
+        turning = minimum(norm(omega) * (1 / ALL_TURNING), jnp.ones_like(dt))
+        residual = subtract(earthly, state.field)
+        share = maximum(time / (numbers.field_time + time), time / (age + time + 1e-9))
+        to_iron = minimum(time * turning * follow / numbers.iron_time, jnp.ones_like(dt))
+        weight = time * turning * follow
+        parts_time = minimum(state.parts_time + weight, numbers.field_memory)
+        to_parts = weight / (parts_time + 1e-6)
+        changed = state._replace(
+            field=add(state.field, scale(share, residual)),
+            iron=add(
+                state.iron,
+                scale(choose(first, jnp.zeros_like(dt), to_iron), unrotate(R, residual)),
+            ),
+            parts=(
+                parts[0] + to_parts * (level - parts[0]),
+                parts[1] + to_parts * (earthly[UP] - parts[1]),
+            ),
+            parts_time=parts_time,
+            off=(off[0], off[1]),
+            field_belief=belief,
+            field_age=age + dt,
+        )
+        return jax.tree.map(lambda new, old: choose(seen, new, old), changed, state)
+
+
+def _check_vectors(count: int) -> None:
+    if count != 2:
+        refuse(
+            f"vectors: {count} of them",
+            "two, specific force and magnetic field (weight 0 without a magnetometer)",
+        )
+
+
+def _axes(force: VectorSample, field_seen: VectorSample) -> Matrix3:
+    """East, north and up in the inertial frame, from the references of both vectors."""
+    up = _unit(force.known)
+    east = _unit(cross(field_seen.known, up))
+    return east, cross(up, east), up
+
+
+def _in(axes: Matrix3, R: Matrix3) -> Matrix3:
+    """Rows of the rotation from the body to east, north, up."""
+    east, north, up = (unrotate(R, axis) for axis in axes)
+    return east, north, up
+
+
+def _out(axes: Matrix3, a: Vec3) -> Vec3:
+    """A vector by east, north, up in the inertial frame."""
+    return unrotate(axes, a)
+
+
+def _unit(a: Vec3) -> Vec3:
+    square = dot(a, a)
+    return scale(1 / safe_sqrt(choose(square > 0, square, 1.0)), a)
+
+
+def _rotation_by(angle: Vec3) -> Quaternion:
+    """The rotation by a vector of an angle [rad]."""
+    cosine, sine, _, _ = exp_coefficients(dot(angle, angle))
+    return (cosine, *scale(sine, angle))
+
+
+def _smallest_rotation(a: Vec3, b: Vec3, across: Vec3) -> Quaternion:
+    """The rotation by the smallest angle that takes a to b; half a turn is about `across`.
+
+    All have length 1, and `across` is perpendicular to b.
+    """
+    w, axis = 1 + dot(a, b), cross(a, b)
+    square = w * w + dot(axis, axis)
+    turned = square > 1e-12
+    per_length = 1 / safe_sqrt(choose(turned, square, 1.0))
+    x, y, z = (choose(turned, per_length * s, half) for s, half in zip(axis, across, strict=True))
+    return choose(turned, per_length * w, 0.0), x, y, z
+
+
+def _if(condition: Array, q: Quaternion) -> Quaternion:
+    """The rotation where the condition holds, else none."""
+    w, x, y, z = q
+    return (
+        choose(condition, w, 1.0),
+        choose(condition, x, 0.0),
+        choose(condition, y, 0.0),
+        choose(condition, z, 0.0),
+    )
+
+
+def _stillness(
+    state: AttitudeState, gyr: Vec3, force: Vec3, factor: Array, dt: Array
+) -> tuple[Array, Vec3, Vec3]:
+    """Whether a sample is one of rest, and the slow means of gyroscope and accelerometer."""
+    share = dt / (REST_MEAN + dt)
+    begun = state.upright > 0
+    of_turning = choose(begun, share, 1.0)
+    of_force = choose(factor > 0, choose(begun, share, 1.0), 0.0)
+    turning = add(state.slow_turning, scale(of_turning, subtract(gyr, state.slow_turning)))
+    slow = add(state.slow_force, scale(of_force, subtract(force, state.slow_force)))
+    still = (
+        (norm(subtract(gyr, turning)) < REST_TURNING)
+        & ((factor <= 0) | (norm(subtract(force, slow)) < REST_SHAKING))
+        & (norm(turning) < LARGEST_BIAS)
+    )
+    return still, turning, slow
+
+
+# --- the covariance, by components ---
+
+Found = tuple[Covariance, tuple[Array, ...]]
+"""The covariance and the correction x after the measurements of a sample so far."""
+
+
+def _entry(covariance: Covariance, i: int, j: int) -> Array:
+    return covariance[i][j - i] if i <= j else covariance[j][i - j]
+
+
+def _measured(found: Found, state: int, residual: Array, information: Array) -> Found:
+    """After a measurement of one state.
+
+    Args:
+        found: before it.
+        state: its index.
+        residual: measured minus predicted, without the correction so far.
+        information: one over the variance of its noise; 0 where it is missing.
+    """
+    covariance, x = found
+    gain = [_entry(covariance, i, state) for i in range(STATES)]
+    # gain / (variance + noise), without an infinite noise.
+    share = information / (1 + information * gain[state])
+    surprise = share * (residual - x[state])
+    return (
+        tuple(
+            tuple(entry - share * gain[i] * gain[j] for j, entry in enumerate(row, start=i))
+            for i, row in enumerate(covariance)
+        ),
+        tuple(a + surprise * g for a, g in zip(x, gain, strict=True)),
+    )
+
+
+def _moved(covariance: Covariance, R: Matrix3, dt: Array, pull: Array) -> Covariance:
+    """The covariance after theta <- theta - dt R (error of b) and v <- v + pull (theta x up).
+
+    Args:
+        covariance: before it.
+        R: rows of the attitude, to east, north, up.
+        dt: time step [s].
+        pull: time step times gravity [m/s].
+    """
+    every = range(STATES)
+
+    def step(columns: Sequence[Sequence[Any]]) -> list[list[Any]]:
+        after = [list(column) for column in columns]
+        for j, column in enumerate(columns):
+            turned = rotate(R, (column[3], column[4], column[5]))
+            for i in range(3):
+                after[j][i] = column[i] - dt * turned[i]
+            after[j][6] = column[6] + pull * column[NORTH]
+            after[j][7] = column[7] - pull * column[EAST]
+        return after
+
+    once = step([[_entry(covariance, i, j) for i in every] for j in every])
+    twice = step([[once[j][i] for j in every] for i in every])
+    return tuple(tuple(twice[i][j] for j in range(i, STATES)) for i in every)

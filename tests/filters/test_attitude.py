@@ -1,0 +1,225 @@
+"""The attitude filter for inertial sensors, against a reference in NumPy and by what it must do."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.reference_attitude import attitudes
+from scipy.spatial.transform import Rotation
+
+from posegsa import config
+from posegsa.errors import ArgumentError
+from posegsa.filters.attitude import AttitudeFilter, AttitudeNumbers, AttitudeState, Interval
+from posegsa.filters.base import Sensors, samples_of
+from posegsa.filters.rollout import run
+from posegsa.model.estimate import initial_state
+from posegsa.model.measurements import Measurements
+
+STEP = 0.01
+NUMBERS = {name: getattr(config.AttitudeConfig(), name) for name in AttitudeNumbers._fields}
+GRAVITY, FIELD = np.array([0.0, 0.0, 9.81]), np.array([0.0, 0.4, -0.6])
+
+
+@pytest.fixture(autouse=True)
+def double() -> Any:
+    with jax.enable_x64(True):
+        yield
+
+
+def made(interval: Interval = "before", **changes: float) -> AttitudeFilter:
+    numbers = {name: jnp.asarray(value) for name, value in (NUMBERS | changes).items()}
+    return AttitudeFilter(AttitudeNumbers(**numbers), interval)
+
+
+def sensed(
+    seconds: float = 20.0,
+    *,
+    rest: float = 0.0,
+    seed: int = 0,
+    bias: tuple[float, float, float] = (0.01, -0.02, 0.005),
+    steps: np.ndarray | None = None,
+    speed: float = 1.0,
+) -> dict[str, np.ndarray]:
+    """True attitudes (K + 1, 3, 3), and what ideal sensors measure of a tumbling, shaken body."""
+    steps = np.full(round(seconds / STEP), STEP) if steps is None else steps
+    time = np.cumsum(steps) - steps
+    rng = np.random.default_rng(seed)
+    phases = rng.uniform(0, 2 * np.pi, (2, 3))
+    moving = (time >= rest)[:, None]
+    omega = moving * speed * np.sin(time[:, None] * [0.9, 1.3, 0.7] + phases[0])
+    R = [Rotation.from_rotvec(rng.normal(size=3)).as_matrix()]
+    for w, dt in zip(omega, steps, strict=True):
+        R.append(R[-1] @ Rotation.from_rotvec(dt * w).as_matrix())
+    R = np.array(R)
+    shake = moving * np.sin(time[:, None] * [7.0, 5.0, 6.0] + phases[1]) * [2.0, 1.0, 1.5]
+    return {
+        "R": R,
+        "gyr": omega + np.array(bias),
+        "acc": np.einsum("kji,kj->ki", R[:-1], shake + GRAVITY),
+        "mag": np.einsum("kji,j->ki", R[:-1], FIELD),
+        "steps": steps,
+    }
+
+
+def ran(
+    filter: AttitudeFilter,
+    seen: dict[str, np.ndarray],
+    references: Any = (GRAVITY, [0.0, 1.0, 0.0]),
+) -> tuple[AttitudeState, dict[str, np.ndarray]]:
+    """The last state, and attitudes, biases, beliefs and rests before each sample."""
+    vectors = np.stack([seen["acc"], seen["mag"]], axis=1)
+    measurements = Measurements.from_arrays(
+        time_step=seen["steps"],
+        angular_velocity=seen["gyr"],
+        velocity=np.zeros_like(seen["gyr"]),
+        vectors=vectors,
+        vector_references=references,
+        dtype=np.float64,
+    )
+    state = filter.start(initial_state(np.eye(3), np.zeros(3)), Sensors(2, 0))
+    assert jax.tree.leaves(state)[0].dtype == np.float64
+
+    def look(total: Any, estimate: Any, record: Any, now: Any, entry: Any) -> Any:
+        return total, (estimate.attitude, estimate.bias_angular)
+
+    last, _, (q, b) = run(look, filter, samples_of(filter, measurements), state)
+    w, x, y, z = map(np.asarray, q)
+    return last, {
+        "R": Rotation.from_quat(np.stack([x, y, z, w], 1)).as_matrix(),
+        "b": np.stack(b, 1),
+    }
+
+
+def degrees(R: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Angles (K,) between rotations [deg]."""
+    return np.degrees(Rotation.from_matrix(R @ np.swapaxes(true, -1, -2)).magnitude())
+
+
+@pytest.mark.parametrize("interval", ["before", "after"])
+@pytest.mark.parametrize("rest", [0.0, 4.0])
+def test_it_computes_what_the_reference_in_numpy_computes(interval: Interval, rest: float) -> None:
+    seen = sensed(12.0, rest=rest, seed=3, steps=np.random.default_rng(0).uniform(0.004, 0.02, 900))
+    rng = np.random.default_rng(1)
+    for name, noise in (("gyr", 0.01), ("acc", 0.1), ("mag", 0.01)):
+        seen[name] = seen[name] + noise * rng.normal(size=seen[name].shape)
+    seen["acc"][5:9] = np.nan
+    seen["acc"][300] = 400.0
+    seen["mag"][:20] = np.nan
+    seen["mag"][400:430] = np.nan
+    seen["mag"][500:600] += [0.3, 0.0, 0.1]
+    seen["mag"][700] = 30.0
+    last, found = ran(made(interval), seen)
+    expected = attitudes(
+        NUMBERS,
+        *(seen[name] for name in ("gyr", "acc", "mag", "steps")),
+        before=interval == "before",
+    )
+    np.testing.assert_allclose(found["R"], expected["R"][:-1], atol=1e-9)
+    np.testing.assert_allclose(found["b"], expected["b"][:-1], atol=1e-10)
+    np.testing.assert_allclose(last.field_belief, expected["belief"][-1], rtol=1e-8)
+    assert bool(last.at_rest) == expected["rest"][-1]
+    P = np.zeros((8, 8))
+    for i, row in enumerate(last.covariance):
+        P[i, i:] = P[i:, i] = row
+    np.testing.assert_allclose(P, expected["P"], atol=1e-9)
+
+
+def test_from_a_start_in_motion_it_finds_attitude_and_bias() -> None:
+    seen = sensed(60.0)
+    last, found = ran(made("after", magnetometer_delay=0.0), seen)
+    off = degrees(found["R"], seen["R"][:-1])
+    assert off[-1000:].max() < 1.0
+    np.testing.assert_allclose(last.estimate.bias, [0.01, -0.02, 0.005, 0, 0, 0], atol=4e-3)
+    assert last.heading_deviation < np.deg2rad(5)
+    assert last.inclination_deviation < np.deg2rad(3)
+
+
+def test_at_rest_it_learns_the_bias_and_says_so() -> None:
+    seen = sensed(8.0, rest=8.0)
+    last, _ = ran(made("after"), seen)
+    assert bool(last.at_rest)
+    np.testing.assert_allclose(last.estimate.bias[:3], [0.01, -0.02, 0.005], atol=5e-4)
+    moving, _ = ran(made("after"), sensed(9.0, rest=8.0))
+    assert not bool(moving.at_rest)
+
+
+def test_without_a_magnetometer_it_keeps_the_inclination_and_the_given_heading() -> None:
+    seen = sensed(30.0, bias=(0.0, 0.0, 0.0))
+    seen["mag"][:] = np.nan
+    last, found = ran(made("after"), seen)
+    tilt = found["R"][:, 2] - seen["R"][:-1, 2]  # R^T up
+    assert np.degrees(np.linalg.norm(tilt[-1000:], axis=1)).max() < 1.0
+    error = found["R"] @ np.swapaxes(seen["R"][:-1], 1, 2)
+    heading = np.unwrap(np.arctan2(error[:, 1, 0], error[:, 0, 0]))[500:]
+    assert np.degrees(np.ptp(heading)) < 1.0  # any heading, that stays
+    assert last.heading_deviation > 1.0
+
+
+def test_a_field_that_is_disturbed_is_not_believed() -> None:
+    seen = sensed(40.0)
+    seen["mag"][3000:3300] += [0.2, 0.1, -0.2]
+    last, found = ran(made("after", magnetometer_delay=0.0), seen)
+    before, _ = ran(made("after", magnetometer_delay=0.0), {k: v[:3290] for k, v in seen.items()})
+    assert before.field_belief < 0.3
+    assert last.field_belief > 0.8
+    off = degrees(found["R"], seen["R"][:-1])
+    assert off[3000:3400].max() < off[2500:3000].max() + 2.0
+
+
+def test_a_magnet_that_turns_with_the_body_is_learnt() -> None:
+    seen = sensed(90.0, speed=4.0)
+    seen["mag"] = seen["mag"] + [0.06, -0.03, 0.04]
+    last, found = ran(made("after", magnetometer_delay=0.0), seen)
+    np.testing.assert_allclose(last.iron, [0.06, -0.03, 0.04], atol=0.015)
+    assert degrees(found["R"], seen["R"][:-1])[-1000:].max() < 1.5
+
+
+def test_a_late_magnetometer_is_corrected() -> None:
+    seen = sensed(60.0, speed=4.0)
+    seen["mag"] = np.concatenate([seen["mag"][:1], seen["mag"][:1], seen["mag"][:-2]])
+    late, corrected = (
+        degrees(ran(made("after", magnetometer_delay=delay), seen)[1]["R"], seen["R"][:-1])
+        for delay in (0.0, 0.02)
+    )
+    assert np.sqrt(np.mean(corrected[2000:] ** 2)) < 0.5 * np.sqrt(np.mean(late[2000:] ** 2))
+
+
+@pytest.mark.parametrize(
+    ("up", "north"),
+    [
+        ((0, 0, 1), (0, 1, 0)),
+        ((0, 0, -1), (1, 0, 0)),
+        ((0, 0, 1), (1, 0, 0)),
+        ((0, 1, 0), (0, 0, 1)),
+    ],
+)
+def test_the_references_say_what_the_inertial_frame_is(up: Any, north: Any) -> None:
+    """The references of NED, NWU and any other frame only turn the estimates."""
+    seen = sensed(5.0, rest=2.0)
+    up, north = np.array(up, float), np.array(north, float)
+    frame = np.stack([np.cross(north, up), north, up])  # to east, north, up
+    _, expected = ran(made(), seen)
+    _, found = ran(made(), seen, (9.81 * up, north - 3 * up))
+    np.testing.assert_allclose(frame @ found["R"][1:], expected["R"][1:], atol=1e-9)
+
+
+def test_one_direction_or_an_unknown_number_is_refused() -> None:
+    filter = made()
+    with pytest.raises(ArgumentError, match="vectors: 1 of them; allowed: two"):
+        filter.start(initial_state(np.eye(3), np.zeros(3)), 1)
+    with pytest.raises(ArgumentError, match="gamma: not a number of this filter"):
+        filter.with_values({"gamma": jnp.zeros(())})
+    changed = filter.with_values({"heading": jnp.asarray(3.0)})
+    assert changed == replace(filter, numbers=filter.numbers._replace(heading=jnp.asarray(3.0)))
+
+
+def test_upside_down_is_a_start_like_any_other() -> None:
+    seen = sensed(6.0, rest=6.0, bias=(0.0, 0.0, 0.0))
+    flipped = {name: value.copy() for name, value in seen.items()}
+    flipped["acc"][:] = -GRAVITY
+    flipped["mag"][:] = [0.0, -0.4, 0.6]
+    _, found = ran(made(), flipped)
+    np.testing.assert_allclose(found["R"][-1], np.diag([1.0, -1.0, -1.0]), atol=0.02)
