@@ -209,7 +209,7 @@ def test_the_references_say_what_the_inertial_frame_is(up: Any, north: Any) -> N
 def test_one_direction_or_an_unknown_number_is_refused() -> None:
     filter = made()
     with pytest.raises(ArgumentError, match="vectors: 1 of them; allowed: two"):
-        filter.start(initial_state(np.eye(3), np.zeros(3)), 1)
+        filter.start(initial_state(np.eye(3), np.zeros(3)), Sensors(1, 0))
     with pytest.raises(ArgumentError, match="gamma: not a number of this filter"):
         filter.with_values({"gamma": jnp.zeros(())})
     changed = filter.with_values({"heading": jnp.asarray(3.0)})
