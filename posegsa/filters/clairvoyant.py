@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.filters.base import Record, Samples
+from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise, KalmanState, propagate, update
 from posegsa.model.estimate import FilterState
 from posegsa.model.events import Events
@@ -89,9 +89,9 @@ class Clairvoyant:
         """Each vector as measured, and landmarks."""
         return KalmanFilter(self.noise).prepare(measurements)
 
-    def start(self, initial: FilterState, vectors: int) -> KalmanState:
+    def start(self, initial: FilterState, sensors: Sensors) -> KalmanState:
         """The state before the first sample; `initial` holds the true pose."""
-        return KalmanFilter(self.noise).start(initial, vectors)
+        return KalmanFilter(self.noise).start(initial, sensors)
 
     def ready(self) -> "Clairvoyant":
         """The filter itself; there is nothing to precompute."""

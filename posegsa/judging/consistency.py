@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from posegsa.arguments import refuse
-from posegsa.filters.base import Filter, Samples, vectors_in
+from posegsa.filters.base import Filter, Samples, sensors_in
 from posegsa.filters.kalman import KalmanFilter, nees
 from posegsa.filters.rollout import run
 from posegsa.model.estimate import FilterState
@@ -123,7 +123,7 @@ def _nees(
         return total, None
 
     def one(samples: Samples, initial: FilterState) -> Array:
-        state, found = filter.start(initial, vectors_in(samples)), []
+        state, found = filter.start(initial, sensors_in(samples)), []
         for begin, end in pairwise((0, *index)):
             if end > begin:
                 part = jax.tree.map(lambda a, begin=begin, end=end: a[begin:end], samples)

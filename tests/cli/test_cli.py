@@ -313,7 +313,7 @@ def test_configurations_are_listed_and_printed(capsys):
     shown = capsys.readouterr().out
     assert config.from_dict(tomllib.loads(shown)) == config.load("quick")
     assert main(["config", "show", "quik"]) == 2
-    assert "allowed: a TOML file, or field" in capsys.readouterr().err
+    assert "allowed: a TOML file, or disturbed, field" in capsys.readouterr().err
 
 
 @pytest.mark.quick

@@ -15,7 +15,7 @@ from helpers.measurements import reference_sample as sample_of
 from helpers.reference import adjoint, se3_exp
 
 from posegsa.errors import ArgumentError
-from posegsa.filters.base import samples_of
+from posegsa.filters.base import Sensors, samples_of
 from posegsa.filters.clairvoyant import Clairvoyant, with_events
 from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.rollout import run
@@ -69,7 +69,7 @@ def states(filter: Clairvoyant, m: Measurements, events: Events, initial, jumps:
     def look(total, estimate, record, now, entry):
         return total, (estimate.rotation, estimate.position, estimate.bias, estimate.vector_bias)
 
-    state = filter.start(initial, 2)
+    state = filter.start(initial, Sensors(2, 1))
     last, _, stored = run(look, filter, samples, state)
     return stored, last.covariance_matrix
 

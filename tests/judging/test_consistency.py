@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from posegsa import config
 from posegsa.config.shipped import find
 from posegsa.errors import ArgumentError
-from posegsa.filters.base import vectors_in
+from posegsa.filters.base import sensors_in
 from posegsa.judging.consistency import Consistency, bound, consistency
 from posegsa.search.build import scenario_batch
 from posegsa.search.candidates import Candidate
@@ -124,7 +124,7 @@ def test_where_the_filter_is_linear_its_nees_is_chi_squared() -> None:
     """Errors so small that products of them are negligible, and noise that is all known."""
     count, times = 400, (0.0, 0.3, 0.99)
     batch = started_near(drawn(count, *LINEAR))
-    assert vectors_in(batch.samples) == 2
+    assert sensors_in(batch.samples) == (2, 1)
     found = consistency(Candidate(), batch, times)
     low, high = scipy.stats.chi2.ppf([5e-5, 1 - 5e-5], 6 * count) / count
     deviation = np.sqrt(0.95 * 0.05 / count)
