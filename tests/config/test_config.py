@@ -156,6 +156,7 @@ def test_the_hard_families_have_the_papers_sensors_and_motion_and_three_landmark
     assert changed.items() >= SECTION_13.items()
     assert experiment.cost == default.cost
     assert experiment.filter.kind == "kalman"
+    assert len(experiment.parameters.also) == 12  # a number that is stated is not tuned by default
     for field in ("angular_velocity", "velocity", "angular_velocity_noise", "velocity_noise"):
         assert getattr(experiment.scenario, field) == getattr(default.scenario, field)
     for vector, paper in zip(experiment.scenario.vectors, default.scenario.vectors, strict=True):
