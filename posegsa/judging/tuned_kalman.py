@@ -2,9 +2,13 @@
 
 import math
 
+import jax.numpy as jnp
+
 from posegsa import config
+from posegsa.filters.kalman import KalmanNoise
 from posegsa.judging.description import Description, describe
 from posegsa.optimisers import DifferentialEvolution, runner, start
+from posegsa.optimisers.search_box import to_unit
 from posegsa.search.build import TuningProblem
 from posegsa.search.keys import keys
 from posegsa.search.objective import SearchObjective, packed_batch
@@ -19,10 +23,17 @@ MIN_IMPROVEMENT = 0.01
 
 
 def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> config.Experiment:
-    """An experiment with the Kalman filter in place of its own; all its noises are tuned."""
+    """An experiment with a plain Kalman filter in place of its own; all its noises are tuned.
+
+    They are those of the experiment's own Kalman filter, if it has one, without its schedules.
+    """
     data = experiment.model_dump(mode="json")
-    data["filter"] = {"kind": "kalman", "vector_bias": "estimated" if vector_biases else "off"}
-    del data["parameters"]["also"], data["tuned"]
+    own = data["filter"] if experiment.filter.kind == "kalman" else {}
+    noises = {name: own[name] for name in KalmanNoise._fields if name in own}
+    biases = "estimated" if vector_biases else "off"
+    data["filter"] = {"kind": "kalman", "vector_bias": biases} | noises
+    data["parameters"]["also"] = [one.model_dump(mode="json") for one in config.KALMAN_ALSO]
+    del data["tuned"]
     return config.from_dict(data)
 
 
@@ -30,7 +41,8 @@ def tune_kalman(problem: TuningProblem) -> Description:
     """The noises of lowest cost in a problem with the Kalman filter.
 
     Differential evolution searches their logarithms until a check finds less than
-    MIN_IMPROVEMENT.
+    MIN_IMPROVEMENT. Its first agent has the noises as configured, by default those of the sensors'
+    data sheet: a filter that few evaluations improve much on.
     """
     experiment, space = problem.experiment, problem.space
     optimiser = DifferentialEvolution(
@@ -39,6 +51,11 @@ def tune_kalman(problem: TuningProblem) -> Description:
     objective = SearchObjective(experiment.objective, None, problem.cost)
     go = runner(optimiser, objective, space.box, packed_batch(problem.training), space, None)
     search, before = start(optimiser, space.box, keys(experiment.run.seed).baselines), math.inf
+    values = [getattr(experiment.filter, key.removeprefix("filter.")) for key in space.keys]
+    scales = zip(values, space.logarithmic, strict=True)
+    configured = [math.log(value) if logarithmic else value for value, logarithmic in scales]
+    first = to_unit(space.box, jnp.asarray(configured, space.box.lower.dtype))
+    search = search._replace(state=optimiser.begin_at(search.state, first))
     chunk = CHECK_INTERVAL // AGENTS
     for stop in range(chunk, optimiser.iterations + 1, chunk):
         search = go(search, stop)

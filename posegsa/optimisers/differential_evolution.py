@@ -53,6 +53,13 @@ class DifferentialEvolution(Optimiser):
         unknown = jnp.full(self.agents, jnp.inf, dtype)
         return DifferentialEvolutionState(position=first, cost=unknown, trial=first, key=key)
 
+    def begin_at(
+        self, state: DifferentialEvolutionState, position: Array
+    ) -> DifferentialEvolutionState:
+        """Put the first agent at a position (dimensions,) in the unit box."""
+        first = state.trial.at[0].set(position)
+        return state._replace(position=first, trial=first)
+
     def ask(self, state: DifferentialEvolutionState) -> Array:
         """Return the trials (agents, dimensions) in the unit box."""
         return state.trial

@@ -328,7 +328,8 @@ def test_configurations_are_listed_and_printed(capsys):
     shown = capsys.readouterr().out
     assert config.from_dict(tomllib.loads(shown)) == config.load("quick")
     assert main(["config", "show", "quik.toml"]) == 2, "it prints no files"
-    assert "quik.toml: no configuration of posegsa; allowed: disturbed, field" in capsys.readouterr().err
+    refusal = capsys.readouterr().err
+    assert "quik.toml: no configuration of posegsa; allowed: disturbed, field" in refusal
     assert main(["tune", "quik"]) == 2
     assert "allowed: a TOML file, or disturbed, field" in capsys.readouterr().err
 

@@ -13,6 +13,17 @@ from posegsa.optimisers.differential_evolution import Strategy, distinct_others
 from posegsa.optimisers.functions import ClassicalFunction
 
 
+def test_the_first_agent_can_begin_at_a_position() -> None:
+    """It is evaluated first, and kept until something costs less."""
+    de = DifferentialEvolution(agents=6, iterations=2)
+    at = jnp.asarray([0.25, 0.75])
+    state = de.begin_at(de.init(jax.random.key(0), 2, at.dtype), at)
+    np.testing.assert_array_equal(de.ask(state)[0], at)
+    after = de.tell(state, jnp.arange(6.0))
+    np.testing.assert_array_equal(after.position[0], at)
+    assert float(after.cost[0]) == 0.0
+
+
 def test_others_are_distinct_and_uniform() -> None:
     agents, draws = 5, 4000
     keys = random.split(random.key(0), draws)
