@@ -41,7 +41,7 @@ SCHEDULES: dict[Kind, type] = {
 """The types of schedules without a controller, by the kind of their `Description`."""
 TITLES: Mapping[Kind, str] = {
     "kalman": "Kalman filter",
-    "imu": "attitude filter for inertial sensors",
+    "imu": "filter for inertial sensors",
     "own": "filter of the user's own",
 }
 """Kinds that are not called a gain."""
