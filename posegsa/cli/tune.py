@@ -163,7 +163,8 @@ def _how_to_compare(options: argparse.Namespace, folder: str, kind: str) -> str:
     words += [f"--longest-gap {options.longest_gap!r}"] if options.longest_gap else []
     words += [f"--frame {options.frame}"] if options.frame else []
     time = "" if inertial else ", in about twice the time of this search"
-    return f"To compare it with {others}{time}:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
+    command = f"posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
+    return f"To compare it with {others}{time}:\n  {command}"
 
 
 def _join(options: argparse.Namespace) -> bool:

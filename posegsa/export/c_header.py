@@ -98,8 +98,8 @@ def filter_to_c(
 
     Args:
         filter: An `Observer` with a schedule of `posegsa.model.schedules`, or one of your own; a
-            `KalmanFilter`; an `AttitudeFilter`; or a filter of your own. The steps of a filter or of a
-            schedule of your own must be arithmetic of scalars.
+            `KalmanFilter`; an `AttitudeFilter`; or a filter of your own. The steps of a filter or
+            of a schedule of your own must be arithmetic of scalars.
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
         name: Prefix of all names in the file.
