@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         print(("\n" if recorded else "") + result.summary())
         print(f"\nWritten to {folder}: {', '.join(written(result, options.figures))}")
         if recorded:
-            print(f"\n{_how_to_compare(options, str(folder))}")
+            print(f"\n{_how_to_compare(options, str(folder), experiment.filter.kind)}")
     return 0
 
 
@@ -145,24 +145,27 @@ def _recordings(options: argparse.Namespace, kind: str) -> "dict[str, Any]":
     return {name: in_frame(options, kind, each) for name, each in found.items()}
 
 
-def _how_to_compare(options: argparse.Namespace, folder: str) -> str:
+def _how_to_compare(options: argparse.Namespace, folder: str, kind: str) -> str:
     """The command that compares a run on recordings with other filters, or what it needs."""
+    inertial = kind == "imu"
+    others = "VQF and others" if inertial else "the best constant gains and a Kalman filter"
     if options.held_out is None:
         return (
-            "Whether the filter is better than constant gains and a Kalman filter, a recording "
-            "that was held out says: --held-out FILE, which may be the same with --held-out-window."
+            f"Whether the filter is better than {others}, a recording that was held out says: "
+            "--held-out FILE, which may be the same with --held-out-window."
         )
-    files = {"recording": options.held_out, "training": options.recording}
-    parts = {"window": options.held_out_window, "training-window": options.window}
+    files = {"recording": options.held_out} | ({} if inertial else {"training": options.recording})
+    parts = {"window": options.held_out_window}
+    parts |= {} if inertial else {"training-window": options.window}
     words = [f"--{name} {shlex.quote(path)}" for name, paths in files.items() for path in paths]
     words += [f"--{name} {a!r}:{b!r}" for name, part in parts.items() if part for a, b in [part]]
     words += [f"--filter {shlex.quote(options.filter)}"] if options.filter else []
     words += [f"--bridge {options.bridge}"] if options.bridge else []
     words += [f"--longest-gap {options.longest_gap!r}"] if options.longest_gap else []
-    return (
-        "To compare it with the best constant gains and a Kalman filter, in about twice the time "
-        f"of this search:\n  posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
-    )
+    words += [f"--frame {options.frame}"] if options.frame else []
+    time = "" if inertial else ", in about twice the time of this search"
+    command = f"posegsa evaluate {shlex.quote(folder)} {' '.join(words)}"
+    return f"To compare it with {others}{time}:\n  {command}"
 
 
 def _join(options: argparse.Namespace) -> bool:

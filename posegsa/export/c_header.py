@@ -93,13 +93,13 @@ def filter_to_c(
 ) -> str:
     """C99 header of any filter; `export_c` writes that of a result.
 
-    An observer without landmarks estimates the attitude only, and its measurements have no
-    velocity. Any other filter estimates a pose, also without landmarks.
+    An observer without landmarks, and the `AttitudeFilter`, estimate the attitude only, and their
+    measurements have no velocity. Any other filter estimates a pose, also without landmarks.
 
     Args:
         filter: An `Observer` with a schedule of `posegsa.model.schedules`, or one of your own; a
-            `KalmanFilter`; or a filter of your own. The steps of a filter or of a schedule of your
-            own must be arithmetic of scalars.
+            `KalmanFilter`; an `AttitudeFilter`; or a filter of your own. The steps of a filter or
+            of a schedule of your own must be arithmetic of scalars.
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
         name: Prefix of all names in the file.

@@ -350,11 +350,12 @@ class AttitudeFilter:
         for i in range(3):
             found = _measured(found, BIAS + i, omega[i], certain)
         covariance, x = found
-        turn = _rotation_by(_out(axes, (x[0], x[1], x[2])))
-        q = compose(turn, q)
+        angle = (x[0], x[1], x[2])
+        cosine, sine, _, _ = exp_coefficients(dot(angle, angle))
+        q = compose((cosine, *scale(sine, _out(axes, angle))), q)
         bias = add(bias, (x[3], x[4], x[5]))
         v = state.velocity[0] + x[6], state.velocity[1] + x[7]
-        f = rotate(rows(_rotation_by((x[0], x[1], x[2]))), f)
+        f = rotate(rows((cosine, *scale(sine, angle))), f)
 
         # The time until the next sample.
         R = _in(axes, rows(q))

@@ -172,7 +172,10 @@ def check_filter(name: str, value: Any, others: str = "") -> None:
 
     `others` says in the message what else is allowed.
     """
-    words = "a filter (Observer, KalmanFilter, one of your own: posegsa.filters.base.Filter)"
+    words = (
+        "a filter (Observer, KalmanFilter, AttitudeFilter, one of your own: "
+        "posegsa.filters.base.Filter)"
+    )
     check_type(name, value, Filter, allowed=f"{others}, {words}" if others else words)
     if isinstance(value, type):
         refuse(f"{name}: the class {value.__name__}", words)

@@ -48,7 +48,7 @@ OF_NOISES = {"constant": ConstantGain, "smooth": SmoothGain, "ramp": RampGain, "
 """The same of a Kalman filter's noises."""
 TITLES: Mapping[Kind, str] = {
     "kalman": "Kalman filter",
-    "imu": "attitude filter for inertial sensors",
+    "imu": "filter for inertial sensors",
     "own": "filter of the user's own",
 }
 """Kinds that are not called a gain."""
