@@ -101,7 +101,7 @@ class Clairvoyant:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
         told = cast(ToldSamples, now).told
         noise = self.noise._replace(angular_velocity=told.angular_velocity, velocity=told.velocity)
-        moved = propagate(update(state, now.sample, noise), now.sample, noise)
+        moved = propagate(*update(state, now.sample, noise), now.sample, noise)
         if told.jump is not None:
             moved = _jumped(moved, now.sample, *told.jump)
         return moved, Record()
@@ -124,4 +124,4 @@ def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) 
         angular_velocity=add(state.estimate.bias_angular, scale(1 / instant, turn)),
         velocity=add(state.estimate.bias_linear, scale(1 / instant, displacement)),
     )
-    return propagate(state, during, silent)
+    return propagate(state, None, during, silent)

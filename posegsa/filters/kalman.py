@@ -23,7 +23,8 @@ the observer:
 2. Propagation. T_est <- T_est exp(u^), and with A = Ad(exp(-u^))
        xi <- A xi - J dt (error of b + noise),   J = 1/2 (I + A).
    A is exact for errors of any size: that is the advantage of the left-invariant form. J equals
-   the right Jacobian of SE(3) to within |u|^2 / 12, relative.
+   the right Jacobian of SE(3) to within |u|^2 / 12, relative. In the same product the covariance
+   is moved to the coordinates of the corrected estimate (`_moved`).
 
 After an update the covariance is moved to the coordinates of the new estimate. (Most filters leave
 it in those of the old one, as J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state
@@ -293,8 +294,7 @@ class ReadyKalmanFilter(NamedTuple):
         if self.signals is not None:
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
             state = state._replace(memory=memory)
-        updated = update(state, sample, noise, self.iterations)
-        return propagate(updated, sample, noise), record
+        return propagate(*update(state, sample, noise, self.iterations), sample, noise), record
 
     def estimate(self, state: KalmanState) -> FilterState:
         """Pose and biases."""
@@ -348,8 +348,11 @@ AS_MEASURED = VectorSettings(
 
 def update(
     state: KalmanState, sample: Sample, noise: KalmanNoise, iterations: int = 1
-) -> KalmanState:
+) -> tuple[KalmanState, tuple[Array, ...]]:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
+
+    The covariance is still in the coordinates before the last correction of the estimate, which is
+    returned beside it: `propagate` moves it together with its own transport, in one product.
 
     Args:
         state: the state before the update, of the batch shape.
@@ -375,7 +378,7 @@ def update(
 
     if iterations > 1:
         (estimate, found), _ = lax.scan(again, (estimate, found), None, iterations - 1)
-    return state._replace(estimate=estimate, covariance=_moved(found.covariance, found.correction))
+    return state._replace(estimate=estimate, covariance=found.covariance), found.correction
 
 
 def _linear_update(
@@ -557,11 +560,14 @@ def _apart(stacked: Any, count: int) -> tuple[Any, ...]:
     return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count))
 
 
-def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanState:
+def propagate(
+    state: KalmanState, correction: Sequence[Array] | None, sample: Sample, noise: KalmanNoise
+) -> KalmanState:
     """The state at the next sample, by the measured velocities.
 
     Args:
         state: the state at this sample, of the batch shape.
+        correction: of its estimate, before which its covariance is (`update`); None for none.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
     """
@@ -576,7 +582,7 @@ def propagate(state: KalmanState, sample: Sample, noise: KalmanNoise) -> KalmanS
         *(noise.linear_walk,) * 3,
         *(noise.vector_walk,) * (3 * len(estimate.vector_biases)),
     ]
-    moved = _transported(state.covariance, omega, v, dt)
+    moved = _transported(state.covariance, correction, omega, v, dt)
     covariance = tuple(
         (row[0] + dt * density * density, *row[1:])
         for row, density in zip(moved, densities, strict=True)
@@ -695,10 +701,15 @@ def _moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:
     The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x, here
     Ad(exp(-x^ / 2)): equal to within |x|^2 / 24, and never singular.
     """
+    q, P = _half_way(correction)
+    return _turned(covariance, rows(q), P)
+
+
+def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
+    """exp(x^ / 2) of the pose's part of a correction x."""
     zero, half = jnp.zeros_like(correction[0]), [0.5 * x for x in correction[:ANGULAR]]
     theta, rho = (half[0], half[1], half[2]), (half[3], half[4], half[5])
-    q, P = move((zero + 1, zero, zero, zero), (zero, zero, zero), theta, rho)
-    return _turned(covariance, rows(q), P)
+    return move((zero + 1, zero, zero, zero), (zero, zero, zero), theta, rho)
 
 
 def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
@@ -714,14 +725,18 @@ def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
     )
 
 
-def _transported(covariance: Covariance, omega: Vec3, v: Vec3, dt: Array) -> Covariance:
-    """The covariance after xi <- A xi - 1/2 (I + A) dt b, with A = Ad(exp(-[omega; v]^)) (rad, m).
+def _transported(
+    covariance: Covariance, correction: Sequence[Array] | None, omega: Vec3, v: Vec3, dt: Array
+) -> Covariance:
+    """The covariance after xi <- A xi - 1/2 (I + A) dt b, A = Ad(exp(-[omega; v]^)) J (rad, m).
 
-    In three steps, which take half the products of one: xi <- xi - dt/2 b, A xi, xi - dt/2 b.
+    J is that of `_moved`. It is in the factor of b too, where it does not belong: a second order
+    in correction and time step. In three steps, which take half the products of one: xi <- xi -
+    dt/2 b, A xi, xi - dt/2 b.
     """
-    zero, one = jnp.zeros_like(dt), jnp.ones_like(dt)
-    q, P = move((one, zero, zero, zero), (zero, zero, zero), omega, v)
-    half = 0.5 * dt
+    zero, one, half = jnp.zeros_like(dt), jnp.ones_like(dt), 0.5 * dt
+    begin = ((one, zero, zero, zero), (zero, zero, zero))
+    q, P = move(*(begin if correction is None else _half_way(correction)), omega, v)
     return _less_bias(_turned(_less_bias(covariance, half), rows(q), P), half)
 
 

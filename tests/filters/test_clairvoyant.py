@@ -96,7 +96,7 @@ def test_each_sample_has_its_own_noise_bursts_are_dropped_and_jumps_are_followed
         deviation = np.repeat([known.angular_noise[k], known.linear_noise[k]], 3)
         noise = replace(PLAIN, velocity=deviation * np.sqrt(s.dt))
         want.append(state)
-        state = reference_ekf.propagate(reference_ekf.update(state, s, noise), s, noise)
+        state = reference_ekf.propagate(*reference_ekf.update(state, s, noise), s, noise)
         jump = se3_exp(known.jumps[k])
         A = np.eye(18)
         A[:6, :6] = np.linalg.inv(adjoint(jump))

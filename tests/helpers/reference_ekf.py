@@ -68,12 +68,13 @@ def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Arr
     return np.concatenate(H), np.array(measured), np.array(expected), np.diag(variances)
 
 
-def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> State:
-    """The state after all measurements of a sample, linearised so many times.
+def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[State, Array]:
+    """The state after all measurements of a sample, linearised so many times, and the correction.
 
-    Sigma is that of the error of the new estimate, J (xi - x) with J = Ad(exp(-x^ / 2)).
+    Sigma is still that of the error before the last correction x: the error of the new estimate is
+    J (xi - x) with J = Ad(exp(-x^ / 2)).
     """
-    found = state
+    found, x = state, np.zeros(len(state.Sigma))
     for _ in range(iterations):
         # The errors of `found` if the state before were the truth: the mean of the prior.
         back = np.concatenate(
@@ -85,7 +86,7 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> State:
         )
         H, measured, expected, N = linearised(found, s, noise)
         if not len(H):
-            return state
+            return state, x
         Sigma = moved(state.Sigma, -back)
         K = Sigma @ H.T @ np.linalg.inv(H @ Sigma @ H.T + N)
         x = back + K @ (measured - expected - H @ back)
@@ -94,9 +95,9 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> State:
             T=found.T @ se3_exp(x[:6]),
             b=found.b + x[6:12],
             c=found.c + x[12:].reshape(-1, 3),
-            Sigma=moved(rest @ Sigma @ rest.T + K @ N @ K.T, x),
+            Sigma=rest @ Sigma @ rest.T + K @ N @ K.T,
         )
-    return found
+    return found, x
 
 
 def moved(Sigma: Array, x: Array) -> Array:
@@ -112,10 +113,10 @@ def se3_log(T: Array) -> Array:
     return np.array([xi[2, 1], xi[0, 2], xi[1, 0], *xi[:3, 3]])
 
 
-def propagate(state: State, s: Sample, noise: Noise) -> State:
-    """The state at the next sample."""
+def propagate(state: State, x: Array, s: Sample, noise: Noise) -> State:
+    """The state at the next sample; x is the correction that Sigma has yet to be moved by."""
     u = (np.concatenate([s.omega, s.v]) - state.b) * s.dt
-    A = adjoint(se3_exp(-u))
+    A = adjoint(se3_exp(-u)) @ adjoint(se3_exp(-x[:6] / 2))
     F = np.eye(len(state.Sigma))
     F[:6, :6], F[:6, 6:12] = A, -(np.eye(6) + A) / 2 * s.dt
     densities = np.concatenate(
@@ -129,5 +130,5 @@ def run(samples: list[Sample], state: State, noise: Noise, iterations: int = 1) 
     """The states before each sample and after the last."""
     states = [state]
     for sample in samples:
-        states.append(propagate(update(states[-1], sample, noise, iterations), sample, noise))
+        states.append(propagate(*update(states[-1], sample, noise, iterations), sample, noise))
     return states
