@@ -206,7 +206,7 @@ def main() -> None:
     left_out = []
     for k in range(len(each)):
         rest = np.arange(len(each)) != k
-        left_out.append(errors[np.argmin(rule(errors[:, rest, :, 0], others[rest, :, 0])), k])
+        left_out.append(errors[np.argmin(rule(errors[..., 0][:, rest], others[rest][..., 0])), k])
     best = int(np.argmin(rule(errors[..., 0], others[..., 0])))
     held_out, ratios = np.array(left_out), np.array(left_out)[..., 0] / others[..., 0]
     means = np.exp(np.log(ratios).mean(axis=0))

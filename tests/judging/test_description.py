@@ -15,6 +15,7 @@ import posegsa
 from posegsa import config
 from posegsa.config import Experiment
 from posegsa.errors import ArgumentError, ConfigError, RunFolderError
+from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.judging.description import (
@@ -46,6 +47,7 @@ ALSO = (
     '{key="scenario.landmarks.0.weight", lower=0.2, upper=2.0}]'
 )
 NOISE = 'parameters.also=[{key="filter.vector", lower=0.03, upper=3.0}]'
+HEADING = 'parameters.also=[{key="filter.heading", lower=0.01, upper=1.0}]'
 OWN = (
     *("filter.kind=own", "filter.attitude_gain=1.0", "filter.position_gain=4.0"),
     'parameters.also=[{key="filter.attitude_gain", lower=0.1, upper=10.0}]',
@@ -72,6 +74,7 @@ CASES = {
     "smooth, of its own experiment": Case(("filter.schedule=smooth", ALSO)),
     "open loop": Case((ALSO,), KnotGain(f([0, 0.2, 0.4]), f([4, 3, 2]))),
     "kalman": Case(("filter.kind=kalman", NOISE)),
+    "imu": Case(("filter.kind=imu", HEADING)),
     "own": Case(OWN),
 }
 
@@ -113,7 +116,7 @@ def test_the_filter_of_a_description_is_the_one_that_was_searched(name: str) -> 
     experiment, candidate, own = made(name)
     stored = describe(candidate, experiment, 24)
     searched = candidate.applied(filter_of(experiment, own))
-    types = {"kalman": KalmanFilter, "own": Complementary}
+    types = {"kalman": KalmanFilter, "imu": AttitudeFilter, "own": Complementary}
     own_rules = {name: each for name, each in stored.numbers.items() if name != "rules"}
     configured = stored._replace(numbers=own_rules)  # a table that was found is in the experiment
     for filter in (
