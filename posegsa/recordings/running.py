@@ -67,7 +67,8 @@ def run_filter(
         own = (a.dtype for a in jax.tree.leaves((filter, initial)) if hasattr(a, "dtype"))
         dtype = np.result_type(np.float32, *(kind for kind in own if kind.kind == "f"))
         measurements = measurements.at_least(dtype)
-        widened = jax.tree.map(lambda a: jnp.asarray(a, measurements.time_step.dtype), initial)
+        dtype = jax.dtypes.canonicalize_dtype(measurements.time_step.dtype)
+        widened = jax.tree.map(lambda a: jnp.asarray(a, dtype), initial)
         return rollout.run_filter(filter, measurements, widened)
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":

@@ -27,7 +27,7 @@ learn = jax.jit(tell, static_argnums=0)
 
 
 @pytest.mark.parametrize("worst", [-7.0, -1e-38, 0.0, 1e-42, 1.0, 3e38, 3.4028235e38])
-def test_a_failure_is_told_as_more_than_the_worst(worst: float) -> None:
+def test_a_failure_costs_more_than_the_worst_finite_cost(worst: float) -> None:
     told = fixed_search([np.nan, worst, worst, worst, worst]).state.told
     assert jnp.isfinite(told).all()
     assert told[0] > told[1] or worst > 3.4e38

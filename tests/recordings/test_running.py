@@ -92,3 +92,13 @@ def test_what_does_not_fit_is_refused(recording: Recording) -> None:
         posegsa.run_filter(replace(GAIN, signal=SignalSettings(signal="pose")), recording)
     with pytest.raises(ArgumentError, match="filter: a str"):
         posegsa.run_filter("fast", recording)  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_measurements_in_double_precision_run_in_that_of_jax(
+    recording: Recording, recwarn: pytest.WarningsRecorder
+) -> None:
+    assert np.asarray(recording.measurements.velocity).dtype == np.float64
+    start = running.state_of(recording.initial())
+    found = posegsa.run_filter(GAIN, recording.measurements, start)
+    assert found.position.dtype == np.float32
+    assert not [one for one in recwarn if "dtype" in str(one.message)]

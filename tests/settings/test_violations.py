@@ -1,4 +1,4 @@
-"""Refusals of types of one's own: unions told apart by a tag, unions of tables, several at once."""
+"""Errors in sections: a union whose member a tag selects, a union of tables, several errors."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
