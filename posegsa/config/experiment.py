@@ -13,6 +13,7 @@ from posegsa.config.filter_config import (
     KALMAN_ALSO,
     NOISE_NUMBERS,
     ONE_FILTER,
+    SIGNAL_ALSO,
     FilterConfig,
     KalmanConfig,
     ObserverConfig,
@@ -54,7 +55,7 @@ from posegsa.settings.violations import (
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
-_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *IMU_ALSO)
+_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *SIGNAL_ALSO, *IMU_ALSO)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
 SCHEDULE_NUMBERS: dict[str, tuple[str, ...]] = {
     "fuzzy": PARAMETERS,

@@ -130,6 +130,9 @@ class KalmanConfig(Section):
     """Initial error of each component of the vectors' biases, in their unit."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
     """How often the measurements of a sample are linearised."""
+    moves_covariance: Flag = False
+    """Whether the covariance is moved to the coordinates of the new estimate after an update, which
+    is better after a wrong start and less safe in float32."""
 
     unknown: NoiseScheduleKind = "off"
     """What multiplies the densities of the velocities' noise and the walk of the vectors' biases,
@@ -257,11 +260,14 @@ KALMAN_ALSO = tuple(
         ("initial_angular_bias", 0.003, 3.0),
         ("initial_linear_bias", 0.01, 5.0),
         ("initial_vector_bias", 0.001, 1.0),
-        ("unknown_smoothing", 0.005, 2.0),
-        ("belief_smoothing", 0.005, 2.0),
     )
 )
-"""The numbers of a Kalman filter that are tuned by default."""
+"""The noises of a Kalman filter, which are tuned by default."""
+SIGNAL_ALSO = tuple(
+    AlsoTuned(key=f"filter.{role}_smoothing", lower=0.005, upper=2.0, scale="logarithmic")
+    for role in ("unknown", "belief")
+)
+"""What is tuned by default beside them where they are scheduled."""
 IMU_ALSO = tuple(
     AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
     for name, lower, upper in (
@@ -279,7 +285,7 @@ IMU_ALSO = tuple(
 """The numbers of the attitude filter that are tuned by default."""
 ALSO_OF_KIND: Mapping[str, tuple[AlsoTuned, ...]] = {
     "observer": DEFAULT_ALSO,
-    "kalman": KALMAN_ALSO,
+    "kalman": (*KALMAN_ALSO, *SIGNAL_ALSO),
     "imu": IMU_ALSO,
 }
 """What is tuned by default, by kind of filter; of a user's own nothing is."""

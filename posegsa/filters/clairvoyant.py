@@ -101,7 +101,8 @@ class Clairvoyant:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
         told = cast(ToldSamples, now).told
         noise = self.noise._replace(angular_velocity=told.angular_velocity, velocity=told.velocity)
-        moved = propagate(*update(state, now.sample, noise), now.sample, noise)
+        updated, _ = update(state, now.sample, noise)
+        moved = propagate(updated, None, now.sample, noise)
         if told.jump is not None:
             moved = _jumped(moved, now.sample, *told.jump)
         return moved, Record()

@@ -23,13 +23,14 @@ the observer:
 2. Propagation. T_est <- T_est exp(u^), and with A = Ad(exp(-u^))
        xi <- A xi - J dt (error of b + noise),   J = 1/2 (I + A).
    A is exact for errors of any size: that is the advantage of the left-invariant form. J equals
-   the right Jacobian of SE(3) to within |u|^2 / 12, relative. In the same product the covariance
-   is moved to the coordinates of the corrected estimate (`_moved`).
+   the right Jacobian of SE(3) to within |u|^2 / 12, relative.
 
-After an update the covariance is moved to the coordinates of the new estimate. (Most filters leave
-it in those of the old one, as J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state
-estimation in robotics", arXiv:1812.01537; the difference is of first order in the correction, and
-matters after a wrong start.) With `iterations` above 1 the update is iterated. Schedules may change
+After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
+J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
+most filters do); the neglected change is of first order in the correction. With `moves_covariance`
+it is moved to those of the new estimate, in the product that propagates it. That pays after a wrong
+start, but in float32 it can lose the covariance where measurements are garbage. With `iterations`
+above 1 the update is iterated. Schedules may change
 the noises while the filter runs (`filters.noise_schedules`).
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
@@ -122,6 +123,9 @@ SMALLEST_CUT = 128
 """One scalar measurement leaves at least this many machine epsilons of a variance. Less than one
 epsilon, 1e-7 in float32, would leave only rounding errors of either sign."""
 
+LONGEST_MOVE = 100.0
+"""The length [m] from which on a correction of the position moves the covariance less and less."""
+
 POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
 """Index of the first state of the pose, of the velocities' biases and of the vectors' biases."""
 
@@ -210,6 +214,8 @@ class KalmanFilter:
     iterations: int = field(default=1, metadata={"static": True})
     """How often the measurements of a sample are linearised, each time at the estimate that the
     last time found (an iterated extended Kalman filter)."""
+    moves_covariance: bool = field(default=False, metadata={"static": True})
+    """Whether the covariance is moved to the coordinates of the new estimate after an update."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same filter with some numbers replaced.
@@ -277,7 +283,10 @@ class KalmanFilter:
 
     def ready(self) -> "ReadyKalmanFilter":
         """The filter with its schedules prepared (slopes and overlaps of the terms)."""
-        return ReadyKalmanFilter(self.noise, self.schedule.prepare(), self.signals, self.iterations)
+        schedule = self.schedule.prepare()
+        return ReadyKalmanFilter(
+            self.noise, schedule, self.signals, self.iterations, self.moves_covariance
+        )
 
 
 class ReadyKalmanFilter(NamedTuple):
@@ -287,6 +296,7 @@ class ReadyKalmanFilter(NamedTuple):
     schedule: PreparedNoiseGains
     signals: NoiseSignals | None
     iterations: int
+    moves_covariance: bool
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update by vectors and landmarks, then propagation by the velocities."""
@@ -294,7 +304,9 @@ class ReadyKalmanFilter(NamedTuple):
         if self.signals is not None:
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
             state = state._replace(memory=memory)
-        return propagate(*update(state, sample, noise, self.iterations), sample, noise), record
+        updated, correction = update(state, sample, noise, self.iterations)
+        moving = correction if self.moves_covariance else None
+        return propagate(updated, moving, sample, noise), record
 
     def estimate(self, state: KalmanState) -> FilterState:
         """Pose and biases."""
@@ -567,7 +579,8 @@ def propagate(
 
     Args:
         state: the state at this sample, of the batch shape.
-        correction: of its estimate, before which its covariance is (`update`); None for none.
+        correction: of its estimate; its covariance is moved from the coordinates before it. None
+            leaves it there.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
     """
@@ -698,18 +711,25 @@ def _next_vector_first(found: Found) -> Found:
 def _moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:
     """The covariance in the coordinates of the estimate after a correction x of it.
 
-    The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x, here
-    Ad(exp(-x^ / 2)): equal to within |x|^2 / 24, and never singular.
+    The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x; here J is
+    Ad of the inverse of `_half_way`: equal up to terms of second order in x, and never singular.
     """
     q, P = _half_way(correction)
     return _turned(covariance, rows(q), P)
 
 
 def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
-    """exp(x^ / 2) of the pose's part of a correction x."""
-    zero, half = jnp.zeros_like(correction[0]), [0.5 * x for x in correction[:ANGULAR]]
-    theta, rho = (half[0], half[1], half[2]), (half[3], half[4], half[5])
-    return move((zero + 1, zero, zero, zero), (zero, zero, zero), theta, rho)
+    """exp(x^ / 2) of the pose's part [theta; rho] of a correction x, up to second order.
+
+    The quaternion is [1; theta / 4], normalised: simpler than the exponential, and a rotation too.
+    """
+    tx, ty, tz, *rho = correction[:ANGULAR]
+    moved = rho[0], rho[1], rho[2]
+    x, y, z = quarter = scale(0.25, (tx, ty, tz))
+    w = 1 / jnp.sqrt(1 + dot(quarter, quarter))
+    # In float32 a leap of kilometres, from garbage, would leave only rounding of the covariance.
+    half = 0.5 / jnp.sqrt(1 + dot(moved, moved) / LONGEST_MOVE**2)
+    return (w, w * x, w * y, w * z), scale(half, add(moved, cross(quarter, moved)))
 
 
 def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:

@@ -471,6 +471,7 @@ def filter_of(
             section.vector_bias == "estimated",
             signals=_noise_signals(section, dtype) if section.roles else None,
             iterations=section.iterations,
+            moves_covariance=section.moves_covariance,
         )
     if isinstance(section, config.AttitudeConfig):
         each = {name: _array(getattr(section, name), dtype) for name in AttitudeNumbers._fields}

@@ -209,7 +209,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
 
     class Judged:
         on_scenarios = SimpleNamespace(
-            evaluation=SimpleNamespace(table=str),
+            evaluation=SimpleNamespace(table=str, own="tuned filter"),
             endurance=SimpleNamespace(table=lambda *_: ""),
             beside="another",
         )
@@ -287,7 +287,7 @@ def test_the_command_that_compares_a_run_on_recordings_has_all_that_it_needs():
     given = ["--filter", "my own:Mine", "--recording", "a 1.csv", "--window", ":40", "--bridge"]
     given += ["hold", "--held-out", "b.csv", "--held-out-window", "40:"]
     tuned = parser().parse_args(["tune", *given])
-    *_, line = _how_to_compare(tuned, "a run").splitlines()
+    *_, line = _how_to_compare(tuned, "a run", "observer").splitlines()
     words = shlex.split(line)
     assert words[0] == "posegsa"
     found = parser().parse_args(words[1:])

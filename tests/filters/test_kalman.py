@@ -97,10 +97,15 @@ def leaves_close(got: Any, want: Any, atol: float) -> None:
 
 
 def step(
-    state: KalmanState, sample: Sample, noise: KalmanNoise, iterations: int = 1
+    state: KalmanState,
+    sample: Sample,
+    noise: KalmanNoise,
+    iterations: int = 1,
+    moved: bool = False,
 ) -> KalmanState:
     """Process one sample, as in a user's own loop."""
-    return propagate(*update(state, sample, noise, iterations), sample, noise)
+    updated, correction = update(state, sample, noise, iterations)
+    return propagate(updated, correction if moved else None, sample, noise)
 
 
 def held(state: KalmanState) -> tuple[Array, ...]:
@@ -110,14 +115,18 @@ def held(state: KalmanState) -> tuple[Array, ...]:
     return T, estimate.bias, estimate.vector_bias, state.covariance_matrix
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(jax.jit, static_argnums=(3, 4))
 def one_by_one(
-    state: KalmanState, samples: Sample, noise: KalmanNoise, iterations: int = 1
+    state: KalmanState,
+    samples: Sample,
+    noise: KalmanNoise,
+    iterations: int = 1,
+    moved: bool = False,
 ) -> tuple[Array, ...]:
     """The numbers of `held` before each of N samples and after the last, (N + 1, ...)."""
 
     def body(state: KalmanState, now: Sample) -> tuple[KalmanState, tuple[Array, ...]]:
-        return step(state, now, noise, iterations), held(state)
+        return step(state, now, noise, iterations, moved), held(state)
 
     last, before = jax.lax.scan(body, state, samples)
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), before, held(last))
@@ -134,11 +143,11 @@ COUNT = 40
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
-    ("vectors", "landmarks", "learnt", "iterations"),
-    [(1, 0, 0, 1), (0, 1, 0, 1), (2, 1, 2, 1), (1, 1, 0, 3)],
-    ids=["12 states, a vector", "12 states, a landmark", "18 states", "iterated"],
+    ("vectors", "landmarks", "learnt", "iterations", "moved"),
+    [(1, 0, 0, 1, False), (0, 1, 0, 1, True), (2, 1, 2, 1, False), (1, 1, 0, 3, True)],
+    ids=["12 states, a vector", "moved, a landmark", "18 states", "moved, iterated"],
 )
-def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations) -> None:
+def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations, moved) -> None:
     """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
     rng = np.random.default_rng(0)
     m = random_measurements(rng, COUNT, vectors, landmarks, missing=0.3)
@@ -147,9 +156,9 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations) -> 
     state = started(state_of(T, b, learnt_vectors=learnt), noise)
     begin = reference_ekf.start(T, b, learnt, PLAIN)
     each = [sample_of(m, k) for k in range(COUNT)]
-    want = reference_ekf.run(each, begin, PLAIN, iterations)
+    want = reference_ekf.run(each, begin, PLAIN, iterations, moved)
     wanted = zip(*((one.T, one.b, one.c, one.Sigma) for one in want), strict=True)
-    found = one_by_one(state, samples.sample, noise, iterations)
+    found = one_by_one(state, samples.sample, noise, iterations, moved)
     for got, expected in zip(found, wanted, strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
 

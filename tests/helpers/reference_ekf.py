@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import logm
+from scipy.spatial.transform import Rotation
 
 from helpers.reference import Array, Sample, adjoint, se3_exp, skew
 
@@ -72,7 +73,7 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
     """The state after all measurements of a sample, linearised so many times, and the correction.
 
     Sigma is still that of the error before the last correction x: the error of the new estimate is
-    J (xi - x) with J = Ad(exp(-x^ / 2)).
+    J (xi - x), J = Ad of the inverse of `half_way`.
     """
     found, x = state, np.zeros(len(state.Sigma))
     for _ in range(iterations):
@@ -103,8 +104,17 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
 def moved(Sigma: Array, x: Array) -> Array:
     """The covariance of J (xi - x)."""
     J = np.eye(len(Sigma))
-    J[:6, :6] = adjoint(se3_exp(-x[:6] / 2))
+    J[:6, :6] = np.linalg.inv(adjoint(half_way(x)))
     return J @ Sigma @ J.T
+
+
+def half_way(x: Array) -> Array:
+    """exp(x^ / 2) up to second order (4, 4); its quaternion is [1; theta / 4], normalised."""
+    theta, rho = x[:3] / 2, x[3:6] / 2
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat([*theta / 2, 1.0]).as_matrix()
+    T[:3, 3] = (rho + np.cross(theta, rho) / 2) / np.sqrt(1 + x[3:6] @ x[3:6] / 100.0**2)
+    return T
 
 
 def se3_log(T: Array) -> Array:
@@ -113,10 +123,11 @@ def se3_log(T: Array) -> Array:
     return np.array([xi[2, 1], xi[0, 2], xi[1, 0], *xi[:3, 3]])
 
 
-def propagate(state: State, x: Array, s: Sample, noise: Noise) -> State:
-    """The state at the next sample; x is the correction that Sigma has yet to be moved by."""
+def propagate(state: State, x: Array | None, s: Sample, noise: Noise) -> State:
+    """The state at the next sample; x is a correction that Sigma has yet to be moved by."""
+    x = np.zeros(6) if x is None else x
     u = (np.concatenate([s.omega, s.v]) - state.b) * s.dt
-    A = adjoint(se3_exp(-u)) @ adjoint(se3_exp(-x[:6] / 2))
+    A = adjoint(se3_exp(-u)) @ np.linalg.inv(adjoint(half_way(x)))
     F = np.eye(len(state.Sigma))
     F[:6, :6], F[:6, 6:12] = A, -(np.eye(6) + A) / 2 * s.dt
     densities = np.concatenate(
@@ -126,9 +137,12 @@ def propagate(state: State, x: Array, s: Sample, noise: Noise) -> State:
     return State(state.T @ se3_exp(u), state.b, state.c, Sigma)
 
 
-def run(samples: list[Sample], state: State, noise: Noise, iterations: int = 1) -> list[State]:
+def run(
+    samples: list[Sample], state: State, noise: Noise, iterations: int = 1, moved: bool = False
+) -> list[State]:
     """The states before each sample and after the last."""
     states = [state]
     for sample in samples:
-        states.append(propagate(*update(states[-1], sample, noise, iterations), sample, noise))
+        updated, x = update(states[-1], sample, noise, iterations)
+        states.append(propagate(updated, x if moved else None, sample, noise))
     return states

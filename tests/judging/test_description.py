@@ -235,7 +235,7 @@ def test_a_filter_of_the_users_own_is_passed_and_needed() -> None:
     stored = describe(candidate, experiment, 24)
     with pytest.raises(ArgumentError, match=r'filter: none with filter.kind = "own"'):
         described_filter(stored, experiment)
-    with pytest.raises(ArgumentError, match=r"filter with filter.kind = 'observer'"):
+    with pytest.raises(ArgumentError, match=r"filter, with filter.kind = 'observer'"):
         described_filter(Description("constant", {"gain": [9.0]}, {}, 0), tiny(), own)
     with pytest.raises((ArgumentError, ConfigError)):
         described_filter(stored._replace(also={"filter.nothing": 1.0}), experiment, own)

@@ -23,11 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 TINY = tiny()
 """The experiment of `test_evaluate`, so that its programs are compiled once."""
-BOUNDS = {
-    one.key: (one.lower, one.upper)
-    for one in KALMAN_ALSO
-    if not one.key.endswith("_smoothing")  # of schedules, which the plain filter has not
-}
+BOUNDS = {one.key: (one.lower, one.upper) for one in KALMAN_ALSO}
 NOISES = {key: float(np.sqrt(low * high)) for key, (low, high) in BOUNDS.items()}
 
 

@@ -128,7 +128,7 @@ def test_a_filter_of_the_users_own_that_can_not_be_is_refused() -> None:
     experiment = problem_of("own").experiment
     with pytest.raises(ArgumentError, match=r'filter: none with filter.kind = "own"'):
         tuning_problem(experiment)
-    with pytest.raises(ArgumentError, match=r"filter with filter.kind = 'observer'"):
+    with pytest.raises(ArgumentError, match=r"filter, with filter.kind = 'observer'"):
         tuning_problem(tiny(), own=Complementary)
     with pytest.raises(ArgumentError, match=r"filter.*position_gain"):
         tuning_problem(experiment, own=lambda attitude_gain: Complementary(attitude_gain, 1.0))  # type: ignore[arg-type]  # a number less
