@@ -92,6 +92,11 @@ def any_filter(
         ArgumentError: The filter can't be written as scalar arithmetic.
         MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
     """
+    if isinstance(filter, KalmanFilter) and filter.signals is not None:
+        refuse(
+            "filter: a Kalman filter whose noises are scheduled",
+            'for C, one with filter.belief = "off" and filter.unknown = "off"',
+        )
     v, p = known_places(vectors, landmarks)
     with jax.enable_x64(True):
         known, crossed = _references(_in_float64(filter), v, p)
