@@ -213,29 +213,22 @@ class Step:
             (now, sample, seen, memory, self._signal),
             (("w->error", "w->rate"), _wanted(self._memory("next")._replace(gain=_scalar(0.0)))),
         )
-        gamma: Any = None
         if not isinstance(schedule, IN_TABLES):
             inputs = ScheduleInputs(
                 *map(_scalar, ("w->error", "w->rate", "now->time", "now->gain"))
             )
-            zero: Any = np.zeros(())
-            with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
-                nothing = ScheduleInputs(zero, zero, zero, zero)
-                asked = jax.eval_shape(schedule.prepare(), nothing)
-            if asked.gamma is not None:
-                gamma = "w->gamma"
             named = self._named(schedule, "schedule.")
             self._piece(
                 *("schedule", f"{type(schedule).__name__}: the gain before the gain limit"),
                 lambda schedule, inputs: tuple(jax.tree.leaves(schedule.prepare()(inputs))),
                 (named, inputs),
-                ("w->gain", "w->learning", *([] if gamma is None else [gamma])),
+                ("w->gain", "w->learning"),
             )
         moved = None if self.attitude_only else vec3("w->v")
         self._piece(
             *("correct", "the innovation U, its gain after the limit, and the bias laws"),
             _correct,
-            (following, sample, seen, "w->gain", gamma, "h", "moving", settings),
+            (following, sample, seen, "w->gain", "h", "moving", settings),
             (
                 "w->used",
                 (vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
@@ -404,7 +397,6 @@ def _correct(
     sample: Sample,
     seen: Seen,
     gain: Any,
-    gamma: Any,
     h: Any,
     moving: Any,
     settings: FilterSettings,
@@ -412,7 +404,7 @@ def _correct(
     """A sub-step of `filters.observer.observe` up to its exponential."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
-    biases = learnt_biases(state, sample, W, used, h, settings, gamma)
+    biases = learnt_biases(state, sample, W, used, h, settings)
     return used, (omega, v, se3.dot(omega, omega)), biases
 
 

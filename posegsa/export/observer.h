@@ -63,7 +63,6 @@ typedef struct posegsa_work {
     posegsa_real rate;           /* scaled, 0 to 1 */
     posegsa_real gain;           /* K [1/s] */
     posegsa_real learning;       /* factor on the gain of the vectors' bias law */
-    posegsa_real gamma;          /* factor on gamma */
     posegsa_real used;           /* K after the gain limit [1/s] */
     posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
     posegsa_real v[3];           /* a sub-step's displacement [m], body frame */

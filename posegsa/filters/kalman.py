@@ -60,19 +60,42 @@ others: 18 states tuned 55 and 134, with the sensors' true noise 291 and 3686; 1
 and 634, with the sensors' true noise 188 and 629.
 """
 
-import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
-from typing import Any, NamedTuple, Self, TypeAlias
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from posegsa.arguments import refuse
-from posegsa.errors import ArgumentError
 from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
+from posegsa.filters.covariance import (
+    ANGULAR,
+    LINEAR,
+    POSE,
+    VECTORS,
+    Covariance,
+    Found,
+    by_components,
+    matrix,
+    moved,
+    next_vector_first,
+    transported,
+)
+from posegsa.filters.measurement_model import (
+    apart,
+    each_vector,
+    landmark_rows,
+    measured_error,
+    residuals,
+    stacked,
+    variance_of,
+    vector_rows,
+    weighted,
+    with_biases,
+)
 from posegsa.filters.noise_schedules import (
     NO_NOISE_GAINS,
     SIGNAL_KEYS,
@@ -83,12 +106,11 @@ from posegsa.filters.noise_schedules import (
     initial_noise_memory,
     noise_factor,
 )
-from posegsa.model.elementwise import choose, maximum
+from posegsa.model.elementwise import choose
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
 from posegsa.model.se3 import (
-    Matrix3,
     Quaternion,
     Vec3,
     add,
@@ -99,35 +121,13 @@ from posegsa.model.se3 import (
     norm,
     rotate,
     rows,
-    safe_sqrt,
     scale,
     stack,
     subtract,
     unrotate,
 )
 from posegsa.model.signal import TruePose
-from posegsa.model.vectors import VectorSample, VectorSamples, VectorSettings, Wahba
-
-Covariance: TypeAlias = tuple[tuple[Array, ...], ...]
-"""Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..., each an
-array of the batch shape. Like all of the hot loop it is written by components (`se3`), which XLA
-fuses into one vectorised kernel: 0.1 us per filter and sample with 12 states, 0.2 us with 18, on
-one core, for the paper's three sensors. Sensors of a kind are a loop, so that the compile time,
-40 s with 18 states, does not depend on how many there are.
-"""
-
-Row: TypeAlias = dict[int, Array | float]
-"""A row of a sparse matrix: its nonzero entries by column."""
-
-SMALLEST_CUT = 128
-"""One scalar measurement leaves at least this many machine epsilons of a variance. Less than one
-epsilon, 1e-7 in float32, would leave only rounding errors of either sign."""
-
-LONGEST_MOVE = 100.0
-"""The length [m] from which on a correction of the position moves the covariance less and less."""
-
-POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
-"""Index of the first state of the pose, of the velocities' biases and of the vectors' biases."""
+from posegsa.model.vectors import VectorSample, VectorSettings
 
 
 class KalmanNoise(NamedTuple):
@@ -187,15 +187,7 @@ class KalmanState(NamedTuple):
     @property
     def covariance_matrix(self) -> Array:
         """Sigma (..., d, d)."""
-        return _matrix(self.covariance, len(self.covariance))
-
-
-class Found(NamedTuple):
-    """Result of the measurements of a sample that have been processed so far."""
-
-    covariance: Covariance
-    correction: tuple[Array, ...]
-    """x, the estimated errors of all states; applied to the estimate after the last measurement."""
+        return matrix(self.covariance, len(self.covariance))
 
 
 @jax.tree_util.register_dataclass
@@ -318,7 +310,7 @@ class ReadyKalmanFilter(NamedTuple):
         """The sample with the weights that its residuals leave, the noises, and the memory."""
         sample, noise, memory, record = now.sample, self.noise, state.memory, Record()
         on_time = now.time, sample.time_step
-        each = residuals(state, sample, noise)
+        each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
         beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
         weights: list[list[Array]] = []
@@ -332,11 +324,11 @@ class ReadyKalmanFilter(NamedTuple):
                     factor, after, _ = follow(past, seen.normalised, seen.factor > 0, *on_time)
                     return nothing, (seen.factor / factor, after)
 
-                _, (given, after) = lax.scan(one, (), (_stacked(before), residual))
-                before = _apart(after, len(before))
+                _, (given, after) = lax.scan(one, (), (stacked(before), residual))
+                before = apart(after, len(before))
             memories.append(before)
             weights.append([given[i] for i in range(given.shape[0])])
-        sample = _weighted(sample, *weights)
+        sample = weighted(sample, *weights)
         unknown = memory.unknown
         if self.schedule.unknown is not None and unknown:
             error, seen = measured_error(each, weights)
@@ -348,7 +340,7 @@ class ReadyKalmanFilter(NamedTuple):
                 velocity=factor * noise.velocity,
                 vector_walk=factor * noise.vector_walk,
             )
-            record = Record(unknown.gain, unknown.gain, inputs.error, inputs.rate)
+            record = Record(error=inputs.error, rate=inputs.rate)
         return sample, noise, KalmanMemory(unknown, *memories), record
 
 
@@ -384,7 +376,7 @@ def update(
     def again(last: tuple[FilterState, Found], _: None) -> tuple[tuple[FilterState, Found], None]:
         estimate = last[0]
         back = _difference(estimate, before)
-        prior = Found(_moved(covariance, tuple(-x for x in back)), back)
+        prior = Found(moved(covariance, tuple(-x for x in back)), back)
         found = _linear_update(estimate, prior, sample, noise)
         return (_corrected(estimate, found.correction), found), None
 
@@ -407,169 +399,21 @@ def _linear_update(
     R, found, learnt = rows(estimate.attitude), prior, bool(estimate.vector_biases)
 
     def by_vector(found: Found, vector: tuple[VectorSample, Vec3 | None]) -> tuple[Found, None]:
-        each, residual = _vector_rows(R, *vector)
+        each, residual = vector_rows(R, *vector)
         factor = vector[0].factor
-        found = _by_components(found, each, residual, _variance(noise.vector, factor), factor)
-        return _next_vector_first(found) if learnt else found, None
+        found = by_components(found, each, residual, variance_of(noise.vector, factor), factor)
+        return next_vector_first(found) if learnt else found, None
 
     def by_landmark(found: Found, landmark: LandmarkSample) -> tuple[Found, None]:
-        each, residual = _landmark_rows(R, estimate.place, landmark)
-        variance = _variance(noise.landmark, landmark.factor)
-        return _by_components(found, each, residual, variance, landmark.factor), None
+        each, residual = landmark_rows(R, estimate.place, landmark)
+        variance = variance_of(noise.landmark, landmark.factor)
+        return by_components(found, each, residual, variance, landmark.factor), None
 
     if vectors := each_vector(sample):
-        found, _ = lax.scan(by_vector, found, _with_biases(vectors, estimate))
+        found, _ = lax.scan(by_vector, found, with_biases(vectors, estimate))
     if sample.landmarks:
-        found, _ = lax.scan(by_landmark, found, _stacked(sample.landmarks))
+        found, _ = lax.scan(by_landmark, found, stacked(sample.landmarks))
     return found
-
-
-def _vector_rows(R: Matrix3, vector: VectorSample, bias: Vec3 | None) -> tuple[list[Row], Vec3]:
-    """Derivatives of a vector's components, its bias at `VECTORS`, and measured less predicted."""
-    known = unrotate(R, vector.known)
-    expected = known if bias is None else add(known, bias)
-    each: list[Row] = [
-        per_theta | ({} if bias is None else {VECTORS + axis: 1.0})
-        for axis, per_theta in enumerate(_cross_rows(known))
-    ]
-    return each, subtract(vector.measured, expected)
-
-
-def _landmark_rows(R: Matrix3, place: Vec3, landmark: LandmarkSample) -> tuple[list[Row], Vec3]:
-    """Derivatives of a landmark's coordinates, and measured less predicted."""
-    expected = unrotate(R, subtract(landmark.inertial, place))
-    each: list[Row] = [
-        per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
-    ]
-    return each, subtract(landmark.body, expected)
-
-
-def each_vector(sample: Sample) -> tuple[VectorSample, ...]:
-    """The vectors of a sample one by one.
-
-    Raises:
-        ArgumentError: The sample holds only Wahba's sums of its vectors.
-    """
-    if isinstance(sample.vectors, Wahba):
-        raise ArgumentError(
-            "the Kalman filter needs each vector as measured: make its samples with its `prepare`"
-        )
-    return sample.vectors.each
-
-
-def _with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any:
-    """Vectors with their estimated biases, or with None, stacked for a loop."""
-    biases = estimate.vector_biases or (None,) * len(vectors)
-    return _stacked(zip(vectors, biases, strict=True))
-
-
-class Residual(NamedTuple):
-    """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
-
-    square: Array
-    """|z - y|^2 / (3 s^2), s the standard deviation of its noise; 1 if the estimate is right."""
-    normalised: Array
-    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2; 1 if the covariance is right."""
-    factor: Array
-    """Factor on its weight, 0 where it is missing."""
-
-
-def residuals(state: KalmanState, sample: Sample, noise: KalmanNoise) -> tuple[Residual, Residual]:
-    """The residuals of vectors and of landmarks, before any of them is used."""
-    estimate, covariance = state.estimate, state.covariance
-    R, like, axes = rows(estimate.attitude), estimate.place[0], range(3)
-    learnt = bool(estimate.vector_biases)
-
-    def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
-        square, variance = dot(off, off), 3 * _variance(deviation, factor)
-        return Residual(square / variance, square / (spread + variance), factor)
-
-    def spread(each: Sequence[Row]) -> Array:
-        """tr(H Sigma H^T) of rows over the states of the pose."""
-
-        def column(h: Row, j: int) -> Array:
-            return _product(h, lambda i: _entry(covariance, i, j))
-
-        return reduce(operator.add, (_product(h, partial(column, h)) for h in each))
-
-    def of_bias(i: int) -> tuple[list[list[Array]], Array] | None:
-        """Covariance (axis, theta) of a vector's bias with the attitude, and its own trace."""
-        if not learnt:
-            return None
-        first = VECTORS + 3 * i
-        beside = [[_entry(covariance, j, first + axis) for j in axes] for axis in axes]
-        own = reduce(operator.add, (_entry(covariance, first + a, first + a) for a in axes))
-        return beside, own
-
-    def by_vector(nothing: tuple[()], given: Any) -> Any:
-        (vector, bias), biased = given
-        each, off = _vector_rows(R, vector, bias)
-        thetas: list[Row] = [{j: h[j] for j in h if j < ANGULAR} for h in each]
-        total = spread(thetas)
-        if biased is not None:
-            beside, own = biased
-            pairs = zip(thetas, beside, strict=True)
-            crossed = [_product(h, of_axis.__getitem__) for h, of_axis in pairs]
-            total = total + own + 2 * reduce(operator.add, crossed)
-        return nothing, residual(total, off, noise.vector, vector.factor)
-
-    def by_landmark(nothing: tuple[()], landmark: LandmarkSample) -> Any:
-        each, off = _landmark_rows(R, estimate.place, landmark)
-        return nothing, residual(spread(each), off, noise.landmark, landmark.factor)
-
-    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 3)
-    of_vectors = of_landmarks = none
-    if vectors := each_vector(sample):
-        biased = _stacked(map(of_bias, range(len(vectors))))
-        _, of_vectors = lax.scan(by_vector, (), (_with_biases(vectors, estimate), biased))
-    if sample.landmarks:
-        _, of_landmarks = lax.scan(by_landmark, (), _stacked(sample.landmarks))
-    return of_vectors, of_landmarks
-
-
-def measured_error(
-    each: Iterable[Residual], weights: Iterable[Sequence[Array]]
-) -> tuple[Array, Array]:
-    """Root mean square residual in standard deviations of the noises, and whether there is one.
-
-    A sensor that is believed less, with a weight below its factor, counts as much less.
-
-    Args:
-        each: The residuals of vectors and of landmarks.
-        weights: Their weights after belief.
-    """
-    squares: list[Array] = []
-    counts: list[Array] = []
-    for residual, of_kind in zip(each, weights, strict=True):
-        for i, weight in enumerate(of_kind):
-            factor = residual.factor[i]
-            seen = factor > 0
-            believed = weight / choose(seen, factor, 1.0)
-            squares.append(choose(seen, believed * residual.square[i], 0.0))
-            counts.append(choose(seen, jnp.ones_like(weight), 0.0))
-    total, count = reduce(operator.add, squares), reduce(operator.add, counts)
-    return safe_sqrt(total / maximum(count, 1.0)), count > 0
-
-
-def _weighted(sample: Sample, vectors: Sequence[Array], landmarks: Sequence[Array]) -> Sample:
-    """A sample with other weights of its sensors."""
-    assert isinstance(sample.vectors, VectorSamples)
-    pairs = zip(sample.vectors.each, vectors, strict=True)
-    points = zip(sample.landmarks, landmarks, strict=True)
-    return sample._replace(
-        vectors=sample.vectors._replace(each=tuple(v._replace(factor=w) for v, w in pairs)),
-        landmarks=tuple(p._replace(factor=w) for p, w in points),
-    )
-
-
-def _stacked(sensors: Iterable[Any]) -> Any:
-    """Sensors of one kind, stacked along a first axis for a loop that is compiled once."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
-
-
-def _apart(stacked: Any, count: int) -> tuple[Any, ...]:
-    """The inverse of `_stacked`."""
-    return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count))
 
 
 def propagate(
@@ -595,10 +439,10 @@ def propagate(
         *(noise.linear_walk,) * 3,
         *(noise.vector_walk,) * (3 * len(estimate.vector_biases)),
     ]
-    moved = _transported(state.covariance, correction, omega, v, dt)
+    after = transported(state.covariance, correction, omega, v, dt)
     covariance = tuple(
         (row[0] + dt * density * density, *row[1:])
-        for row, density in zip(moved, densities, strict=True)
+        for row, density in zip(after, densities, strict=True)
     )
     moved_to = estimate._replace(attitude=attitude, place=place)
     return state._replace(estimate=moved_to, covariance=covariance)
@@ -618,180 +462,11 @@ def nees(state: KalmanState, truth: TruePose) -> Array:
     theta, rho = _log(compose((w, -x, -y, -z), truth.attitude), unrotate(R, between))
     error = stack(theta + rho)
     # The states have different units, so their correlation matrix is used; float32 suffices for it.
-    sigma = _matrix(state.covariance, 6)
+    sigma = matrix(state.covariance, 6)
     deviation = jnp.sqrt(jnp.diagonal(sigma, axis1=-2, axis2=-1))
     correlation = sigma / (deviation[..., :, None] * deviation[..., None, :])
     relative = error / deviation
     return jnp.sum(relative * jnp.linalg.solve(correlation, relative[..., None])[..., 0], axis=-1)
-
-
-# --- the covariance, by components ---
-
-
-def _entry(covariance: Covariance, i: int, j: int) -> Array:
-    return covariance[i][j - i] if i <= j else covariance[j][i - j]
-
-
-def _matrix(covariance: Covariance, count: int) -> Array:
-    """The first `count` rows and columns, (..., count, count)."""
-    every = range(count)
-    return jnp.stack([stack(tuple(_entry(covariance, i, j) for j in every)) for i in every], -2)
-
-
-def _product(row: Row, column: Callable[[int], Array]) -> Array:
-    """A sparse row times a column, which is a function from index to entry."""
-    return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
-
-
-def _by_components(
-    found: Found, each: Sequence[Row], residual: Vec3, variance: Array, factor: Array
-) -> Found:
-    """Covariance and correction x of the states after a sensor's scalars h x = residual + noise.
-
-    Each scalar is a measurement of its own, after those before it. What these took off the
-    covariance is taken off the next one's gain; off the covariance itself only once, for all
-    together, so that its many numbers are read and written once a sensor. Outer products of one
-    vector with itself are subtracted, so the covariance stays symmetric.
-
-    Args:
-        found: before it.
-        each: the derivatives h of each scalar.
-        residual: measured minus predicted with x = 0.
-        variance: of each component's noise.
-        factor: 0 where the measurement is missing.
-    """
-    covariance, correction = found
-    every = range(len(covariance))
-    gains: list[list[Array]] = []
-    parts: list[list[Array]] = []
-    for h, off in zip(each, residual, strict=True):
-        # Sigma h^T: the Kalman gain times `total`.
-        gain = [_product(h, lambda j, i=i, h=h: _entry(covariance, i, j)) for i in every]
-        for earlier, part in zip(gains, parts, strict=True):
-            taken = _product(h, part.__getitem__)
-            gain = [g - taken * e for g, e in zip(gain, earlier, strict=True)]
-        own = _product(h, gain.__getitem__)
-        smallest = SMALLEST_CUT * float(jnp.finfo(own.dtype).eps)
-        total = own + maximum(variance, smallest * own)
-        used = (factor > 0) & (total > 0)
-        per_total = choose(used, 1 / choose(used, total, 1.0), 0.0)
-        surprise = per_total * (off - _product(h, correction.__getitem__))
-        correction = tuple(x + surprise * g for x, g in zip(correction, gain, strict=True))
-        gains.append(gain)
-        parts.append([per_total * g for g in gain])
-
-    def cut(entry: Array, i: int, j: int) -> Array:
-        for part, gain in zip(parts, gains, strict=True):
-            entry = entry - part[i] * gain[j]
-        return entry
-
-    covariance = tuple(
-        tuple(cut(entry, i, j) for j, entry in enumerate(row, start=i))
-        for i, row in enumerate(covariance)
-    )
-    return Found(covariance, correction)
-
-
-def _next_vector_first(found: Found) -> Found:
-    """The same with the vectors' bias states rotated, so that the second vector comes first.
-
-    So the loop over vectors always finds the states of its vector in the same place; after the last
-    vector they are back in their original order.
-    """
-    order = list(range(VECTORS))
-    biases = range(VECTORS, len(found.covariance))
-    order += [*biases[3:], *biases[:3]]
-    covariance = tuple(
-        tuple(_entry(found.covariance, order[i], order[j]) for j in range(i, len(order)))
-        for i in range(len(order))
-    )
-    return Found(covariance, tuple(found.correction[i] for i in order))
-
-
-def _moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:
-    """The covariance in the coordinates of the estimate after a correction x of it.
-
-    The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x; here J is
-    Ad of the inverse of `_half_way`: equal up to terms of second order in x, and never singular.
-    """
-    q, P = _half_way(correction)
-    return _turned(covariance, rows(q), P)
-
-
-def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
-    """exp(x^ / 2) of the pose's part [theta; rho] of a correction x, up to second order.
-
-    The quaternion is [1; theta / 4], normalised: simpler than the exponential, and a rotation too.
-    """
-    tx, ty, tz, *rho = correction[:ANGULAR]
-    moved = rho[0], rho[1], rho[2]
-    x, y, z = quarter = scale(0.25, (tx, ty, tz))
-    w = 1 / jnp.sqrt(1 + dot(quarter, quarter))
-    # In float32 a leap of kilometres, from garbage, would leave only rounding of the covariance.
-    half = 0.5 / jnp.sqrt(1 + dot(moved, moved) / LONGEST_MOVE**2)
-    return (w, w * x, w * y, w * z), scale(half, add(moved, cross(quarter, moved)))
-
-
-def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
-    """The covariance after xi <- Ad((R, P)^-1) xi."""
-    every = range(len(covariance))
-    left = [_adjoint(R, P, [_entry(covariance, i, j) for i in range(ANGULAR)]) for j in every]
-    pose = [_adjoint(R, P, [left[j][i] for j in range(ANGULAR)]) for i in range(ANGULAR)]
-    return tuple(
-        tuple(pose[i][j] if j < ANGULAR else left[j][i] for j in every[i:])
-        if i < ANGULAR
-        else covariance[i]
-        for i in every
-    )
-
-
-def _transported(
-    covariance: Covariance, correction: Sequence[Array] | None, omega: Vec3, v: Vec3, dt: Array
-) -> Covariance:
-    """The covariance after xi <- A xi - 1/2 (I + A) dt b, A = Ad(exp(-[omega; v]^)) J (rad, m).
-
-    J is that of `_moved`. It is in the factor of b too, where it does not belong: a second order
-    in correction and time step. In three steps, which take half the products of one: xi <- xi -
-    dt/2 b, A xi, xi - dt/2 b.
-    """
-    zero, one, half = jnp.zeros_like(dt), jnp.ones_like(dt), 0.5 * dt
-    begin = ((one, zero, zero, zero), (zero, zero, zero))
-    q, P = move(*(begin if correction is None else _half_way(correction)), omega, v)
-    return _less_bias(_turned(_less_bias(covariance, half), rows(q), P), half)
-
-
-def _less_bias(covariance: Covariance, factor: Array) -> Covariance:
-    """The covariance after xi <- xi - factor b."""
-    every, pose = range(len(covariance)), range(ANGULAR)
-    beside = [
-        [_entry(covariance, i, j) - factor * _entry(covariance, ANGULAR + i, j) for j in every]
-        for i in pose
-    ]  # the biases' columns are final, those of xi lack their own share
-    return tuple(
-        tuple(
-            beside[i][j] - factor * beside[i][ANGULAR + j] if j < ANGULAR else beside[i][j]
-            for j in every[i:]
-        )
-        if i < ANGULAR
-        else covariance[i]
-        for i in every
-    )
-
-
-def _adjoint(R: Matrix3, P: Vec3, xi: Sequence[Array]) -> tuple[Array, ...]:
-    """[R^T theta; R^T (rho - P x theta)] of xi = [theta; rho], the inverse adjoint of (R, P)."""
-    theta, rho = (xi[0], xi[1], xi[2]), (xi[3], xi[4], xi[5])
-    return unrotate(R, theta) + unrotate(R, subtract(rho, cross(P, theta)))
-
-
-def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:
-    """Rows of [a]x, over theta."""
-    return {1: -a[2], 2: a[1]}, {0: a[2], 2: -a[0]}, {0: -a[1], 1: a[0]}
-
-
-def _variance(deviation: Array, factor: Array) -> Array:
-    """Variance of a measurement with this weight; arbitrary if it is missing."""
-    return deviation * deviation / choose(factor > 0, factor, 1.0)
 
 
 def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterState:

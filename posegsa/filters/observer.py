@@ -323,15 +323,9 @@ def learnt_biases(
     used: Array,
     h: Array,
     settings: FilterSettings,
-    share: Array | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s].
-
-    `share` is an optional factor on gamma.
-    """
+    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s]."""
     gamma_angular, gamma_linear = bias_gains(used, sample, settings)
-    if share is not None:
-        gamma_angular, gamma_linear = share * gamma_angular, share * gamma_linear
     angular = add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular)))
     linear = add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear)))
     return (
@@ -383,7 +377,7 @@ def observe(
         used_total = used_total + used
         omega, v = displacement(state, sample, W, used, h, dt if j == n - 1 else None)
         attitude, place = move(state.attitude, state.place, omega, v)
-        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings, gains.gamma)
+        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings)
         state = state._replace(
             attitude=attitude, place=place, bias_angular=bias_angular, bias_linear=bias_linear
         )

@@ -44,8 +44,6 @@ class Gains(NamedTuple):
     """K [1/s]."""
     learning: Array | float = 1.0
     """Factor on the gain of the vectors' bias law, in [0, 1]."""
-    gamma: Array | None = None
-    """Factor on gamma, in [0, 1]; None is 1."""
 
 
 class PreparedSchedule(Protocol):
@@ -260,35 +258,6 @@ class SwitchGain:
         gain = jnp.where(inputs.time < self.time, before, after)
         learning = jnp.where(inputs.time < self.learning_time, 0.0, 1.0).astype(dtype)
         return Gains(jnp.broadcast_to(gain, shape), jnp.broadcast_to(learning, shape))
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SettlingGain:
-    """A constant gain K [1/s] and a growing gamma: the factor on it is 1 - exp(-t / time).
-
-    For starts at which a vector may be too wrong for biases to be estimated from it.
-    """
-
-    gain: Array
-    """K [1/s]."""
-    time: Array
-    """Time constant [s]."""
-
-    def initial_gain(self) -> Array:
-        """K."""
-        return self.gain
-
-    def prepare(self) -> "SettlingGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
-
-    def __call__(self, inputs: ScheduleInputs) -> Gains:
-        """K, and the factor on gamma at the time of the sample."""
-        gain, time = (jnp.asarray(a, inputs.error.dtype) for a in (self.gain, self.time))
-        shape = inputs.error.shape
-        gamma = -jnp.expm1(-inputs.time / time)
-        return Gains(jnp.broadcast_to(gain, shape), gamma=jnp.broadcast_to(gamma, shape))
 
 
 def check_gain(name: str, gain: ArrayLike) -> None:

@@ -22,9 +22,8 @@ from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
     KalmanState,
-    measured_error,
-    residuals,
 )
+from posegsa.filters.measurement_model import measured_error, residuals
 from posegsa.filters.noise_schedules import (
     NoiseGains,
     NoiseSignal,
@@ -114,7 +113,8 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
     checked = 0
     for k in range(10):
         sample, s = filter.prepare(given.at(k)), sample_of(m, k)
-        found = residuals(state, sample, filter.noise)
+        deviations = filter.noise.vector, filter.noise.landmark
+        found = residuals(state.estimate, state.covariance, sample, *deviations)
         got = np.concatenate([np.stack([one.normalised, one.square]) for one in found], axis=1)
         seen = np.concatenate([np.flatnonzero(s.sR), 2 + np.flatnonzero(s.sL)])
         H, z, y, N = reference_ekf.linearised(held, s, noise)

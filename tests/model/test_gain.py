@@ -29,7 +29,6 @@ from posegsa.model.schedules import (
     FuzzyGain,
     Gains,
     ScheduleInputs,
-    SettlingGain,
     SwitchGain,
     check_schedule,
 )
@@ -351,17 +350,6 @@ def test_a_constant_gain_is_constant() -> None:
     assert schedule.prepare()(inputs).gain.tolist() == [7.5] * 4
     assert schedule.prepare()(inputs).learning == 1
     assert initial_memory(schedule, jnp.zeros(3)).gain.tolist() == [7.5] * 3
-
-
-def test_a_settling_gain_is_constant_and_its_gamma_grows() -> None:
-    schedule = SettlingGain(jnp.asarray(8.0), jnp.asarray(20.0))
-    time = jnp.asarray([0.0, 1.0, 20.0, 400.0])
-    zeros = jnp.zeros_like(time)
-    gains = schedule.prepare()(ScheduleInputs(error=zeros, rate=zeros, time=time, last=zeros))
-    np.testing.assert_array_equal(gains.gain, 8.0)
-    assert gains.gamma is not None
-    np.testing.assert_allclose(gains.gamma, 1 - np.exp(-np.asarray(time) / 20), rtol=1e-5, atol=0)
-    assert schedule.initial_gain() == 8.0
 
 
 def test_a_schedule_that_begins_below_0_is_refused() -> None:

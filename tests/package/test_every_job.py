@@ -60,6 +60,10 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "constant": ({"schedule": "constant"}, None),
     "smooth": ({"schedule": "smooth"}, None),
     "kalman": ({"kind": "kalman", "vector_bias": "off"}, None),
+    "scheduled kalman": (
+        {"kind": "kalman", "vector_bias": "off", "belief": "fuzzy", "unknown": "ramp"},
+        None,
+    ),
     "imu": ({"kind": "imu"}, None),
     "own filter": (
         OWN | {"attitude_gain": 5.0, "position_gain": 4.0, "bias_gain": 0.2},
@@ -70,6 +74,7 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
 """By name: its section of the configuration, and what the user passes."""
 SEARCHED = {
     "kalman": "vector",
+    "scheduled kalman": "belief_smoothing",
     "imu": "heading",
     "own filter": "attitude_gain",
     "own schedule": "low",
@@ -188,6 +193,10 @@ def test_every_filter_runs_as_a_stream(name: str) -> None:
 @pytest.mark.parametrize("name", FILTERS)
 def test_every_filter_is_written_as_c(name: str) -> None:
     """`tests/export` runs the C; here each kind of filter of a result comes out as a header."""
+    if name == "scheduled kalman":
+        with pytest.raises(posegsa.PosegsaError, match="noises are scheduled; allowed: for C"):
+            posegsa.export_c(found(name))
+        return
     header = posegsa.export_c(found(name))
     assert "posegsa_step(" in header
     assert "Tuned with posegsa" in header

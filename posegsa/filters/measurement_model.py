@@ -1,0 +1,188 @@
+"""The measurement model of a Kalman filter: derivatives, predictions and residuals of its sensors.
+
+The equations are those of `filters.kalman`: a vector is R^T v^I + c_i, a landmark R^T (p - P).
+"""
+
+import operator
+from collections.abc import Iterable, Sequence
+from functools import partial, reduce
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from posegsa.errors import ArgumentError
+from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry, product
+from posegsa.model.elementwise import choose, maximum
+from posegsa.model.estimate import FilterState
+from posegsa.model.sample import LandmarkSample, Sample
+from posegsa.model.se3 import Matrix3, Vec3, add, dot, rows, safe_sqrt, subtract, unrotate
+from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
+
+
+def vector_rows(R: Matrix3, vector: VectorSample, bias: Vec3 | None) -> tuple[list[Row], Vec3]:
+    """Derivatives of a vector's components, its bias at `VECTORS`, and measured less predicted."""
+    known = unrotate(R, vector.known)
+    expected = known if bias is None else add(known, bias)
+    each: list[Row] = [
+        per_theta | ({} if bias is None else {VECTORS + axis: 1.0})
+        for axis, per_theta in enumerate(_cross_rows(known))
+    ]
+    return each, subtract(vector.measured, expected)
+
+
+def landmark_rows(R: Matrix3, place: Vec3, landmark: LandmarkSample) -> tuple[list[Row], Vec3]:
+    """Derivatives of a landmark's coordinates, and measured less predicted."""
+    expected = unrotate(R, subtract(landmark.inertial, place))
+    each: list[Row] = [
+        per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
+    ]
+    return each, subtract(landmark.body, expected)
+
+
+def each_vector(sample: Sample) -> tuple[VectorSample, ...]:
+    """The vectors of a sample one by one.
+
+    Raises:
+        ArgumentError: The sample holds only Wahba's sums of its vectors.
+    """
+    if isinstance(sample.vectors, Wahba):
+        raise ArgumentError(
+            "the Kalman filter needs each vector as measured: make its samples with its `prepare`"
+        )
+    return sample.vectors.each
+
+
+def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any:
+    """Vectors with their estimated biases, or with None, stacked for a loop."""
+    biases = estimate.vector_biases or (None,) * len(vectors)
+    return stacked(zip(vectors, biases, strict=True))
+
+
+class Residual(NamedTuple):
+    """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
+
+    square: Array
+    """|z - y|^2 / (3 s^2), s the standard deviation of its noise; 1 if the estimate is right."""
+    normalised: Array
+    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2; 1 if the covariance is right."""
+    factor: Array
+    """Factor on its weight, 0 where it is missing."""
+
+
+def residuals(
+    estimate: FilterState, covariance: Covariance, sample: Sample, vector: Array, landmark: Array
+) -> tuple[Residual, Residual]:
+    """The residuals of vectors and of landmarks, before any of them is used.
+
+    Args:
+        estimate: before the sample, of the batch shape.
+        covariance: of its errors.
+        sample: with its vectors as measured.
+        vector: standard deviation of each component of a vector, in its unit.
+        landmark: standard deviation of each coordinate of a landmark [m].
+    """
+    R, like, axes = rows(estimate.attitude), estimate.place[0], range(3)
+    learnt = bool(estimate.vector_biases)
+
+    def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
+        square, variance = dot(off, off), 3 * variance_of(deviation, factor)
+        return Residual(square / variance, square / (spread + variance), factor)
+
+    def spread(each: Sequence[Row]) -> Array:
+        """tr(H Sigma H^T) of rows over the states of the pose."""
+
+        def column(h: Row, j: int) -> Array:
+            return product(h, lambda i: entry(covariance, i, j))
+
+        return reduce(operator.add, (product(h, partial(column, h)) for h in each))
+
+    def of_bias(i: int) -> tuple[list[list[Array]], Array] | None:
+        """Covariance (axis, theta) of a vector's bias with the attitude, and its own trace."""
+        if not learnt:
+            return None
+        first = VECTORS + 3 * i
+        beside = [[entry(covariance, j, first + axis) for j in axes] for axis in axes]
+        own = reduce(operator.add, (entry(covariance, first + a, first + a) for a in axes))
+        return beside, own
+
+    def by_vector(nothing: tuple[()], given: Any) -> Any:
+        (seen, bias), biased = given
+        each, off = vector_rows(R, seen, bias)
+        thetas: list[Row] = [{j: h[j] for j in h if j < ANGULAR} for h in each]
+        total = spread(thetas)
+        if biased is not None:
+            beside, own = biased
+            pairs = zip(thetas, beside, strict=True)
+            crossed = [product(h, of_axis.__getitem__) for h, of_axis in pairs]
+            total = total + own + 2 * reduce(operator.add, crossed)
+        return nothing, residual(total, off, vector, seen.factor)
+
+    def by_landmark(nothing: tuple[()], seen: LandmarkSample) -> Any:
+        each, off = landmark_rows(R, estimate.place, seen)
+        return nothing, residual(spread(each), off, landmark, seen.factor)
+
+    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 3)
+    of_vectors = of_landmarks = none
+    if vectors := each_vector(sample):
+        biased = stacked(map(of_bias, range(len(vectors))))
+        _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
+    if sample.landmarks:
+        _, of_landmarks = lax.scan(by_landmark, (), stacked(sample.landmarks))
+    return of_vectors, of_landmarks
+
+
+def measured_error(
+    each: Iterable[Residual], weights: Iterable[Sequence[Array]]
+) -> tuple[Array, Array]:
+    """Root mean square residual in standard deviations of the noises, and whether there is one.
+
+    A sensor that is believed less, with a weight below its factor, counts as much less.
+
+    Args:
+        each: The residuals of vectors and of landmarks.
+        weights: Their weights after belief.
+    """
+    squares: list[Array] = []
+    counts: list[Array] = []
+    for residual, of_kind in zip(each, weights, strict=True):
+        for i, weight in enumerate(of_kind):
+            factor = residual.factor[i]
+            seen = factor > 0
+            believed = weight / choose(seen, factor, 1.0)
+            squares.append(choose(seen, believed * residual.square[i], 0.0))
+            counts.append(choose(seen, jnp.ones_like(weight), 0.0))
+    total, count = reduce(operator.add, squares), reduce(operator.add, counts)
+    return safe_sqrt(total / maximum(count, 1.0)), count > 0
+
+
+def weighted(sample: Sample, vectors: Sequence[Array], landmarks: Sequence[Array]) -> Sample:
+    """A sample with other weights of its sensors."""
+    assert isinstance(sample.vectors, VectorSamples)
+    pairs = zip(sample.vectors.each, vectors, strict=True)
+    points = zip(sample.landmarks, landmarks, strict=True)
+    return sample._replace(
+        vectors=sample.vectors._replace(each=tuple(v._replace(factor=w) for v, w in pairs)),
+        landmarks=tuple(p._replace(factor=w) for p, w in points),
+    )
+
+
+def stacked(sensors: Iterable[Any]) -> Any:
+    """Sensors of one kind, stacked along a first axis for a loop that is compiled once."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
+
+
+def apart(together: Any, count: int) -> tuple[Any, ...]:
+    """The inverse of `stacked`."""
+    return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], together) for i in range(count))
+
+
+def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:
+    """Rows of [a]x, over theta."""
+    return {1: -a[2], 2: a[1]}, {0: a[2], 2: -a[0]}, {0: -a[1], 1: a[0]}
+
+
+def variance_of(deviation: Array, factor: Array) -> Array:
+    """Variance of a measurement with this weight; arbitrary if it is missing."""
+    return deviation * deviation / choose(factor > 0, factor, 1.0)
