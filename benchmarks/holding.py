@@ -1,4 +1,4 @@
-"""Whether the recommended filter stays accurate: over long times, at rest, and after motion.
+"""Whether the tuned observer stays accurate: over long times, at rest, and after motion.
 
 Each row is a ratio or an error of one tuned run on scenarios that were not used for tuning:
 
@@ -196,7 +196,7 @@ def table(result: Result) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Whether the recommended filter holds.")
+    parser = argparse.ArgumentParser(description="Whether the tuned observer holds.")
     parser.add_argument("--run", help="folder of a tuned run instead of a new one")
     parser.add_argument("--write", action="store_true", help="write the tables into docs/filter.md")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Compare optimisers at equal budgets on the recommended experiment and on test functions.
+"""Compare optimisers at equal budgets on the observer's experiment and on test functions.
 
     python benchmarks/optimisers.py filter --optimisers gsa,pso --repeats 10
     python benchmarks/optimisers.py variants --repeats 10
@@ -78,17 +78,17 @@ JSON, FIGURE, FUNCTION_FIGURE = (
 
 
 def on_filter(options: argparse.Namespace) -> None:
-    """Compare on the recommended experiment."""
+    """Compare on the observer's experiment."""
     _on_filter(options, FILTER, options.folder / "recommended")
 
 
 def variants(options: argparse.Namespace) -> None:
-    """Compare settings of GSA on the recommended experiment."""
+    """Compare settings of GSA on the observer's experiment."""
     _on_filter(options, VARIANTS, options.folder / "variants")
 
 
 def _on_filter(options: argparse.Namespace, usual: Sequence[str], out: Path) -> None:
-    experiment = config.load(ROOT / "configs" / "recommended.toml")
+    experiment = config.load(ROOT / "configs" / "observer.toml")
     evaluations, repeats = 25000, options.repeats
     if options.quick:
         settings = ["run.training_scenarios=1", "run.held_out_scenarios=4", "filter.substeps=1"]

@@ -7,8 +7,8 @@ posegsa; a contender that disagrees is reported as wrong and not timed.
     python benchmarks/run.py [--quick] [--only posegsa] [--readme] [--fuzzylite-python PYTHON]
 
 It takes a minute or two with --quick, up to 9 minutes without. `--only posegsa` compares posegsa
-and C only: 100 and 1000 agents, vectors of 16 and of 8 floats (AVX2), and the recommended
-configuration, whose filter learns the vector biases. Writes benchmarks/run.json (run-quick.json,
+and C only: 100 and 1000 agents, vectors of 16 and of 8 floats (AVX2), and the configuration of
+observer.toml, whose filter learns the vector biases. Writes benchmarks/run.json (run-quick.json,
 run-posegsa.json); with --readme also README.md, docs/benchmarks.md and benchmarks/scaling.png.
 Numba is an extra: pip install ".[bench]". A contender whose tools are missing is skipped, and the
 table says so.
@@ -38,8 +38,8 @@ from run_tables import (
     LIMITLESS,
     NUMBA,
     NUMPY,
+    OBSERVER,
     POSEGSA,
-    RECOMMENDED,
     C,
     Row,
     machine_line,
@@ -127,7 +127,7 @@ class Benchmark:
         if not self.quick:
             both = [(agents, devices) for devices in self.threads for agents in (100, 1000)]
             cases += [{"agents": a, "devices": d, "variant": AVX2} for a, d in both if self.wide]
-            cases += [{"devices": devices, "variant": RECOMMENDED} for devices in self.threads]
+            cases += [{"devices": devices, "variant": OBSERVER} for devices in self.threads]
         beside_c: list[tuple[str, Callable[[], None]]] = [
             ("scenario", self.make_scene),
             ("C", self.run_c),
@@ -229,7 +229,7 @@ class Benchmark:
         """Time one size of posegsa, by turns with C."""
         words: list[object] = ["--agents", agents, "--scenarios", scenarios, "--dtype", dtype]
         words += ["--devices", devices, "--seconds", self.seconds]
-        words += {AVX2: ["--isa", "avx2"], RECOMMENDED: ["--recommended"]}.get(variant, [])
+        words += {AVX2: ["--isa", "avx2"], OBSERVER: ["--observer"]}.get(variant, [])
         built = self.narrow if variant == AVX2 else self.built
         if built is not None:
             words += ["--against", built]
@@ -245,7 +245,7 @@ class Benchmark:
         if variant and "c_best" in found:
             c_times = {"best": found["c_best"], "median": found["c_median"]}
             c_row = replace(row, contender=of_c, **c_times, c_best=found["c_best"])
-            note = "in 9 of 10 agents; others' starts are chaotic" if variant == RECOMMENDED else ""
+            note = "in 9 of 10 agents; others' starts are chaotic" if variant == OBSERVER else ""
             self.rows.append(replace(c_row, difference=found["c_difference"], note=note))
         self.rows.append(replace(row, **times))
         if variant:

@@ -13,7 +13,7 @@ SAMPLES = 1500
 C, POSEGSA = "C, hand-vectorised", "posegsa"
 NUMPY, NUMBA = "NumPy, vectorised over agents", "Numba, parallel"
 LIMITLESS, AVX2 = "without gain limit", "AVX2"
-RECOMMENDED = "recommended configuration"
+OBSERVER = "configuration of observer.toml"
 """Label after a contender's name for rows with another configuration."""
 
 
@@ -50,7 +50,7 @@ class Row:
     @property
     def apart(self) -> bool:
         """Whether the row has another computation than the others, or narrower vectors."""
-        return self.contender.endswith((LIMITLESS, AVX2, RECOMMENDED))
+        return self.contender.endswith((LIMITLESS, AVX2, OBSERVER))
 
     @property
     def ratio(self) -> float | None:

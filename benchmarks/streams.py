@@ -1,6 +1,6 @@
 """Time per sample on-line: each call for one sample, compared with the compiled call that it wraps.
 
-Uses the recommended filter with two vectors and one landmark. The controller is in the middle of
+Uses the tuned observer with two vectors and one landmark. The controller is in the middle of
 its boxes; all controllers take the same time. Times are of single calls in sequence, in a separate
 process for each precision.
 

@@ -1,4 +1,4 @@
-"""How the recommended configuration was chosen: one change at a time, judged on validation.
+"""How configs/observer.toml was chosen: one change at a time, judged on validation.
 
 Each variant is tuned on its training scenarios and judged on validation scenarios, which have other
 keys than the training and held-out scenarios; the latter are not used here. Two variants keep the
@@ -51,7 +51,7 @@ def tuned_too(keys, *more: dict) -> str:
 
 
 VARIANTS: dict[str, tuple[str, ...]] = {
-    "recommended": (),
+    "observer.toml": (),
     "vectors' biases ignored": ("filter.vector_bias=off", without("filter.vector_bias_gain")),
     "gamma fixed": ("filter.gamma_law=fixed",),
     "gamma linear in K": ("filter.gamma_law=linear",),
@@ -65,7 +65,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "gravitational search, G0 1": ("search.optimiser=gsa", "search.g0=1.0"),
 }
 SCHEDULES = {"time switch": "switch", "constant gain": "constant"}
-"""Schedules without feedback in the recommended filter, by the kind of baseline."""
+"""Schedules without feedback in that filter, by the kind of baseline."""
 
 
 def mean_cost(candidate: Candidate, scenarios: ScenarioBatch) -> float:
@@ -112,7 +112,7 @@ def table(seeds: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Study behind the recommended configuration.")
+    parser = argparse.ArgumentParser(description="Study behind configs/observer.toml.")
     parser.add_argument("--seeds", type=int, default=3, help="searches for each variant")
     parser.add_argument("--write", action="store_true", help="write the table into docs/")
     options = parser.parse_args()
@@ -120,7 +120,7 @@ def main() -> None:
     posegsa.enable_fast_path()
     text = table(options.seeds)
     if options.write:
-        write_block("study", text, "docs/recommended.md")
+        write_block("study", text, "docs/observer.md")
 
 
 if __name__ == "__main__":

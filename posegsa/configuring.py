@@ -56,7 +56,7 @@ def configured(
         ConfigError: The file cannot be read or is not a valid experiment.
         FuzzyError: The controller is none that the experiment can have.
     """
-    chosen = config.as_experiment("recommended" if experiment is None else experiment)
+    chosen = config.as_experiment(experiment)
     if schedule is None:
         found = configured_filter(chosen)
         with jax.enable_x64(chosen.run.dtype == "float64"):

@@ -1,4 +1,4 @@
-"""The limit for configs/recommended.toml: `learning_filter.c`, with posegsa's own arrays."""
+"""The limit for configs/observer.toml: `learning_filter.c`, with posegsa's own arrays."""
 
 import ctypes
 from collections.abc import Callable
@@ -61,15 +61,15 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
     if not isinstance(section, ObserverConfig):
         raise ValueError("the filter is not the observer")
     if (section.law, section.gamma_law, section.substeps) != ("gradient", "quadratic", 2):
-        raise ValueError("law, gamma's law or sub-steps are not those of configs/recommended.toml")
+        raise ValueError("law, gamma's law or sub-steps are not those of configs/observer.toml")
     if (e.gain.signal, e.fuzzy.centroid, e.fuzzy.no_rule) != ("measured", "exact", "hold"):
-        raise ValueError("signal, centroid or no_rule are not those of configs/recommended.toml")
+        raise ValueError("signal, centroid or no_rule are not those of configs/observer.toml")
     controller, settings, signal = _candidates(task, vectors)
     learning, sensors = settings.vector_bias, training.samples.sample.vectors
     known = task.space.schedules.rules == RULES and training.end is None
     plain = settings.per_angular_bias_bound is None and settings.per_linear_bias_bound is None
     if learning is None or not isinstance(sensors, VectorSamples) or not (known and plain):
-        raise ValueError("rules, bounds or the vectors' bias law are not the recommended ones")
+        raise ValueError("rules, bounds or the vectors' bias law are not those of it")
     if learning.law != "linear" or not section.normalise_vectors or len(sensors.each) != 2:
         raise ValueError("it knows two vectors, normalised, whose bias gain follows K")
     limits = (

@@ -1,7 +1,7 @@
-/* One population of configs/recommended.toml by hand: the filter that learns the vectors' biases.
+/* One population of configs/observer.toml by hand: the filter that learns the vectors' biases.
  *
  * As pose_filter.c, from which blocks, groups and the body frame are taken, and whose gain this
- * uses; what the recommended configuration adds (the equations are those of posegsa/filters/observer.py
+ * uses; what configs/observer.toml adds (the equations are those of posegsa/filters/observer.py
  * and vectors.py):
  *   - two vectors, freed of the biases learnt so far, normalised, and their cross product: Wahba's
  *     sums are every agent's own, so that Davenport's matrix is made in each step, once for all

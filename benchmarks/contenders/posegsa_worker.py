@@ -41,7 +41,7 @@ from posegsa.search.population import evaluate_population
 from posegsa.search.run_search import on_all_devices, run_search
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
-PAPER, RECOMMENDED = CONFIGS / "paper.toml", CONFIGS / "recommended.toml"
+PAPER, OBSERVER = CONFIGS / "paper.toml", CONFIGS / "observer.toml"
 NARROW = "--xla_cpu_max_isa=AVX2 --xla_cpu_prefer_vector_width=256"
 """What holds XLA on vectors of 8 floats."""
 CHECKED_AGENTS = 100
@@ -70,12 +70,12 @@ def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Tun
         return tuning_problem(config.override(config.load(PAPER), settings))
 
 
-def recommended_task(*settings: str) -> TuningProblem:
-    """The recommended experiment in float32, made ready; `settings` change single values of it."""
+def observer_task(*settings: str) -> TuningProblem:
+    """That of observer.toml in float32, made ready; `settings` change single values of it."""
     few = "run.held_out_scenarios=1", "run.dtype=float32"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", posegsa.PosegsaWarning)
-        return tuning_problem(config.override(config.load(RECOMMENDED), [*few, *settings]))
+        return tuning_problem(config.override(config.load(OBSERVER), [*few, *settings]))
 
 
 def parameter_vectors(task: TuningProblem, agents: int) -> jax.Array:
@@ -180,8 +180,8 @@ def make_scene(options: argparse.Namespace) -> dict[str, Any]:
 def time_population(options: argparse.Namespace) -> dict[str, Any]:
     """Time one call for all agents on all scenarios, and C's on the same, by turns."""
     with jax.enable_x64(options.dtype == "float64"):
-        if options.recommended:
-            task = recommended_task()
+        if options.observer:
+            task = observer_task()
         else:
             task = task_of(options.dtype, options.scenarios, options.agents)
         scenarios, samples = task.training.samples.time.shape
@@ -202,7 +202,7 @@ def time_population(options: argparse.Namespace) -> dict[str, Any]:
             off = np.abs(np.mean(limit(), axis=0) / costs - 1)
             # Random starts up to half a turn off: where two ways back are equally near, rounding
             # decides.
-            found["c_difference"] = float(np.quantile(off, 0.9 if options.recommended else 1.0))
+            found["c_difference"] = float(np.quantile(off, 0.9 if options.observer else 1.0))
         for _ in range(5):
             times += timed(run, options.seconds / 10)
             if options.against is not None:
@@ -219,7 +219,7 @@ def _limit(
     task: TuningProblem, vectors: jax.Array, options: argparse.Namespace
 ) -> Callable[[], np.ndarray]:
     """C's costs (S, A) of the same."""
-    if options.recommended:
+    if options.observer:
         packed = learning.packed(task, vectors)
         return learning.prepare(packed, options.against, options.devices)
     return c.prepare(scene_of(task, vectors), options.against, options.devices)
@@ -273,7 +273,7 @@ def main() -> None:
     population.add_argument("--devices", type=int, default=1)
     population.add_argument("--isa", choices=("native", "avx2"), default="native")
     population.add_argument(
-        "--recommended", action="store_true", help="configs/recommended.toml, in its own sizes"
+        "--observer", action="store_true", help="configs/observer.toml, in its own sizes"
     )
     population.add_argument("--seconds", type=float, default=2.0, help="to measure for")
     population.add_argument("--against", type=Path, metavar="C", help="C, built, to time by turns")

@@ -1,7 +1,7 @@
 """Typed descriptions of experiments, read from and written to TOML.
 
 All constants of the paper, and all that it leaves out, are defaults here and nowhere else.
-`Experiment()` is the recommended experiment.
+`Experiment()` is that of configs/observer.toml.
 """
 
 import lazy_loader

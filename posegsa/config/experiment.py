@@ -145,7 +145,7 @@ class CheckpointConfig(Section):
 
 
 class Experiment(Section):
-    """A whole experiment. `Experiment()` is the recommended one."""
+    """A whole experiment. `Experiment()` is that of configs/observer.toml."""
 
     run: RunConfig = RunConfig()
     """Randomness, precision and the number of scenarios."""

@@ -63,7 +63,7 @@ DEFAULT_ALSO = tuple(
         ("gain.error_scale", 0.05, 1.0),
     )
 )
-"""The numbers that the recommended experiment tunes besides k1..k22."""
+"""The numbers of an observer that are tuned besides k1..k22 by default."""
 
 T = TypeVar("T")
 

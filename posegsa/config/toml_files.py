@@ -50,14 +50,14 @@ load_config = load
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:
-    """The experiment for an argument: itself, from a TOML file, or for None the recommended one.
+    """The experiment for an argument: itself, from a TOML file, or for None recommended.toml.
 
     Raises:
         ArgumentError: It is something else.
         ConfigError: The file cannot be read, is not TOML or is not a valid experiment.
     """
     if value is None:
-        return Experiment()
+        value = "recommended"
     if isinstance(value, str | os.PathLike):
         return load(value)
     allowed = (

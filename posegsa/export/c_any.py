@@ -6,12 +6,13 @@ stored once; what an estimate computes of its state is computed after each step.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 
 from posegsa.arguments import fitting, refuse
@@ -33,8 +34,10 @@ from posegsa.export.scalar_trace import Known, passed_on
 from posegsa.filters.attitude import REST_TIME, AttitudeFilter
 from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import Sample
+from posegsa.model.schedules import GainSchedule
 from posegsa.model.vectors import VectorSamples
 from posegsa.words import counted
 
@@ -92,11 +95,8 @@ def any_filter(
         ArgumentError: The filter can't be written as scalar arithmetic.
         MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
     """
-    if isinstance(filter, KalmanFilter) and filter.signals is not None:
-        refuse(
-            "filter: a Kalman filter whose noises are scheduled",
-            'for C, one with filter.belief = "off" and filter.unknown = "off"',
-        )
+    if isinstance(filter, KalmanFilter):
+        filter = _with_written_schedule(filter)
     v, p = known_places(vectors, landmarks)
     with jax.enable_x64(True):
         known, crossed = _references(_in_float64(filter), v, p)
@@ -262,8 +262,44 @@ class _Step:
         return {piece.name: piece for piece in pieces}
 
 
+def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:
+    """The filter with a schedule whose numbers stand in the code."""
+    schedule = filter.schedule
+    if schedule.vectors is not None or schedule.landmarks is not None:
+        # Its loops over sensors store what each of them remembers, which no C is written for yet.
+        refuse("filter.belief: the noise of each sensor is scheduled", 'for C, "off"')
+    if schedule.unknown is None:
+        return filter
+    return replace(filter, schedule=NoiseGains(_WrittenSchedule(schedule.unknown)))
+
+
+@jax.tree_util.register_static
+class _WrittenSchedule:
+    """A schedule of scalars alone, prepared in double precision; none of them is a named number."""
+
+    def __init__(self, schedule: GainSchedule) -> None:
+        largest = float(np.finfo(np.float32).max)  # slopes of vertical edges are higher in float64
+        with jax.enable_x64(True):
+            prepared = jax.tree.map(
+                lambda leaf: leaf if np.ndim(leaf) else min(float(leaf), largest),
+                jax.tree.map(_wide, schedule).prepare(),
+            )
+            self._initial = float(schedule.initial_gain())
+        self._prepared = prepared
+
+    def initial_gain(self) -> float:
+        return self._initial
+
+    def prepare(self) -> Any:
+        return self._prepared
+
+
 def _in_float64(filter: Filter) -> Filter:
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), filter)
+    return jax.tree.map(_wide, filter)
+
+
+def _wide(leaf: ArrayLike) -> Array:
+    return jnp.asarray(np.asarray(leaf, np.float64))
 
 
 def _initial(zero: Any, one: Any) -> FilterState:

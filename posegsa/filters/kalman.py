@@ -87,6 +87,7 @@ from posegsa.filters.covariance import (
 from posegsa.filters.measurement_model import (
     apart,
     each_vector,
+    error_of_all,
     landmark_rows,
     measured_error,
     residuals,
@@ -308,8 +309,11 @@ class ReadyKalmanFilter(NamedTuple):
         self, signals: NoiseSignals, state: KalmanState, now: Samples
     ) -> tuple[Sample, KalmanNoise, KalmanMemory, Record]:
         """The sample with the weights that its residuals leave, the noises, and the memory."""
-        sample, noise, memory, record = now.sample, self.noise, state.memory, Record()
+        sample, noise, memory = now.sample, self.noise, state.memory
         on_time = now.time, sample.time_step
+        if self.schedule.vectors is None:  # and of landmarks
+            error, seen = error_of_all(state.estimate, sample, noise.vector, noise.landmark)
+            return sample, *self._less_known(signals, memory, error, seen, *on_time)
         each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
         beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
@@ -328,12 +332,24 @@ class ReadyKalmanFilter(NamedTuple):
                 before = apart(after, len(before))
             memories.append(before)
             weights.append([given[i] for i in range(given.shape[0])])
-        sample = weighted(sample, *weights)
-        unknown = memory.unknown
+        sample, memory = weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
+        error, seen = measured_error(each, weights)
+        return sample, *self._less_known(signals, memory, error, seen, *on_time)
+
+    def _less_known(
+        self,
+        signals: NoiseSignals,
+        memory: KalmanMemory,
+        error: Array,
+        seen: Array,
+        time: Array,
+        time_step: Array,
+    ) -> tuple[KalmanNoise, KalmanMemory, Record]:
+        """The noises for the measured error, if one was seen, and the memory after it."""
+        noise, unknown, record = self.noise, memory.unknown, Record()
         if self.schedule.unknown is not None and unknown:
-            error, seen = measured_error(each, weights)
             factor, unknown, inputs = noise_factor(
-                self.schedule.unknown, signals.unknown, unknown, error, seen, *on_time
+                self.schedule.unknown, signals.unknown, unknown, error, seen, time, time_step
             )
             noise = noise._replace(
                 angular_velocity=factor * noise.angular_velocity,
@@ -341,7 +357,7 @@ class ReadyKalmanFilter(NamedTuple):
                 vector_walk=factor * noise.vector_walk,
             )
             record = Record(error=inputs.error, rate=inputs.rate)
-        return sample, noise, KalmanMemory(unknown, *memories), record
+        return noise, memory._replace(unknown=unknown), record
 
 
 AS_MEASURED = VectorSettings(

@@ -153,7 +153,46 @@ def measured_error(
             believed = weight / choose(seen, factor, 1.0)
             squares.append(choose(seen, believed * residual.square[i], 0.0))
             counts.append(choose(seen, jnp.ones_like(weight), 0.0))
-    total, count = reduce(operator.add, squares), reduce(operator.add, counts)
+    return _root_mean(reduce(operator.add, squares), reduce(operator.add, counts))
+
+
+def error_of_all(
+    estimate: FilterState, sample: Sample, vector: Array, landmark: Array
+) -> tuple[Array, Array]:
+    """`measured_error` where each sensor is believed as it is: sums, with nothing stored.
+
+    Args:
+        estimate: As for `residuals`, like the others.
+        sample: With its vectors as measured.
+        vector: Standard deviation of each component of a vector, in its unit.
+        landmark: Standard deviation of each coordinate of a landmark [m].
+    """
+    R, zero = rows(estimate.attitude), jnp.zeros_like(estimate.place[0])
+
+    def add(sums: tuple[Array, Array], off: Vec3, deviation: Array, factor: Array) -> Any:
+        total, count = sums
+        seen = factor > 0
+        square = dot(off, off) / (3 * variance_of(deviation, factor))
+        return (total + choose(seen, square, 0.0), count + choose(seen, zero + 1, 0.0)), None
+
+    def by_vector(sums: tuple[Array, Array], given: Any) -> Any:
+        _, off = vector_rows(R, *given)
+        return add(sums, off, vector, given[0].factor)
+
+    def by_landmark(sums: tuple[Array, Array], seen: LandmarkSample) -> Any:
+        _, off = landmark_rows(R, estimate.place, seen)
+        return add(sums, off, landmark, seen.factor)
+
+    sums = zero, zero
+    if vectors := each_vector(sample):
+        sums, _ = lax.scan(by_vector, sums, with_biases(vectors, estimate))
+    if sample.landmarks:
+        sums, _ = lax.scan(by_landmark, sums, stacked(sample.landmarks))
+    return _root_mean(*sums)
+
+
+def _root_mean(total: Array, count: Array) -> tuple[Array, Array]:
+    """The root mean square of a sum of squares, and whether there is one."""
     return safe_sqrt(total / maximum(count, 1.0)), count > 0
 
 

@@ -108,7 +108,7 @@ class PreparedNoiseGains(NamedTuple):
 def initial_noise_memory(schedule: GainSchedule, like: Array) -> NoiseMemory:
     """The memory before the first sample, in the shape and dtype of `like`."""
     zero = jnp.zeros_like(like)
-    gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
+    gain = jnp.full_like(like, schedule.initial_gain())
     return NoiseMemory(zero, zero, gain, zero + jnp.inf)
 
 

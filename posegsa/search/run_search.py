@@ -163,7 +163,7 @@ def run_search(
 
 
 SAMPLES_PER_SECOND = 4e7
-"""Samples of the recommended filter that two busy cores of 2.5 GHz simulate in a second."""
+"""Samples of an observer that two busy cores of 2.5 GHz simulate in a second."""
 LONG_ITERATION = 5.0
 """A longer iteration is announced by a warning [s]: signals are answered after it."""
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.quick
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 FILES = sorted(CONFIGS.glob("*.toml"))
-WHOLE = ("paper", "paper_literal", "recommended")
+WHOLE = ("paper", "paper_literal", "observer")
 PI = 3.141592653589793
 
 
@@ -46,10 +46,10 @@ def test_every_file_loads(path: Path) -> None:
     assert load(str(path)) == load(path)
 
 
-def test_the_recommended_file_is_the_default() -> None:
-    recommended = load(CONFIGS / "recommended.toml")
-    assert recommended.tuned.numbers
-    assert recommended.replace(tuned=config.TunedConfig()) == Experiment()
+def test_the_observer_file_holds_the_defaults() -> None:
+    observer = load(CONFIGS / "observer.toml")
+    assert observer.tuned.numbers
+    assert observer.replace(tuned=config.TunedConfig()) == Experiment()
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -61,8 +61,8 @@ def test_files_write_every_value_out(name: str) -> None:
     assert set(written["parameters"]) == set(everything["parameters"])
 
 
-def changes(name: str, base: str = "recommended") -> dict[str, Any]:
-    """The values in which a file differs from another, that of the recommended experiment.
+def changes(name: str, base: str = "observer") -> dict[str, Any]:
+    """The values in which a file differs from another, by default the observer's.
 
     Without the numbers of its last tuning, in which all differ.
     """
@@ -108,7 +108,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     assert load(CONFIGS / "paper.toml").parameters.also == ()
 
 
-def test_the_papers_start_is_the_recommended_filter_on_the_papers_scenario() -> None:
+def test_the_papers_start_is_the_observer_on_the_papers_scenario() -> None:
     assert changes("paper_start") == ONE_START
 
 

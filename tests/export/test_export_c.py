@@ -224,7 +224,7 @@ def over_time() -> Case:
 
 
 CASES: dict[str, Callable[[], Case]] = {
-    "recommended": recommended,
+    "observer": recommended,
     "printed": printed,
     "attitude only": attitude_only,
     "landmarks alone": landmarks_alone,
@@ -288,7 +288,7 @@ def exact_run(name: str) -> tuple[Measurements, Estimates]:
 @cache
 def simulated_runs() -> tuple[Measurements, Estimates, Estimates]:
     """Measurements at 100 Hz without gaps; Python's estimates in float64 and in float32."""
-    case = everything()["recommended"]
+    case = everything()["observer"]
     m = sensed(case, np.full(SAMPLES, 0.01))
     return m, in_python(case, m, "float64"), in_python(case, m, "float32")
 
@@ -316,7 +316,7 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str):
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compiler: str):
     need(compiler)
-    case = everything()["recommended"]
+    case = everything()["observer"]
     header = export_c(recommended_result())
     m, exact, single = simulated_runs()
     for real, dtype in (("double", np.float64), ("float", np.float32)):
@@ -333,7 +333,7 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
 
 def test_a_result_is_exported_as_its_parts_are():
     with jax.enable_x64(True):
-        parts = everything()["recommended"].header()
+        parts = everything()["observer"].header()
     after = re.compile(r"#ifndef POSEGSA_H.*", re.DOTALL)
     (from_result,), (by_hand,) = map(after.findall, (export_c(recommended_result()), parts))
     assert from_result == by_hand
@@ -345,12 +345,12 @@ def test_a_result_is_exported_as_its_parts_are():
 
 @needs_cc
 def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
-    case = everything()["recommended"]
-    good = rows_of(exact_run("recommended")[0])[:200]
+    case = everything()["observer"]
+    good = rows_of(exact_run("observer")[0])[:200]
     good = np.nan_to_num(good)
     good[:, [13, 14, 18]] = 1  # the weights: nothing is missing
     rows, wrong = with_wrong_rows(good)
-    program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
+    program = build(header_of("observer"), *options_of(case, *sanitizers(COMPILERS[0])))
     mixed, alone = (run_c(program, case.layout, START, r) for r in (rows, good))
     expected = np.where(wrong, CODES["invalid input"], 0)
     np.testing.assert_array_equal(mixed.code, expected)
@@ -363,31 +363,31 @@ def test_a_million_samples_of_garbage_spoil_nothing(tmp_path, real):
     """The checks are in `fuzz_filter.c`."""
     options = ("-std=c99", "-O1", f"-DPOSEGSA_REAL={real}", *sanitizers(COMPILERS[0]))
     source = Path(__file__).parent / "fuzz_filter.c"
-    program = compile_c(tmp_path, header_of("recommended"), source, *options, compiler=COMPILERS[0])
+    program = compile_c(tmp_path, header_of("observer"), source, *options, compiler=COMPILERS[0])
     assert subprocess.run([program], check=False).returncode == 0
 
 
 @needs_cc
 def test_a_limit_can_be_set_when_compiling(build: Build):
-    case = everything()["recommended"]
-    row = np.nan_to_num(rows_of(exact_run("recommended")[0])[:1])
+    case = everything()["observer"]
+    row = np.nan_to_num(rows_of(exact_run("observer")[0])[:1])
     row[0, 4] = 20.0  # a velocity [m/s]
     for options, code in (((), "ok"), (("-DPOSEGSA_MAX_VELOCITY=10",), "invalid input")):
-        program = build(header_of("recommended"), *options_of(case, *options))
+        program = build(header_of("observer"), *options_of(case, *options))
         assert run_c(program, case.layout, START, row).code == CODES[code]
 
 
 @needs_cc
 def test_what_is_missing_is_not_looked_at(build: Build):
     """NaN with weight 0, and a direction of length 0, count as missing."""
-    case = everything()["recommended"]
-    rows = np.nan_to_num(rows_of(exact_run("recommended")[0])[:300])
+    case = everything()["observer"]
+    rows = np.nan_to_num(rows_of(exact_run("observer")[0])[:300])
     rows[:, [13, 14, 18]] = 1
     given = {name: rows.copy() for name in ("weight 0", "NaN", "length 0")}
     given["weight 0"][50:, 13] = given["NaN"][50:, 13] = 0
     given["NaN"][50:, 7:10] = np.nan
     given["length 0"][50:, 7:10] = 0
-    program = build(header_of("recommended"), *options_of(case, *sanitizers(COMPILERS[0])))
+    program = build(header_of("observer"), *options_of(case, *sanitizers(COMPILERS[0])))
     first, *others = (run_c(program, case.layout, START, r).raw for r in given.values())
     for other in others:
         np.testing.assert_array_equal(first, other)
@@ -436,7 +436,7 @@ int main(void)
 def test_what_a_filter_can_begin_with(tmp_path):
     source = tmp_path / "beginnings.c"
     source.write_text(BEGINNINGS)
-    header = header_of("recommended")
+    header = header_of("observer")
     options = ("-std=c99", "-O1", *sanitizers(COMPILERS[0]))
     program = compile_c(tmp_path, header, source, *options, compiler=COMPILERS[0])
     assert subprocess.run([program], check=False).returncode == 0
@@ -516,7 +516,7 @@ def example(header: str) -> str:
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "g++", "clang++"])
 def test_the_example_compiles_and_runs_as_c_and_cpp(tmp_path, compiler):
     need(compiler)
-    name = "attitude only" if compiler.endswith("++") else "recommended"
+    name = "attitude only" if compiler.endswith("++") else "observer"
     header = header_of(name)
     language = ["-x", "c++", "-std=c++17"] if compiler.endswith("++") else ["-std=c99"]
     source = tmp_path / "example.c"
@@ -551,7 +551,7 @@ def test_two_filters_in_one_program_of_cpp(tmp_path, compiler):
 
 @needs_cc
 def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
-    header = header_of("recommended")
+    header = header_of("observer")
     assert re.findall(r"#include.*", header.split("*/", 1)[1]) == ["#include <math.h>"]
     source = tmp_path / "alone.c"
     source.write_text(
@@ -571,7 +571,7 @@ def test_it_needs_nothing_but_the_math_library(build: Build, tmp_path):
 
 @needs_cc
 def test_fast_math_is_refused(tmp_path):
-    header = header_of("recommended")
+    header = header_of("observer")
     (tmp_path / "posegsa.h").write_text(header)
     command = [COMPILERS[0], "-ffast-math", "-fsyntax-only", "-x", "c", str(tmp_path / "posegsa.h")]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -620,7 +620,7 @@ def test_the_page_shows_the_example_and_its_python_runs():
 
 @pytest.mark.quick
 def test_no_line_is_too_long_to_read():
-    header = header_of("recommended")
+    header = header_of("observer")
     assert header.isascii()
     table = re.compile(r"\{.*\},?( /\* .* \*/)?|static const.*")
     long = [x for x in header.splitlines() if len(x) > 100 and not table.search(x)]

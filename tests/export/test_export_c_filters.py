@@ -61,6 +61,13 @@ def kalman(vector_biases: bool) -> KalmanFilter:
         return KalmanFilter(KalmanNoise(*(jnp.asarray(x) for x in NOISE)), vector_biases)
 
 
+def recommended() -> Filter:
+    """The paper's controller on a Kalman filter's noises."""
+    with jax.enable_x64(True):
+        filter = posegsa.configured().filter_for(vectors=2, landmarks=1)
+        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), filter)
+
+
 def own() -> Filter:
     """That of the example."""
     kind = runpy.run_path(str(ROOT / "examples" / "own_filter.py"))["ComplementaryFilter"]
@@ -74,11 +81,12 @@ def case_of(name: str) -> Case:
         "own": lambda: Case(own(), VECTORS, LANDMARKS[:1]),
         "12 states": lambda: Case(kalman(False), VECTORS, LANDMARKS[:1]),
         "18 states": lambda: Case(kalman(True), VECTORS, LANDMARKS),
+        "recommended": lambda: Case(recommended(), VECTORS, LANDMARKS[:1]),
     }
     return made[name]()
 
 
-CASES = ("own", "12 states", "18 states")
+CASES = ("own", "12 states", "18 states", "recommended")
 
 
 @cache

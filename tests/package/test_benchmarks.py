@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from contenders import c, learning, numpy_vectorised, plain_loop
-from contenders.posegsa_worker import parameter_vectors, recommended_task, scene_of
+from contenders.posegsa_worker import observer_task, parameter_vectors, scene_of
 from contenders.scene import Scene, load
 from helpers.experiments import lasting, paper
 from machine import cpu
@@ -93,7 +93,7 @@ def test_c_agrees_off_the_paper(posed_scene: tuple[Scene, np.ndarray], library: 
 def test_c_learns_the_vectors_biases_as_posegsa_does(library: Path) -> None:
     # Starts without chaos, so that all agents can be compared.
     start = "family.attitude_error=[0.0, 60.0]", "run.training_scenarios=2"
-    task = recommended_task(*lasting(1.5), *start, f"search.agents={AGENTS}")
+    task = observer_task(*lasting(1.5), *start, f"search.agents={AGENTS}")
     vectors = parameter_vectors(task, AGENTS)
     costs = np.asarray(evaluate_population(vectors, task.training, task.space))
     given = learning.packed(task, vectors)

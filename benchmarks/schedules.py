@@ -1,0 +1,172 @@
+"""Schedules of a Kalman filter's noises beside their rivals, on one family of scenarios.
+
+Every contender is searched with the same optimiser and number of evaluations on the same training
+scenarios, and judged on others. Prints the table of a family: mean cost, its difference from the
+paper's controller with a 95 % interval (paired, bootstrap), median, 99th percentile, worst.
+
+    python benchmarks/schedules.py recommended     # any start, as given; five minutes on two cores
+    python benchmarks/schedules.py field --seeds 3
+    python benchmarks/schedules.py disturbed       # whom to believe
+"""
+
+import argparse
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import posegsa
+from posegsa import config
+from posegsa.config import KALMAN_ALSO
+from posegsa.judging.clairvoyance import clairvoyant_costs
+from posegsa.judging.description import candidate_of, configured_filter
+from posegsa.search.build import filter_of, scenario, scenario_batch, tuning_problem
+from posegsa.search.candidates import Candidate
+from posegsa.search.keys import held_out_keys
+from posegsa.search.population import costs_by_scenario
+from posegsa.search.run_search import run_search
+from posegsa.words import text_table
+
+LANES = 8
+"""Copies of one candidate that are run, as a vector register holds more than one filter."""
+SEARCHES: dict[str, dict[str, Any]] = {
+    name: {"optimiser": "de", "agents": agents, "iterations": iterations, "strategy": "best/1/bin"}
+    for name, agents, iterations in (("unknown", 32, 30), ("belief", 24, 22))
+}
+"""By the role that is scheduled."""
+NOISES = [one.model_dump(mode="json") for one in KALMAN_ALSO]
+BELIEF_ALSO = [
+    {"key": "filter.belief_smoothing", "lower": 0.01, "upper": 1.0, "scale": "logarithmic"}
+]
+CONTROLLER = "the paper's controller"
+Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
+"""By name: changes of [filter], and what is tuned beside a schedule; None for no search."""
+
+
+def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
+    """The Kalman filters that are compared where a role is scheduled."""
+    if role == "belief":
+        gate = {"belief": "ramp", "belief_smoothing": 0.0}
+        return {
+            "the sensors' noises, not tuned": ({"belief": "off"}, None),
+            "fixed noises, tuned": ({"belief": "off"}, NOISES),
+            "straight line at once, a gate if steep": (gate, []),
+            "straight line, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
+            CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
+        }
+    off = {"unknown": "off"}
+    return {
+        "the sensors' noises, not tuned": (off | FAMILY_START, None),
+        "fixed noises, tuned": (off, NOISES),
+        "fixed noises, tuned, 3 iterations an update": (off | {"iterations": 3}, NOISES),
+        "clock, 16 knots": ({"unknown": "clock"}, also),
+        "straight line": ({"unknown": "ramp"}, also),
+        "smooth K(e)": ({"unknown": "smooth"}, also),
+        CONTROLLER: ({"unknown": "fuzzy"}, also),
+    }
+
+
+FAMILY_START = {"initial_attitude": 1.05, "initial_position": 3.3, "initial_vector_bias": 0.1}
+"""A third of 180 deg and of 10 m, and the vectors' biases."""
+
+
+def experiments(name: str, seed: int) -> dict[str, tuple[config.Experiment, bool]]:
+    """The experiment of each contender on a family, and whether it is searched."""
+    family = config.load(name)
+    if isinstance(family.filter, config.KalmanConfig) and family.filter.belief != "off":
+        role, base = "belief", family
+    else:
+        role = "unknown"
+        base = config.load("recommended").replace(
+            run=family.run, scenario=family.scenario, family=family.family, cost=family.cost
+        )
+    data = base.model_dump(mode="json") | {"search": SEARCHES[role], "tuned": {}}
+    data["run"]["seed"] = seed
+    also = data["parameters"]["also"]
+    found: dict[str, tuple[config.Experiment, bool]] = {}
+    for contender, (section, searched) in contenders(role, also).items():
+        parameters = data["parameters"] | {"also": searched or []}
+        one = data | {"filter": data["filter"] | section, "parameters": parameters}
+        found[contender] = config.from_dict(one), searched is not None
+    return found
+
+
+def held_out(one: config.Experiment, candidate: Candidate, keys: jax.Array) -> np.ndarray:
+    """Costs (S,) of a candidate on scenarios."""
+    batch = scenario_batch(one, scenario(one), keys, filter_of(one))
+    several = jnp.ones(LANES, batch.dtype)
+
+    def lanes(leaf: Any) -> Any:
+        return several.reshape(-1, *(1,) * jnp.ndim(leaf)) * jnp.asarray(leaf)
+
+    return np.asarray(costs_by_scenario(jax.tree.map(lanes, candidate), batch))[:, 0]
+
+
+def as_configured(one: config.Experiment) -> Candidate:
+    """The filter of an experiment without a search; one number is named, as lanes copy it."""
+    assert isinstance(one.filter, config.KalmanConfig)
+    return Candidate(None, (jnp.asarray(one.filter.vector, jnp.float32),), ("filter.vector",))
+
+
+def search(one: config.Experiment) -> tuple[Candidate, float]:
+    """The best candidate of a search, and its training cost."""
+    problem = tuning_problem(one)
+    found = run_search(problem).search
+    return problem.space.candidate(found.best_position), float(found.best_cost)
+
+
+def row(name: str, training: float | None, costs: np.ndarray, beside: np.ndarray) -> list[str]:
+    """A row of the table; `beside` are the controller's costs."""
+    words = [name, "" if training is None else f"{training:.2f}", f"{np.mean(costs):.2f}"]
+    if costs is beside:
+        words.append("")
+    else:
+        gaps = np.random.default_rng(0).choice(costs - beside, (2000, len(costs))).mean(axis=1)
+        low, high = np.quantile(gaps, (0.025, 0.975))
+        words.append(f"{np.mean(costs - beside):+.2f} ({low:+.2f} to {high:+.2f})")
+    return [*words, *(f"{np.quantile(costs, share):.1f}" for share in (0.5, 0.99, 1.0))]
+
+
+def main() -> None:
+    """Search and judge all contenders of a family."""
+    parser = argparse.ArgumentParser(description="Schedules of a Kalman filter beside rivals.")
+    parser.add_argument("family", help="a configuration of posegsa: its scenarios and cost")
+    parser.add_argument("--seeds", type=int, default=1, help="searches of each contender")
+    parser.add_argument("--scenarios", type=int, default=200)
+    parser.add_argument("--set", type=int, default=10, help="which held-out scenarios")
+    options = parser.parse_args()
+    posegsa.enable_fast_path()
+    keys = held_out_keys(0, options.scenarios, options.set)
+    family = config.load(options.family)
+    for seed in range(options.seeds):
+        found: dict[str, tuple[float | None, np.ndarray]] = {}
+        one = family
+        for name, (contender, searched) in experiments(options.family, seed).items():
+            one = contender
+            if searched:
+                candidate, training = search(one)
+            else:
+                candidate, training = as_configured(one), None
+            found[name] = training, held_out(one, candidate, keys)
+            print(f"  {name}: {found[name][1].mean():.2f}", flush=True)
+        if isinstance(family.filter, config.ObserverConfig):
+            tuned = candidate_of(configured_filter(family), family)
+            found["the observer, as it comes"] = None, held_out(family, tuned, keys)
+        if family.scenario.start == "given" and options.family != "sparse":
+            plain = one.replace(
+                scenario=one.scenario.model_copy(update={"start": "sensors"}),
+                filter=config.load("kalman").filter,
+                parameters=one.parameters.model_copy(update={"also": ()}),
+            )
+            found["not tuned, from sensors"] = None, held_out(plain, as_configured(plain), keys)
+        found["clairvoyant"] = None, np.asarray(clairvoyant_costs(one, keys))
+        heads = ["Kalman filter", "training", "held out", "less controller", "median", "99 %"]
+        beside = found[CONTROLLER][1]
+        rows = [row(name, training, costs, beside) for name, (training, costs) in found.items()]
+        print(f"{options.family}, search {seed}")
+        print(text_table([[*heads, "worst"], *rows]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
