@@ -1,7 +1,7 @@
 """The whole experiment, with the sections for running, filtering and judging."""
 
-from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -206,10 +206,31 @@ class Experiment(Section):
         if refused:
             raise violations_error("values that cannot be replaced", refused)
         try:
-            return type(self).model_validate(data)
+            return type(self).with_or_without_tuned(data, values)
         except ValidationError as error:
             title = "not a valid experiment with these values"
             raise config_error(title, error, type(self)) from None
+
+    @classmethod
+    def with_or_without_tuned(cls, data: dict[str, Any], changed: Iterable[str]) -> Self:
+        """The experiment of changed data, without [tuned] where its numbers mean nothing any more.
+
+        Args:
+            data: Plain data of a whole experiment.
+            changed: Paths of what was changed: a [tuned] that is named there is kept, and refused.
+
+        Raises:
+            ValidationError: The data are no experiment.
+        """
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            if any(path.partition(".")[0] == "tuned" for path in changed):
+                raise
+            try:
+                return cls.model_validate(data | {"tuned": {}})
+            except ValidationError:
+                raise error from None
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
         """Conflicts that arise with all further tuned numbers at their lower or upper bounds."""

@@ -103,7 +103,11 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     data, refused = _with_settings(data, experiment.search, settings)
     if refused:
         raise violations_error("settings that cannot be applied", refused)
-    return _validated(data, "not a valid experiment with these settings")
+    try:
+        return Experiment.with_or_without_tuned(data, [text.strip() for text in settings])
+    except ValidationError as error:
+        title = "not a valid experiment with these settings"
+        raise config_error(title, error, Experiment) from None
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:

@@ -30,7 +30,7 @@ from posegsa.figures import style as figure_style
 from posegsa.optimisers import OPTIMISERS
 from posegsa.optimisers.functions import FUNCTIONS
 
-SETTINGS = [word for setting in TINY for word in ("--set", setting)]
+SETTINGS = ["observer", *(word for setting in TINY for word in ("--set", setting))]
 
 
 class Done(NamedTuple):
@@ -126,13 +126,13 @@ def test_a_finished_run_says_that_it_is_finished(finished, monkeypatch, capsys):
     ("arguments", "words"),
     [
         (["tune", "missing.toml"], ["missing.toml", "No such file"]),
-        (["tune", "--set", "filter.substep=4"], ["filter.substep", "substeps"]),
+        (["tune", "observer", "--set", "filter.substep=4"], ["filter.substep", "substeps"]),
         (["tune", "--set", "run.dtype=float16"], ["run.dtype", "float16", "float32", "float64"]),
         (["tune", "--set", "scenario.velocity_noise=-0.1"], ["scenario.velocity_noise", "-0.1"]),
         (["tune", "--seed", "-1"], ["run.seed", "-1"]),
         (["tune", "--set", "filter.kind=own"], ["filter: none", "--filter module:Class"]),
         (
-            ["tune", "--set", "filter.kind=kalman", "--set", "parameters.also=[]"],
+            ["tune", "kalman", "--set", "parameters.also=[]"],
             ["parameters.also: none", "at least one number", "kalman"],
         ),
     ],

@@ -26,7 +26,7 @@ LEARNT = (
     *("filter.gamma_law=quadratic", "filter.substeps=2", "gain.smoothing=1.5"),
     *("filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"),
 )
-"""The laws of the recommended filter, with all optional numbers of a filter."""
+"""The laws of the observer of observer.toml, with all optional numbers of a filter."""
 
 
 def paper(*settings: str, dtype: str = "float64") -> config.Experiment:

@@ -341,7 +341,7 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
         (["--optimisers", ","], ["optimisers", "none"]),
         (["--function", "spher"], ["'spher'"]),
         (["--function", "sphere", "--shift", "2"], ["shift = 2.0"]),
-        (["--evaluations", "10"], ["evaluations = 10", "96", "gsa"]),
+        (["--evaluations", "10"], ["evaluations = 10", "32", "gsa"]),
     ],
 )
 def test_bad_input_is_told_with_what_is_allowed(words, facts, capsys) -> None:

@@ -1,0 +1,91 @@
+"""One tuned filter on families of scenarios that it was not tuned for, beside what else there is.
+
+The recommended filter as it comes, with the numbers in its configuration; the observer with the
+numbers of its own search on each family; the Kalman filter of `kalman.toml`, started from the
+sensors and not tuned; and the clairvoyant. Prints mean cost (99th percentile) of each family.
+
+    python benchmarks/families.py --write   # README's table; ten minutes on two cores
+"""
+
+import argparse
+from typing import Any
+
+import numpy as np
+from readme import write_block
+from schedules import as_configured, held_out
+
+import posegsa
+from posegsa import config
+from posegsa.judging.clairvoyance import clairvoyant_costs
+from posegsa.judging.description import candidate_of, configured_filter
+from posegsa.search.keys import held_out_keys
+
+DRAWN = {"angular_velocity_bias": 0.1, "velocity_bias": 0.3, "vector_bias": 0.1}
+FAMILIES: dict[str, tuple[str, dict[str, Any]]] = {
+    "any start, 60 s": ("observer", {}),
+    "any start, biases drawn": ("observer", DRAWN),
+    "any start, noise 3 times as high as told": ("observer", {"noise_scale": [3.0, 3.0]}),
+    "any start, noise a third of what is told": ("observer", {"noise_scale": [0.333, 0.333]}),
+    "as in the field, 60 s": ("field", {}),
+    "the paper's start, 15 s": ("paper_start", {}),
+    "the paper's start, 60 s": ("paper_minute", {}),
+}
+"""By name: the configuration of its scenarios and cost, and changes of [family]."""
+
+
+def with_scenarios(
+    one: config.Experiment, scenarios: config.Experiment, start: str = "given"
+) -> config.Experiment:
+    """An experiment's filter on the scenarios and the cost of another."""
+    data = one.model_dump(mode="json")
+    data |= {
+        key: getattr(scenarios, key).model_dump(mode="json")
+        for key in ("scenario", "family", "cost")
+    }
+    data["scenario"]["start"] = start
+    return config.from_dict(data)
+
+
+def words(costs: np.ndarray) -> str:
+    """Mean and 99th percentile."""
+    return f"{np.mean(costs):.1f} ({np.quantile(costs, 0.99):.0f})"
+
+
+def main() -> None:
+    """Judge all filters on all families."""
+    parser = argparse.ArgumentParser(description="One filter on many families of scenarios.")
+    parser.add_argument("--scenarios", type=int, default=1000)
+    parser.add_argument("--set", type=int, default=11, help="which held-out scenarios")
+    parser.add_argument("--write", action="store_true", help="write the table into README.md")
+    options = parser.parse_args()
+    posegsa.enable_fast_path()
+    recommended, kalman = config.load("recommended"), config.load("kalman")
+    tuned = candidate_of(configured_filter(recommended), recommended)
+    keys = held_out_keys(0, options.scenarios, options.set)
+    lines = [
+        "| scenarios | recommended, start given | observer, start given | Kalman filter, "
+        "not tuned, from sensors | recommended, from sensors | clairvoyant |",
+        "| --- | --: | --: | --: | --: | --: |",
+    ]
+    for name, (file, changes) in FAMILIES.items():
+        own = config.load(file)
+        family = config.from_dict(
+            own.model_dump(mode="json") | {"family": own.family.model_dump(mode="json") | changes}
+        )
+        given, seen = (with_scenarios(recommended, family, s) for s in ("given", "sensors"))
+        plain = with_scenarios(kalman, family, "sensors")
+        found = (
+            held_out(given, tuned, keys),
+            held_out(family, candidate_of(configured_filter(own), own), keys),
+            held_out(plain, as_configured(plain), keys),
+            held_out(seen, tuned, keys),
+            np.asarray(clairvoyant_costs(given, keys)),
+        )
+        lines.append(f"| {name} | {' | '.join(map(words, found))} |")
+        print(lines[-1], flush=True)
+    if options.write:
+        write_block("families", "\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
