@@ -287,7 +287,7 @@ class _WrittenSchedule:
             self._initial = float(schedule.initial_gain())
         self._prepared = prepared
 
-    def initial_gain(self) -> float:
+    def initial_gain(self) -> Any:
         return self._initial
 
     def prepare(self) -> Any:

@@ -210,3 +210,15 @@ def test_the_numbers_of_a_shipped_file_are_within_its_bounds(path: Path) -> None
             assert isinstance(space.controller(space.checked(own)), FuzzyController)
             for low, value, high in zip(lower, own, upper, strict=True):
                 assert low - 1e-4 <= value <= high + 1e-4
+
+
+def test_numbers_of_the_last_tuning_go_where_a_change_leaves_them_without_meaning() -> None:
+    recommended = config.load("recommended")
+    without = override(recommended, ["filter.unknown=off"])
+    assert without.tuned == config.TunedConfig()
+    assert [one.key for one in without.also] == [
+        one.key for one in recommended.also if not one.key.startswith("filter.unknown_")
+    ]
+    assert override(recommended, ["filter.vector=0.2"]).tuned == recommended.tuned
+    with pytest.raises(ConfigError, match=r"tuned\.numbers"):
+        override(recommended, ["tuned.numbers=[1.0]"])
