@@ -311,11 +311,11 @@ class ReadyKalmanFilter(NamedTuple):
         """The sample with the weights that its residuals leave, the noises, and the memory."""
         sample, noise, memory = now.sample, self.noise, state.memory
         on_time = now.time, sample.time_step
-        if self.schedule.vectors is None:  # and of landmarks
+        beliefs = self.schedule.vectors, self.schedule.landmarks
+        if beliefs == (None, None):  # each sensor is believed as it is, and nothing is stored
             error, seen = error_of_all(state.estimate, sample, noise.vector, noise.landmark)
             return sample, *self._less_known(signals, memory, error, seen, *on_time)
         each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
-        beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
         weights: list[list[Array]] = []
         for residual, schedule, before in zip(each, beliefs, memory[1:], strict=True):

@@ -23,7 +23,7 @@ from posegsa.filters.kalman import (
     KalmanNoise,
     KalmanState,
 )
-from posegsa.filters.measurement_model import measured_error, residuals
+from posegsa.filters.measurement_model import error_of_all, measured_error, residuals
 from posegsa.filters.noise_schedules import (
     NoiseGains,
     NoiseSignal,
@@ -128,7 +128,21 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
         rms, any_seen = measured_error(found, weights)
         assert bool(any_seen) == bool(len(seen))
         np.testing.assert_allclose(rms**2 * len(seen), got[1, seen].sum(), atol=1e-12)
+        summed = error_of_all(state.estimate, sample, *deviations)
+        np.testing.assert_allclose(summed, (rms, any_seen), rtol=1e-14)
     assert checked > 10
+
+
+def test_belief_in_landmarks_alone_changes_their_noise_alone() -> None:
+    """Also where the vectors' noise is not scheduled."""
+    m, T = sequence(30)
+    factor = ConstantGain(jnp.asarray(26.0))
+    believed = ran(kalman(NoiseGains(landmarks=factor)), m, T)
+    variance = float(SIGNAL.largest) ** 0.25
+    louder = NOISE._replace(landmark=NOISE.landmark * np.sqrt(variance))
+    plain = ran(KalmanFilter(numbers(louder)), m, T)
+    for a, b in zip(jax.tree.leaves(believed[:2]), jax.tree.leaves(plain[:2]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("role", ["unknown", "vectors", "landmarks"])
