@@ -611,7 +611,7 @@ def test_every_number_says_what_it_is():
 
 def test_the_page_shows_the_example_and_its_python_runs():
     page = (Path(__file__).parents[2] / "docs" / "export.md").read_text("utf-8")
-    assert f"```c\n{textwrap.dedent(example(everything()['recommended'].header()))}```" in page
+    assert f"```c\n{textwrap.dedent(example(everything()['observer'].header()))}```" in page
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     names: dict[str, Any] = {}
     exec(code, names)  # code from our own page

@@ -43,9 +43,12 @@ def test_commands_that_it_names_parse():
 
 
 def test_the_results_are_there():
-    (block,) = re.findall(r"<!-- results: begin -->(.*?)<!-- results: end -->", TEXT, re.DOTALL)
-    for words in ("tuned filter", "best constant gains", "random search", "invariant EKF"):
+    (block,) = re.findall(r"<!-- families: begin -->(.*?)<!-- families: end -->", TEXT, re.DOTALL)
+    for words in ("recommended", "observer", "not tuned", "clairvoyant", "any start", "noise"):
         assert words in block
     page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"<!-- overview: begin -->(.*?)<!-- overview: end -->", page, re.DOTALL)
+    for words in ("tuned filter", "best constant gains", "random search", "invariant EKF"):
+        assert words in block
     for words in ("paper_literal", "best time switch", "training cost", "tuned for"):
         assert words in page.split("<!-- results: begin -->")[1]
