@@ -21,26 +21,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from readme import write_block
 
 import posegsa
-
-posegsa.enable_fast_path()
-
-import jax  # noqa: E402  (after the fast path)
-import jax.numpy as jnp  # noqa: E402  (after the fast path)
-from readme import write_block  # noqa: E402  (after the fast path)
-
-from posegsa import config  # noqa: E402  (after the fast path)
-from posegsa.filters.attitude import AttitudeNumbers  # noqa: E402  (after the fast path)
-from posegsa.filters.base import Samples  # noqa: E402  (after the fast path)
-from posegsa.filters.rollout import run  # noqa: E402  (after the fast path)
-from posegsa.model.se3 import compose  # noqa: E402  (after the fast path)
-from posegsa.recordings.accuracy import attitude_errors, rmse  # noqa: E402  (after the fast path)
-from posegsa.recordings.recording import Recording  # noqa: E402  (after the fast path)
-from posegsa.recordings.rotations import matrices  # noqa: E402  (after the fast path)
-from posegsa.search.build import filter_of  # noqa: E402  (after the fast path)
-from posegsa.search.recorded import recorded_batch  # noqa: E402  (after the fast path)
+from posegsa import config
+from posegsa.filters.attitude import AttitudeNumbers
+from posegsa.filters.base import Samples
+from posegsa.filters.rollout import run
+from posegsa.model.se3 import compose
+from posegsa.recordings.accuracy import attitude_errors, rmse
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.rotations import matrices
+from posegsa.search.build import filter_of
+from posegsa.search.recorded import recorded_batch
 
 BEGUN, LATE = 5.0, 30.0
 """Start of a trial begun in motion, and of its judgement [s]."""
@@ -193,6 +189,7 @@ def table(names: list[str], columns: dict[str, np.ndarray]) -> list[str]:
 
 def main() -> None:
     """Search, judge by leave-one-out, and print or write the tables."""
+    posegsa.enable_fast_path()  # before anything uses JAX
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of BROAD's trials (.mat)")
     parser.add_argument("--iterations", type=int, default=60, help="of the search")

@@ -18,14 +18,11 @@ from pathlib import Path
 import numpy as np
 
 import posegsa
-
-posegsa.enable_fast_path()
-
-from posegsa import config  # noqa: E402  (after the fast path)
-from posegsa.judging.evaluation import TUNED  # noqa: E402  (after the fast path)
-from posegsa.judging.on_recordings import mean_errors  # noqa: E402  (after the fast path)
-from posegsa.recordings.recording import Recording  # noqa: E402  (after the fast path)
-from posegsa.words import text_table  # noqa: E402  (after the fast path)
+from posegsa import config
+from posegsa.judging.evaluation import TUNED
+from posegsa.judging.on_recordings import mean_errors
+from posegsa.recordings.recording import Recording
+from posegsa.words import text_table
 
 TABLES = "paper", "reversed", "searched"
 SIMULATED = {"search.agents": 64, "search.iterations": 80}
@@ -85,6 +82,7 @@ def inertial(trials: dict[str, Recording]) -> Callable[[str, int], tuple[float, 
 
 def main() -> None:
     """Search, and print the table."""
+    posegsa.enable_fast_path()  # before anything uses JAX
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=3)

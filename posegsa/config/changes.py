@@ -58,10 +58,11 @@ def with_values(
         # A number that is set is no longer tuned.
         parameters["also"] = [one for one in parameters["also"] if not _named(one["key"], named)]
         # Nor one of a schedule that is switched off.
-        for role in ("unknown", "belief"):
-            if isinstance(filter_, dict) and filter_.get(role) == "off" != filter_before.get(role):
-                off = f"filter.{role}_"
-                parameters["also"] = [x for x in parameters["also"] if not x["key"].startswith(off)]
+        if isinstance(filter_, dict):
+            roles = ("unknown", "belief")
+            gone = [role for role in roles if filter_.get(role) == "off" != filter_before.get(role)]
+            begins = tuple(f"filter.{role}_" for role in gone)
+            parameters["also"] = [x for x in parameters["also"] if not x["key"].startswith(begins)]
     return data, violations
 
 

@@ -104,7 +104,8 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     if refused:
         raise violations_error("settings that cannot be applied", refused)
     try:
-        return Experiment.with_or_without_tuned(data, [text.strip() for text in settings])
+        named = [text.partition("=")[0].strip() for text in settings]
+        return Experiment.with_or_without_tuned(data, named)
     except ValidationError as error:
         title = "not a valid experiment with these settings"
         raise config_error(title, error, Experiment) from None

@@ -1,4 +1,4 @@
-"""A left-invariant extended Kalman filter on SE(3), the strongest baseline of the observer.
+"""A left-invariant extended Kalman filter on SE(3), whose noises schedules may change.
 
 symbol | meaning                                     | here                    | unit, frame
 ------ | ------------------------------------------- | ------------------------ | ------------------
@@ -87,7 +87,6 @@ from posegsa.filters.covariance import (
 from posegsa.filters.measurement_model import (
     apart,
     each_vector,
-    error_of_all,
     landmark_rows,
     measured_error,
     residuals,
@@ -310,12 +309,34 @@ class ReadyKalmanFilter(NamedTuple):
     ) -> tuple[Sample, KalmanNoise, KalmanMemory, Record]:
         """The sample with the weights that its residuals leave, the noises, and the memory."""
         sample, noise, memory = now.sample, self.noise, state.memory
-        on_time = now.time, sample.time_step
-        beliefs = self.schedule.vectors, self.schedule.landmarks
-        if beliefs == (None, None):  # each sensor is believed as it is, and nothing is stored
-            error, seen = error_of_all(state.estimate, sample, noise.vector, noise.landmark)
-            return sample, *self._less_known(signals, memory, error, seen, *on_time)
+        on_time, record = (now.time, sample.time_step), Record()
+        if self.schedule.vectors is not None or self.schedule.landmarks is not None:
+            sample, memory = self._believed(signals, state, sample, on_time)
+        if self.schedule.unknown is not None and memory.unknown:
+            error, seen = measured_error(state.estimate, sample, noise.vector, noise.landmark)
+            factor, unknown, inputs = noise_factor(
+                self.schedule.unknown, signals.unknown, memory.unknown, error, seen, *on_time
+            )
+            noise = noise._replace(
+                angular_velocity=factor * noise.angular_velocity,
+                velocity=factor * noise.velocity,
+                vector_walk=factor * noise.vector_walk,
+            )
+            memory = memory._replace(unknown=unknown)
+            record = Record(error=inputs.error, rate=inputs.rate)
+        return sample, noise, memory, record
+
+    def _believed(
+        self,
+        signals: NoiseSignals,
+        state: KalmanState,
+        sample: Sample,
+        on_time: tuple[Array, Array],
+    ) -> tuple[Sample, KalmanMemory]:
+        """The sample with the weights that its residuals leave, and the memory of belief."""
+        noise, memory = self.noise, state.memory
         each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
+        beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
         weights: list[list[Array]] = []
         for residual, schedule, before in zip(each, beliefs, memory[1:], strict=True):
@@ -332,32 +353,7 @@ class ReadyKalmanFilter(NamedTuple):
                 before = apart(after, len(before))
             memories.append(before)
             weights.append([given[i] for i in range(given.shape[0])])
-        sample, memory = weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
-        error, seen = measured_error(each, weights)
-        return sample, *self._less_known(signals, memory, error, seen, *on_time)
-
-    def _less_known(
-        self,
-        signals: NoiseSignals,
-        memory: KalmanMemory,
-        error: Array,
-        seen: Array,
-        time: Array,
-        time_step: Array,
-    ) -> tuple[KalmanNoise, KalmanMemory, Record]:
-        """The noises for the measured error, if one was seen, and the memory after it."""
-        noise, unknown, record = self.noise, memory.unknown, Record()
-        if self.schedule.unknown is not None and unknown:
-            factor, unknown, inputs = noise_factor(
-                self.schedule.unknown, signals.unknown, unknown, error, seen, time, time_step
-            )
-            noise = noise._replace(
-                angular_velocity=factor * noise.angular_velocity,
-                velocity=factor * noise.velocity,
-                vector_walk=factor * noise.vector_walk,
-            )
-            record = Record(error=inputs.error, rate=inputs.rate)
-        return noise, memory._replace(unknown=unknown), record
+        return weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
 
 
 AS_MEASURED = VectorSettings(

@@ -63,10 +63,9 @@ def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any
 class Residual(NamedTuple):
     """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
 
-    square: Array
-    """|z - y|^2 / (3 s^2), s the standard deviation of its noise; 1 if the estimate is right."""
     normalised: Array
-    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2; 1 if the covariance is right."""
+    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
+    noise; 1 if the covariance is right."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
 
@@ -87,8 +86,8 @@ def residuals(
     learnt = bool(estimate.vector_biases)
 
     def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
-        square, variance = dot(off, off), 3 * variance_of(deviation, factor)
-        return Residual(square / variance, square / (spread + variance), factor)
+        expected = spread + 3 * variance_of(deviation, factor)
+        return Residual(dot(off, off) / expected, factor)
 
     def spread(each: Sequence[Row]) -> Array:
         """tr(H Sigma H^T) of rows over the states of the pose."""
@@ -123,7 +122,7 @@ def residuals(
         each, off = landmark_rows(R, estimate.place, seen)
         return nothing, residual(spread(each), off, landmark, seen.factor)
 
-    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 3)
+    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 2)
     of_vectors = of_landmarks = none
     if vectors := each_vector(sample):
         biased = stacked(map(of_bias, range(len(vectors))))
@@ -134,36 +133,16 @@ def residuals(
 
 
 def measured_error(
-    each: Iterable[Residual], weights: Iterable[Sequence[Array]]
+    estimate: FilterState, sample: Sample, vector: Array, landmark: Array
 ) -> tuple[Array, Array]:
     """Root mean square residual in standard deviations of the noises, and whether there is one.
 
-    A sensor that is believed less, with a weight below its factor, counts as much less.
+    A sensor that is believed less, with a lower weight, counts as much less. The sums of a loop
+    store nothing, so that they can be written as C.
 
     Args:
-        each: The residuals of vectors and of landmarks.
-        weights: Their weights after belief.
-    """
-    squares: list[Array] = []
-    counts: list[Array] = []
-    for residual, of_kind in zip(each, weights, strict=True):
-        for i, weight in enumerate(of_kind):
-            factor = residual.factor[i]
-            seen = factor > 0
-            believed = weight / choose(seen, factor, 1.0)
-            squares.append(choose(seen, believed * residual.square[i], 0.0))
-            counts.append(choose(seen, jnp.ones_like(weight), 0.0))
-    return _root_mean(reduce(operator.add, squares), reduce(operator.add, counts))
-
-
-def error_of_all(
-    estimate: FilterState, sample: Sample, vector: Array, landmark: Array
-) -> tuple[Array, Array]:
-    """`measured_error` where each sensor is believed as it is: sums, with nothing stored.
-
-    Args:
-        estimate: As for `residuals`, like the others.
-        sample: With its vectors as measured.
+        estimate: As for `residuals`.
+        sample: With its vectors as measured, and the weights after belief.
         vector: Standard deviation of each component of a vector, in its unit.
         landmark: Standard deviation of each coordinate of a landmark [m].
     """
@@ -188,11 +167,7 @@ def error_of_all(
         sums, _ = lax.scan(by_vector, sums, with_biases(vectors, estimate))
     if sample.landmarks:
         sums, _ = lax.scan(by_landmark, sums, stacked(sample.landmarks))
-    return _root_mean(*sums)
-
-
-def _root_mean(total: Array, count: Array) -> tuple[Array, Array]:
-    """The root mean square of a sum of squares, and whether there is one."""
+    total, count = sums
     return safe_sqrt(total / maximum(count, 1.0)), count > 0
 
 

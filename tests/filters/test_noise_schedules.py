@@ -23,7 +23,7 @@ from posegsa.filters.kalman import (
     KalmanNoise,
     KalmanState,
 )
-from posegsa.filters.measurement_model import error_of_all, measured_error, residuals
+from posegsa.filters.measurement_model import measured_error, residuals, weighted
 from posegsa.filters.noise_schedules import (
     NoiseGains,
     NoiseSignal,
@@ -115,21 +115,25 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
         sample, s = filter.prepare(given.at(k)), sample_of(m, k)
         deviations = filter.noise.vector, filter.noise.landmark
         found = residuals(state.estimate, state.covariance, sample, *deviations)
-        got = np.concatenate([np.stack([one.normalised, one.square]) for one in found], axis=1)
+        got = np.concatenate([one.normalised for one in found])
+        squares = {}
         seen = np.concatenate([np.flatnonzero(s.sR), 2 + np.flatnonzero(s.sL)])
         H, z, y, N = reference_ekf.linearised(held, s, noise)
         for i, sensor in enumerate(seen):
             part = slice(3 * i, 3 * i + 3)
             square, own = np.sum((z - y)[part] ** 2), np.trace(N[part, part])
             spread = np.trace(H[part] @ held.Sigma @ H[part].T)
-            np.testing.assert_allclose(got[:, sensor], [square / (spread + own), square / own])
+            np.testing.assert_allclose(got[sensor], square / (spread + own))
+            squares[sensor] = square / own
             checked += 1
-        weights = [list(one.factor) for one in found]
-        rms, any_seen = measured_error(found, weights)
+        rms, any_seen = measured_error(state.estimate, sample, *deviations)
         assert bool(any_seen) == bool(len(seen))
-        np.testing.assert_allclose(rms**2 * len(seen), got[1, seen].sum(), atol=1e-12)
-        summed = error_of_all(state.estimate, sample, *deviations)
-        np.testing.assert_allclose(summed, (rms, any_seen), rtol=1e-14)
+        np.testing.assert_allclose(rms**2 * len(seen), sum(squares.values()), atol=1e-12)
+        half = [0.5 * vector.factor for vector in sample.vectors.each]
+        less = weighted(sample, half, [one.factor for one in sample.landmarks])
+        rms, _ = measured_error(state.estimate, less, *deviations)
+        left = [square * (0.5 if sensor < 2 else 1) for sensor, square in squares.items()]
+        np.testing.assert_allclose(rms**2 * len(seen), sum(left), atol=1e-12)
     assert checked > 10
 
 
