@@ -35,7 +35,7 @@ from posegsa.model.se3 import compose
 from posegsa.recordings.accuracy import attitude_errors, rmse
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import matrices
-from posegsa.search.build import filter_of
+from posegsa.search.configured_filters import filter_of
 from posegsa.search.recorded import recorded_batch
 
 BEGUN, LATE = 5.0, 30.0

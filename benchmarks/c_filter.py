@@ -41,7 +41,8 @@ from posegsa.judging.result import Result
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import integrate, measure
 from posegsa.saving.result_files import load
-from posegsa.search.build import filter_settings, scenario, signal_settings
+from posegsa.search.configured_filters import filter_settings, signal_settings
+from posegsa.search.drawn_scenarios import scenario
 from posegsa.words import counted
 
 HERE = Path(__file__).parent / "on_target"

@@ -40,7 +40,7 @@ def inputs(wanted: int, rng: np.random.Generator) -> Counter:
     from helpers import generated
 
     from posegsa.errors import PosegsaError
-    from posegsa.search.build import tuning_problem
+    from posegsa.search.problem import tuning_problem
     from posegsa.search.run_search import run_search
 
     names = ("configurations tuned whole", "of these written and read back")

@@ -77,7 +77,7 @@ def searched(experiment: config.Experiment, folder: Path) -> None:
     """Search with checkpoints in a folder, without an evaluation."""
     from posegsa.saving.checkpointing import CheckpointWriter
     from posegsa.saving.interrupt import StopRequest
-    from posegsa.search.build import tuning_problem
+    from posegsa.search.problem import tuning_problem
     from posegsa.search.run_search import run_search
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     """Time of the default search with and without checkpoints, alternating [s]."""
     from posegsa.saving.checkpointing import CheckpointWriter
     from posegsa.saving.interrupt import StopRequest
-    from posegsa.search.build import tuning_problem
+    from posegsa.search.problem import tuning_problem
     from posegsa.search.run_search import run_search
 
     class Counted(CheckpointWriter):

@@ -30,10 +30,12 @@ from posegsa.judging.metrics import error_tracks
 from posegsa.judging.result import Result
 from posegsa.runtime import environment
 from posegsa.saving.result_files import load
-from posegsa.search.build import parameter_space, scenario, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import endurance_keys
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import tuning_problem
+from posegsa.search.search_spaces import parameter_space
 
 ATTITUDES, EACH = 8, 4
 """Number of random attitudes at rest, and of scenarios with each."""

@@ -29,9 +29,10 @@ from readme import write_block
 from run_tables import duration, machine_line, number
 
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
-from posegsa.search.build import TuningProblem, scenario_batch
 from posegsa.search.candidates import SearchSpace, without_schedule
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import training_keys
+from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import on_all_devices
 
 AGENTS = 100

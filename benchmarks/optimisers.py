@@ -39,10 +39,11 @@ from posegsa.optimisers import OPTIMISERS, Optimiser, minimise
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.runtime import environment
 from posegsa.saving.comparison_files import load_comparison
-from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
 
 BEST = "de:strategy=best/1/bin"

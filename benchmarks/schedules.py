@@ -21,10 +21,12 @@ from posegsa import config
 from posegsa.config import KALMAN_ALSO
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
-from posegsa.search.build import filter_of, scenario, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
 from posegsa.words import text_table
 

@@ -19,10 +19,11 @@ from tqdm import tqdm
 import posegsa
 from posegsa import config
 from posegsa.judging.baselines import search_baseline
-from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, scenario_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import run_search
 
 VALIDATION_SCENARIOS = 256

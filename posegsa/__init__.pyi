@@ -71,9 +71,9 @@ from .saving.result_files import load as load
 from .saving.result_files import save as save
 from .saving.sweep_folder import load_sweep as load_sweep
 from .saving.sweep_folder import merge_sweeps as merge_sweeps
-from .search.build import filter_settings as filter_settings
-from .search.build import parameter_space as parameter_space
-from .search.build import signal_settings as signal_settings
+from .search.configured_filters import filter_settings as filter_settings
+from .search.configured_filters import signal_settings as signal_settings
+from .search.search_spaces import parameter_space as parameter_space
 from .streaming import Pose as Pose
 from .streaming import PoseFilter as PoseFilter
 from .sweeping import sweep as sweep

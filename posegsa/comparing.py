@@ -23,9 +23,9 @@ from posegsa.runtime import environment
 from posegsa.saving.comparison_files import continued, write_comparison, write_searches
 from posegsa.saving.folder import locked_folder
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
 from posegsa.search.keys import repeat_key
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import (
     Found,
     Progress,

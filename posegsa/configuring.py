@@ -26,8 +26,9 @@ from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
-from posegsa.search.build import OwnFilter, parameter_space, rule_table
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import OwnFilter
+from posegsa.search.search_spaces import parameter_space, rule_table
 from posegsa.version import VERSION
 
 

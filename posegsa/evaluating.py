@@ -28,9 +28,10 @@ from posegsa.judging.result import Result
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
-from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import TrackCost, check_same_cost
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.settings.fields import MAX_COUNT
 
 

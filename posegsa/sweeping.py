@@ -22,8 +22,8 @@ from posegsa.saving.folder import as_path
 from posegsa.saving.interrupt import resumable
 from posegsa.saving.sweep_folder import in_order, prepare_sweep_folder, write_sweep, write_sweep_run
 from posegsa.search import memory
-from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import (
     Found,
     Progress,

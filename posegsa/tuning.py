@@ -34,10 +34,12 @@ from posegsa.saving.resume import (
     folder_to_resume,
 )
 from posegsa.search import memory
-from posegsa.search.build import OwnFilter, TuningProblem, filter_of, own_space, tuning_problem
+from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.population import TrackCost, check_same_cost
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
 from posegsa.search.run_search import run_search, search_batch, tell_search
+from posegsa.search.search_spaces import own_space
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None

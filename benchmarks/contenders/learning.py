@@ -16,7 +16,7 @@ from posegsa.filters.observer import FilterSettings, Observer
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.signal import SignalSettings
 from posegsa.model.vectors import VectorSamples
-from posegsa.search.build import TuningProblem
+from posegsa.search.problem import TuningProblem
 
 
 class _Settings(ctypes.Structure):

@@ -35,9 +35,9 @@ from posegsa.filters.observer import Observer
 from posegsa.model.vectors import Wahba
 from posegsa.optimisers import minimise
 from posegsa.runtime import fast_path_flags
-from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import on_all_devices, run_search
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"

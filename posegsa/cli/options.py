@@ -19,7 +19,7 @@ from posegsa.recordings.policies import LONGEST_GAP, Policy
 if TYPE_CHECKING:
     from posegsa.judging.result import Result
     from posegsa.recordings.recording import Recording
-    from posegsa.search.build import OwnFilter
+    from posegsa.search.configured_filters import OwnFilter
 
 RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "

@@ -33,12 +33,15 @@ from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, KnotGain
 from posegsa.optimisers import Optimiser
-from posegsa.search.build import TuningProblem, filter_of, scenario_batch, search_space
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
+from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import first_search, run_search, tell_share
 from posegsa.search.schedule_spaces import schedule_space
+from posegsa.search.search_spaces import search_space
 
 CONSTANT_GAINS = 201
 """Number of gains that `best_constant` tries, evenly spaced over the controller's gain range."""

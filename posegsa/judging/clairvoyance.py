@@ -25,7 +25,7 @@ from posegsa.model.events import events_of
 from posegsa.model.family import Family, realise
 from posegsa.model.first_pose import first_pose, waiting_until
 from posegsa.model.scenario import Scenario
-from posegsa.search.build import cost_weights, family, scenario
+from posegsa.search.drawn_scenarios import cost_weights, family, scenario
 from posegsa.search.groups import in_groups, padded
 from posegsa.search.keys import GENERATOR, held_out_keys
 

@@ -28,10 +28,11 @@ from posegsa.model.schedules import (
     SmoothGain,
     SwitchGain,
 )
-from posegsa.search.build import OwnFilter, filter_of, parameter_space, rule_table
 from posegsa.search.candidates import Candidate, Schedule
+from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.schedule_spaces import KNOTS, knot_times
+from posegsa.search.search_spaces import parameter_space, rule_table
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 

@@ -10,9 +10,11 @@ import numpy as np
 from posegsa import config
 from posegsa.errors import PosegsaWarning
 from posegsa.judging.metrics import POSITION_WORDS, error_tracks
-from posegsa.search.build import TuningProblem, filter_of, scenario, scenario_batch
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import endurance_keys
+from posegsa.search.problem import TuningProblem
 from posegsa.settings.arrays import Numbers
 from posegsa.settings.fields import MAX_SAMPLES
 from posegsa.words import counted, text_table

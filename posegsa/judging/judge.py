@@ -30,9 +30,9 @@ from posegsa.judging.trajectory import trajectory_on
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
-from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import cost_name, costs_by_scenario
+from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 

@@ -20,8 +20,8 @@ from posegsa.judging.result import Result
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter
-from posegsa.search.build import tuning_problem
 from posegsa.search.population import TrackCost
+from posegsa.search.problem import tuning_problem
 from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
 from posegsa.search.run_search import run_search, tell_share
 

@@ -36,8 +36,8 @@ from posegsa.optimisers import History
 from posegsa.recordings.imu import as_read_by, references
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
-from posegsa.search.build import OwnFilter
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import OwnFilter
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table

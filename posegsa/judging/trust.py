@@ -15,8 +15,8 @@ from posegsa.judging.trajectory import Trajectory
 from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController, membership
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import Candidate
+from posegsa.search.problem import TuningProblem
 from posegsa.settings.arrays import Cost, Numbers
 
 PERTURBATION = 1e-6

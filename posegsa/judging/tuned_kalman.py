@@ -9,9 +9,9 @@ from posegsa.filters.kalman import KalmanNoise
 from posegsa.judging.description import Description, describe
 from posegsa.optimisers import DifferentialEvolution, runner, start
 from posegsa.optimisers.search_box import to_unit
-from posegsa.search.build import TuningProblem
 from posegsa.search.keys import keys
 from posegsa.search.objective import SearchObjective, packed_batch
+from posegsa.search.problem import TuningProblem
 
 AGENTS = 20
 MAX_EVALUATIONS = 1000

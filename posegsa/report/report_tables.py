@@ -8,7 +8,7 @@ from posegsa import config
 from posegsa.judging.result import Result
 from posegsa.judging.trust import PERTURBATION
 from posegsa.report.numbers import number
-from posegsa.search.build import rule_indices
+from posegsa.search.search_spaces import rule_indices
 
 Noted = tuple[str, list[tuple[str, str]]]
 """A row: its header, and for each cell its text and a note."""

@@ -27,8 +27,8 @@ from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
 from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
 from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
-from posegsa.search.build import TuningProblem
 from posegsa.search.population import CONFIGURED, cost_name
+from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import LONGEST_CHUNK, Found, Progress, first_search, run_search
 from posegsa.settings.fields import NonNegative
 from posegsa.settings.plain import plain

@@ -27,7 +27,7 @@ from posegsa.saving.folder import (
     replace_files,
 )
 from posegsa.saving.records import from_json, to_csv, to_json
-from posegsa.search.build import OwnFilter
+from posegsa.search.configured_filters import OwnFilter
 from posegsa.settings.fields import MAX_SAMPLES
 
 SCHEMA = 5

@@ -12,7 +12,7 @@ from posegsa.judging.result import Result
 from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import as_path
 from posegsa.saving.result_files import load
-from posegsa.search.build import OwnFilter
+from posegsa.search.configured_filters import OwnFilter
 from posegsa.settings.violations import Refused, Violation, violations_error
 
 

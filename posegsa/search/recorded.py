@@ -28,16 +28,11 @@ from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import as_seen, state_of
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
-from posegsa.search.build import (
-    OwnFilter,
-    TuningProblem,
-    all_scenarios,
-    filter_of,
-    own_space,
-    scenario,
-    search_space,
-)
+from posegsa.search.configured_filters import OwnFilter, filter_of
+from posegsa.search.drawn_scenarios import all_scenarios, scenario
 from posegsa.search.population import ScenarioBatch
+from posegsa.search.problem import TuningProblem
+from posegsa.search.search_spaces import own_space, search_space
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0

@@ -27,13 +27,13 @@ from posegsa.optimisers import (
 )
 from posegsa.optimisers.driver import CHUNKS, Runner
 from posegsa.runtime import has_fast_path
-from posegsa.search.build import TuningProblem
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
 from posegsa.search.objective import SearchObjective, packed_batch
 from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
+from posegsa.search.problem import TuningProblem
 
 LONGEST_CHUNK = 2.0
 """Maximum time between two reports of a search, unless one iteration takes longer [s]."""

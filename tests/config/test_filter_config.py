@@ -19,7 +19,7 @@ from posegsa.config import (
 )
 from posegsa.errors import ConfigError
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.search.build import parameter_space
+from posegsa.search.search_spaces import parameter_space
 
 pytestmark = pytest.mark.quick
 

@@ -58,7 +58,7 @@ from posegsa.model.schedules import (
     SwitchGain,
 )
 from posegsa.model.signal import SignalSettings
-from posegsa.search.build import filter_settings, signal_settings
+from posegsa.search.configured_filters import filter_settings, signal_settings
 
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0], [-0.3, 2.0, 0.4]])
 LANDMARKS = np.array([[0.5, 1.41, 1.0], [-2.0, 0.3, 0.8], [1.0, -3.0, 0.1]])

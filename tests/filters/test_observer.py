@@ -52,7 +52,7 @@ from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import filter_settings
+from posegsa.search.configured_filters import filter_settings
 
 COUNT = 30
 """Number of states stepped at once; mostly the same, so that programs are compiled once."""

@@ -20,7 +20,7 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain, GainSchedule, SwitchGain
 from posegsa.model.vectors import VectorSettings
-from posegsa.search.build import signal_settings
+from posegsa.search.configured_filters import signal_settings
 
 LAWS = ("printed", "gradient")
 

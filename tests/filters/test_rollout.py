@@ -42,8 +42,9 @@ from posegsa.model.scenario import Truth
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, SwitchGain
 from posegsa.model.se3 import Quaternion
 from posegsa.model.signal import SignalSettings
-from posegsa.search.build import cost_weights, filter_settings, signal_settings
-from posegsa.search.build import filter_of as observer_of
+from posegsa.search.configured_filters import filter_of as observer_of
+from posegsa.search.configured_filters import filter_settings, signal_settings
+from posegsa.search.drawn_scenarios import cost_weights
 
 VECTOR = search_vectors(1, seed=1)[0]
 """A typical schedule; its gains range from 11 to 75 in the paper's scenario."""

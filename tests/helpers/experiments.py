@@ -13,11 +13,12 @@ from posegsa.config import CostConfig, Experiment, ObserverConfig, RunConfig, Sc
 from posegsa.errors import PosegsaWarning
 from posegsa.filters.observer import Observer
 from posegsa.model.scenario import Scenario
-from posegsa.search.build import parameter_space, scenario, scenario_batch, search_space
 from posegsa.search.candidates import SearchSpace
+from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
+from posegsa.search.search_spaces import parameter_space, search_space
 
 PAPER = config.load(Path(__file__).parents[2] / "configs" / "paper.toml")
 

@@ -18,7 +18,7 @@ import posegsa
 from helpers.experiments import tiny
 from posegsa import config
 from posegsa.judging.evaluation import TUNED
-from posegsa.search.build import TuningProblem
+from posegsa.search.problem import TuningProblem
 
 HOSTILE: tuple[Any, ...] = (
     *(float("nan"), float("inf"), -float("inf"), -1, 0, 1, -0.0, 0.5, 1e308, -1e308, 5e-324),

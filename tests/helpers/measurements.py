@@ -25,7 +25,8 @@ from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.signal import pose_errors
-from posegsa.search.build import filter_of, scenario
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import scenario
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:

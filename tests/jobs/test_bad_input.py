@@ -15,7 +15,7 @@ from posegsa import config
 from posegsa.errors import ArgumentError, MeasurementError, MemoryLimitError, PosegsaError
 from posegsa.model.vectors import VectorSettings
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
+from posegsa.search.problem import tuning_problem
 
 pytestmark = pytest.mark.quick
 

@@ -26,9 +26,9 @@ from posegsa.saving.comparison_files import SCHEMA, load_comparison
 from posegsa.saving.folder import locked_folder
 from posegsa.saving.records import from_json, to_json
 from posegsa.search import memory
-from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 from posegsa.steps import Step
 
 SPHERE = ClassicalFunction("sphere", 2)

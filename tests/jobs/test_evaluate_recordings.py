@@ -25,7 +25,7 @@ from posegsa.judging.on_recordings import OnRecordings
 from posegsa.judging.result import Result
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.recordings.recording import Recording
-from posegsa.search.build import TuningProblem
+from posegsa.search.problem import TuningProblem
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run_search import Found, first_search
 from posegsa.steps import Step

@@ -35,9 +35,9 @@ from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import CHECKPOINT_SUFFIX
 from posegsa.saving.resume import check_same_recordings
-from posegsa.search.build import rule_indices
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run_search import Found, first_search
+from posegsa.search.search_spaces import rule_indices
 from posegsa.settings.plain import plain
 from posegsa.steps import Step
 

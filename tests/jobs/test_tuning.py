@@ -27,14 +27,11 @@ from posegsa.errors import (
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.saving import result_files as run_folder
-from posegsa.search.build import (
-    rule_indices,
-    scenario,
-    scenario_batch,
-    tuning_problem,
-)
+from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import keys, scenario_keys, training_keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
+from posegsa.search.search_spaces import rule_indices
 from posegsa.steps import Step
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

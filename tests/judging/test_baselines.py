@@ -40,9 +40,9 @@ from posegsa.model.schedules import (
     SmoothGain,
     SwitchGain,
 )
-from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.schedule_spaces import KNOTS, knot_times, schedule_space
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")

@@ -15,7 +15,7 @@ from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import simulate_cost
 from posegsa.judging.clairvoyance import NEAR, clairvoyant_costs
 from posegsa.model.estimate import initial_state
-from posegsa.search.build import scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 
 SHORT = (

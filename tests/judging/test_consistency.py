@@ -19,8 +19,8 @@ from posegsa.config.shipped import find
 from posegsa.errors import ArgumentError
 from posegsa.filters.base import sensors_in
 from posegsa.judging.consistency import Consistency, bound, consistency
-from posegsa.search.build import scenario_batch
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import scenario_keys
 from posegsa.search.population import ScenarioBatch
 

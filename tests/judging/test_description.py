@@ -32,8 +32,9 @@ from posegsa.judging.description import (
 )
 from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
 from posegsa.saving.records import from_plain
-from posegsa.search.build import filter_of, search_space
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.search_spaces import search_space
 from posegsa.settings.plain import plain
 
 pytestmark = [

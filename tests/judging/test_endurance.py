@@ -16,10 +16,11 @@ from posegsa.judging import endurance as endurance_module
 from posegsa.judging.endurance import Endurance, endurance
 from posegsa.judging.metrics import error_tracks
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import scenario_batch, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import endurance_keys, held_out_keys, training_keys
 from posegsa.search.population import ScenarioBatch
+from posegsa.search.problem import tuning_problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 

@@ -15,9 +15,10 @@ from posegsa.judging.baselines import variant_of
 from posegsa.judging.description import Description, candidate_of
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
-from posegsa.search.build import TuningProblem, scenario_batch, tuning_problem
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import training_keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import TuningProblem, tuning_problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 

@@ -10,9 +10,10 @@ from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.model.schedules import ConstantGain
 from posegsa.search import groups
-from posegsa.search.build import cost_weights, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import cost_weights
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 
 EXPERIMENT = tiny("cost.transient_window=[0, 50]", "cost.steady_window=[100, 199]")
 

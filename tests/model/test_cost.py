@@ -16,7 +16,8 @@ from posegsa.config import CostConfig, ObjectiveConfig
 from posegsa.filters.rollout import simulate, simulate_cost
 from posegsa.model.cost import SquaredErrors, sample_error
 from posegsa.model.schedules import FuzzyGain
-from posegsa.search.build import cost_weights, filter_of
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import cost_weights
 from posegsa.search.population import over_scenarios
 
 HAND = CostConfig(

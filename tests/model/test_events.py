@@ -14,7 +14,7 @@ from posegsa.config.shipped import find
 from posegsa.model.events import events_of
 from posegsa.model.family import draw_scenario
 from posegsa.model.scenario import integrate, measure
-from posegsa.search.build import family
+from posegsa.search.drawn_scenarios import family
 
 pytestmark = pytest.mark.usefixtures("x64")
 

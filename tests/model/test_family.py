@@ -30,10 +30,11 @@ from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain
 from posegsa.model.se3 import attitude_distance, quaternion, rotation_angle, unstack
 from posegsa.report import NO_FAMILY
-from posegsa.search.build import all_scenarios, family, scenario, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import all_scenarios, family, scenario
 from posegsa.search.keys import Keys, keys, scenario_keys
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 
 SHORT = Experiment(
     scenario=config.ScenarioConfig(duration=0.2),

@@ -26,7 +26,7 @@ from helpers.experiments import PAPER
 
 from posegsa.errors import FuzzyError
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.search.build import rule_indices
+from posegsa.search.search_spaces import rule_indices
 
 DTYPES = ("float32", "float64")
 

@@ -41,7 +41,7 @@ from posegsa.model.signal import (
     pose_errors,
     scheduled_gain,
 )
-from posegsa.search.build import signal_settings
+from posegsa.search.configured_filters import signal_settings
 
 N = 60
 

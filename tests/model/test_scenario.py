@@ -27,7 +27,7 @@ from posegsa.model.scenario import (
     integrate,
     measure,
 )
-from posegsa.search.build import scenario
+from posegsa.search.drawn_scenarios import scenario
 
 SILENT = {
     "angular_velocity_noise": 0.0,

@@ -28,9 +28,9 @@ from posegsa.optimisers import (
     tell,
 )
 from posegsa.optimisers.adam import MAX_BETA
-from posegsa.search.build import tuning_problem
 from posegsa.search.keys import keys
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
 
 TARGET = box([-1.0, -2.0], [3.0, 2.0])

@@ -14,8 +14,8 @@ from machine import cpu
 from readme import ROOT
 from run_tables import POSEGSA, C, Row, duration, overview, table
 
-from posegsa.search.build import tuning_problem
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import tuning_problem
 
 AVX2 = not {"avx2", "avx512f"}.isdisjoint(cpu())
 AGENTS = 20  # more than a block of 16, so that the last one has empty lanes

@@ -22,7 +22,7 @@ from posegsa.judging.evaluation import RANDOM, TUNED
 from posegsa.judging.result import Result
 from posegsa.model.schedules import Gains, ScheduleInputs
 from posegsa.recordings.recording import Recording
-from posegsa.search.build import TuningProblem
+from posegsa.search.problem import TuningProblem
 
 
 @jax.tree_util.register_dataclass

@@ -24,7 +24,7 @@ from posegsa.saving.checkpoint import read
 from posegsa.saving.checkpointing import CheckpointWriter, newest_checkpoint
 from posegsa.saving.interrupt import StopRequest
 from posegsa.saving.resume import experiment_to_resume
-from posegsa.search.build import tuning_problem
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import first_search, run_search
 
 LONG = tiny("search.iterations=8", "checkpoint.iterations=3")

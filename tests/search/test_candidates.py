@@ -13,15 +13,12 @@ from posegsa import config
 from posegsa.config.tunable import tunable
 from posegsa.filters.observer import Observer
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import (
-    filter_of,
-    parameter_space,
-    search_space,
-    tuning_problem,
-)
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
+from posegsa.search.search_spaces import parameter_space, search_space
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from posegsa.search import devices
 from posegsa.search import run_search as searching
-from posegsa.search.build import TuningProblem, tuning_problem
 from posegsa.search.population import AGENTS_PER_PIECE, LANES, partition, population_costs
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import run_search, search_batch
 
 pytestmark = [

@@ -16,8 +16,9 @@ from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import simulate_cost
 from posegsa.judging.description import describe, described_filter
 from posegsa.model.schedules import ConstantGain, SmoothGain
-from posegsa.search.build import TuningProblem, filter_of, tuning_problem
+from posegsa.search.configured_filters import filter_of
 from posegsa.search.population import evaluate_population
+from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import Found, run_search
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")

@@ -8,9 +8,9 @@ from helpers.experiments import paper, tiny
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.schedules import ConstantGain
-from posegsa.search.build import tuning_problem
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario, evaluate_population
+from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import first_search, run_search
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from helpers.arrays import assert_same
 from helpers.experiments import lasting, paper
 
-from posegsa.search.build import tuning_problem
 from posegsa.search.packing import packed
+from posegsa.search.problem import tuning_problem
 
 
 def test_a_tree_comes_back_to_the_last_bit() -> None:

@@ -22,8 +22,8 @@ from posegsa.model.fuzzy import (
     slopes,
 )
 from posegsa.model.schedules import FuzzyGain, ScheduleInputs, SearchedRulesGain
-from posegsa.search.build import rule_indices
 from posegsa.search.parameters import ParameterSpace
+from posegsa.search.search_spaces import rule_indices
 
 pytestmark = pytest.mark.optimised
 

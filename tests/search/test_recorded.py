@@ -17,9 +17,10 @@ from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
-from posegsa.search.build import filter_of, tuning_problem
 from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
 from posegsa.search.population import costs_by_scenario
+from posegsa.search.problem import tuning_problem
 from posegsa.search.recorded import recorded_batch, recorded_problem, with_effect_on
 from posegsa.search.run_search import on_all_devices
 

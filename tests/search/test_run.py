@@ -7,7 +7,7 @@ from helpers.experiments import tiny
 
 from posegsa.errors import PosegsaWarning
 from posegsa.search import run_search
-from posegsa.search.build import tuning_problem
+from posegsa.search.problem import tuning_problem
 
 pytestmark = pytest.mark.filterwarnings("ignore:scenario.initial_rotation:posegsa.PosegsaWarning")
 
