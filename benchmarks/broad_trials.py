@@ -32,6 +32,7 @@ from posegsa.filters.attitude import AttitudeNumbers
 from posegsa.filters.base import Samples
 from posegsa.filters.rollout import run
 from posegsa.model.se3 import compose
+from posegsa.model.signal import known_pose
 from posegsa.recordings.accuracy import attitude_errors, rmse
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import matrices
@@ -81,10 +82,9 @@ def _errors(filter: Any, samples: Samples, weight: Any, initial: Any, values: An
     """Total, heading and inclination RMSE (A, S, 3) [rad] of A candidates on S recordings."""
 
     def one(values: Any, samples: Samples, weight: Any, initial: Any) -> Any:
-        def look(total: Any, estimate: Any, record: Any, now: Samples, share: Any) -> Any:
-            assert now.truth is not None
-            w, x, y, z = now.truth.attitude
-            w, x, y, z = compose(estimate.attitude, (w, -x, -y, -z))
+        def look(total: Any, view: Any, share: Any) -> Any:
+            w, x, y, z = known_pose(view.now.truth).attitude
+            w, x, y, z = compose(view.estimate.attitude, (w, -x, -y, -z))
             tilt = x * x + y * y
             halves = (
                 jnp.arctan2(jnp.sqrt(tilt + z * z), jnp.abs(w)),

@@ -24,7 +24,7 @@ from posegsa.model.measurements import finite_array
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
 from posegsa.recordings.imu import references as imu_references
 
-FORMAT = 3
+FORMAT = 4
 """Version of the checkpoint's layout."""
 
 _STILL = np.zeros(3)
@@ -234,6 +234,26 @@ class PoseFilter:
         """(n, 3) c_i of each vector, body frame, in its unit; (0, 3) if they are not estimated."""
         biases = self._unpacked.estimate.vector_biases
         return np.array(biases, self._dtype).reshape(-1, 3)
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """(6, 6) covariance of the pose error; None for a filter without one.
+
+        The error is xi = [theta; rho] (rad, m) in the body frame, T = T_est exp(xi^). So the
+        standard deviations are the roots of the diagonal, and R_est Sigma_rho R_est^T is the
+        covariance of the position in the inertial frame.
+        """
+        covariance = self._unpacked.covariance
+        return None if covariance is None else np.array(covariance)
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last update over its degrees of freedom.
+
+        It is 1 on average if the filter's noises are right; NaN at the start and for a filter
+        without a covariance, 0 if nothing was measured.
+        """
+        return _number(self._unpacked.nis)
 
     @property
     def gain(self) -> float:

@@ -7,6 +7,7 @@ stored once; what an estimate computes of its state is computed after each step.
 
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -35,9 +36,10 @@ from posegsa.filters.attitude import REST_TIME, AttitudeFilter
 from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.model.elementwise import choose
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import Sample
-from posegsa.model.schedules import GainSchedule
+from posegsa.model.schedules import Gains, GainSchedule, KnotGain, ScheduleInputs
 from posegsa.model.vectors import VectorSamples
 from posegsa.words import counted
 
@@ -263,14 +265,11 @@ class _Step:
 
 
 def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:
-    """The filter with a schedule whose numbers stand in the code."""
-    schedule = filter.schedule
-    if schedule.vectors is not None or schedule.landmarks is not None:
-        # Its loops over sensors store what each of them remembers, which no C is written for yet.
-        refuse("filter.belief: the noise of each sensor is scheduled", 'for C, "off"')
-    if schedule.unknown is None:
-        return filter
-    return replace(filter, schedule=NoiseGains(_WrittenSchedule(schedule.unknown)))
+    """The filter with schedules whose numbers stand in the code."""
+    roles = (
+        None if schedule is None else _WrittenSchedule(schedule) for schedule in filter.schedule
+    )
+    return replace(filter, schedule=NoiseGains(*roles))
 
 
 @jax.tree_util.register_static
@@ -278,6 +277,10 @@ class _WrittenSchedule:
     """A schedule of scalars alone, prepared in double precision; none of them is a named number."""
 
     def __init__(self, schedule: GainSchedule) -> None:
+        if isinstance(schedule, KnotGain):
+            self._initial = float(np.exp(np.float64(schedule.log_gain[0])))
+            self._prepared = partial(_gain_at, _lines(schedule))
+            return
         largest = float(np.finfo(np.float32).max)  # slopes of vertical edges are higher in float64
         with jax.enable_x64(True):
             prepared = jax.tree.map(
@@ -292,6 +295,22 @@ class _WrittenSchedule:
 
     def prepare(self) -> Any:
         return self._prepared
+
+
+def _lines(schedule: KnotGain) -> list[tuple[float, float, float]]:
+    """Where each piece of a clock begins [s], log K there, and its slope; the last is flat."""
+    time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
+    steps = np.diff(time)
+    slopes = np.append(np.diff(log_gain) / np.where(steps > 0, steps, np.inf), 0.0)
+    return list(zip(time.tolist(), log_gain.tolist(), slopes.tolist(), strict=True))
+
+
+def _gain_at(lines: list[tuple[float, float, float]], inputs: ScheduleInputs) -> Gains:
+    """`KnotGain` without its table, which no scalar arithmetic can look up."""
+    log_gain = jnp.full_like(inputs.time, lines[0][1])
+    for begin, first, slope in lines:
+        log_gain = choose(inputs.time < begin, log_gain, first + slope * (inputs.time - begin))
+    return Gains(jnp.exp(log_gain))
 
 
 def _in_float64(filter: Filter) -> Filter:

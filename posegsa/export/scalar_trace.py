@@ -61,7 +61,10 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A `lax.scan` that stores nothing. Its operation is of one operand for each input."""
+    """A `lax.scan`. Its operation is of one operand for each input.
+
+    What the scan stores, it carries: a number for each turn, which move on by one in each turn.
+    """
 
     turns: int
     inputs: tuple[Value, ...]
@@ -95,7 +98,7 @@ FUNCTIONS = {
 _ALLOWED = (
     "arithmetic, comparisons, choices (jnp.where, not lax.cond) and functions of <math.h>, of "
     "scalars that are real numbers or truths (a counter is a real number), and lax.scan over "
-    "stacked scalars that stores nothing"
+    "stacked scalars"
 )
 """What can be written."""
 _AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
@@ -168,9 +171,9 @@ class _Trace:
         """What comes out of a scan over rows of scalars."""
         params = equation.params
         first, carried = params["num_consts"], params["num_carry"]
-        if len(equation.outvars) > carried or params["reverse"]:
-            refuse("a step with a scan that stores something, or runs backwards", _ALLOWED)
-        closed = params["jaxpr"]
+        if params["reverse"]:
+            refuse("a step with a scan that runs backwards", _ALLOWED)
+        closed, turns = params["jaxpr"], params["length"]
         inputs = []
         for i, (var, operand) in enumerate(zip(closed.jaxpr.invars, given, strict=True)):
             if getattr(var.aval, "shape", ()) or _is_row(operand) != (i >= first + carried):
@@ -181,11 +184,26 @@ class _Trace:
         # Of its own: nothing in it is computed before the loop.
         trace = _Trace(self._dtype)
         results = trace.run(closed.jaxpr, inputs, trace.constants(closed.consts))
-        loop = Loop(params["length"], tuple(inputs), first, tuple(results))
-        whole = Value(operation=Operation("loop", tuple(given), loop=loop))
-        return [
-            Value(operation=Operation("carried", (whole,), place=place)) for place in range(carried)
+        results, stored = results[:carried], results[carried:]
+        last, begun = first + carried, list(given)
+        for var, value in zip(equation.outvars[carried:], stored, strict=True):
+            _check_kind("scan", var)
+            moving = [Value(truth=_is_truth(var)) for _ in range(turns)]
+            inputs[last:last] = moving
+            begun[last:last] = [self.number(False if _is_truth(var) else 0.0)] * turns
+            results += [*moving[1:], value]
+            last += turns
+        loop = Loop(turns, tuple(inputs), first, tuple(results))
+        whole = Value(operation=Operation("loop", tuple(begun), loop=loop))
+        after = [
+            Value(operation=Operation("carried", (whole,), place=place))
+            for place in range(len(results))
         ]
+        rows = [
+            Value(operation=Operation("row", tuple(after[k : k + turns])))
+            for k in range(carried, len(after), turns)
+        ]
+        return after[:carried] + rows
 
     def _applied(self, equation: core.JaxprEqn, given: list[Value]) -> Value:
         name, params = equation.primitive.name, equation.params
@@ -287,6 +305,13 @@ def _row(equation: core.JaxprEqn, given: list[Value]) -> Value | None:
     """Scalars in a row, as `jnp.stack` puts them for a scan; None for any other operation."""
     name, aval = equation.primitive.name, equation.outvars[0].aval
     shape = getattr(aval, "shape", ())
+    if name in ("slice", "squeeze", "reshape") and given and _is_row(given[0]):
+        (row,) = [value.operation for value in given if value.operation]
+        if name == "slice":
+            (start,), (limit,) = equation.params["start_indices"], equation.params["limit_indices"]
+            steps = equation.params["strides"] or (1,)
+            return Value(operation=Operation("row", row.of[start : limit : steps[0]]))
+        return row.of[0] if shape == () and len(row.of) == 1 else None
     if len(shape) != 1:
         return None
     if name == "stack" and not any(map(_is_row, given)):

@@ -26,6 +26,10 @@ _EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, s
 ASKED: Style = {"color": style.SKY, "linewidth": 3.4}
 """The gain that a schedule asked for: wide, so that it is visible behind the gain used."""
 USED: Style = {"color": style.BLACK, "linewidth": 0.9}
+SETTLED = 0.2
+"""Share of a run after which its errors determine the range of an axis."""
+_ERROR: Style = {"label": "error", "color": style.BLUE, "linewidth": 0.7}
+_BAND: Style = {"label": "two sigma", "color": style.ORANGE, "alpha": 0.45, "linewidth": 0}
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
 
 
@@ -98,6 +102,40 @@ def plot_position(trajectory: Trajectory) -> Figure:
     labels = [f"${axis}$ [m]" for axis in "xyz"]
     pair = trajectory.position, trajectory.position_est
     return _true_and_estimated(trajectory.time, pair, labels, [1, 2, 5, 10])
+
+
+@captioned(
+    FIGURES,
+    name="uncertainty",
+    title="Uncertainty",
+    caption="The errors by axis, the attitude's in the body frame and the position's in the "
+    "inertial frame, and twice the standard deviations that the filter gives itself. If these are "
+    "right, 95 % of the errors are within. What is outside the panels is in trajectory.csv.",
+)
+def plot_uncertainty(trajectory: Trajectory) -> Figure | None:
+    """Attitude errors [deg] and position errors [cm] with bands of two sigma over time [s].
+
+    None for a filter without a covariance.
+    """
+    if np.isnan(trajectory.attitude_sigma).all():
+        return None
+    figure, axes = style.panels(6, 8.4)
+    attitude = trajectory.attitude_parts, trajectory.attitude_sigma
+    off = trajectory.position - trajectory.position_est
+    position = 100 * off, 100 * trajectory.position_sigma
+    settled = trajectory.time >= SETTLED * trajectory.time[-1]
+    for i, ax in enumerate(axes):
+        errors, sigmas = (finite(values[:, i % 3]) for values in (attitude if i < 3 else position))
+        ax.fill_between(trajectory.time, -2 * sigmas, 2 * sigmas, **_BAND)
+        ax.plot(trajectory.time, errors, **_ERROR)
+        largest = np.nanmax(np.append(np.abs([errors, 2 * sigmas])[:, settled], 1e-9))
+        ax.set_ylim(-1.3 * largest, 1.3 * largest)
+        ax.set_ylabel(f"${'xyz'[i % 3]}$ {'[deg]' if i < 3 else '[cm]'}")
+    for ax, what in zip(axes[::3], ("Attitude error", "Position error"), strict=True):
+        ax.set_title(what, loc="left")
+    style.finish_time(axes, trajectory.time)
+    style.legend_above(figure, axes[0])
+    return figure
 
 
 @captioned(

@@ -65,6 +65,11 @@ class Record(NamedTuple):
     """The schedule's input scaled error, in [0, 1]."""
     rate: Array | None = None
     """The schedule's input scaled rate, in [0, 1]."""
+    nis: Array | None = None
+    """Normalised innovation squared of the sample's measurements; chi-squared with `scalars`
+    degrees of freedom if the covariance is right."""
+    scalars: Array | None = None
+    """How many scalars were measured at this sample, three for each vector and landmark."""
 
 
 class ReadyFilter(Protocol):
@@ -75,7 +80,11 @@ class ReadyFilter(Protocol):
         ...
 
     def estimate(self, state: Any) -> FilterState:
-        """The pose and biases in a state."""
+        """The pose and biases in a state.
+
+        A filter that knows the covariance of its pose has a function `pose_covariance(state)` too,
+        which returns a `filters.uncertainty.PoseCovariance`.
+        """
         ...
 
 

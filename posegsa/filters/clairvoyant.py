@@ -21,6 +21,7 @@ from jax import Array
 
 from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise, KalmanState, propagate, update
+from posegsa.filters.uncertainty import PoseCovariance
 from posegsa.model.estimate import FilterState
 from posegsa.model.events import Events
 from posegsa.model.measurements import Measurements
@@ -101,15 +102,19 @@ class Clairvoyant:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
         told = cast(ToldSamples, now).told
         noise = self.noise._replace(angular_velocity=told.angular_velocity, velocity=told.velocity)
-        updated, _ = update(state, now.sample, noise)
+        updated, found = update(state, now.sample, noise)
         moved = propagate(updated, None, now.sample, noise)
         if told.jump is not None:
             moved = _jumped(moved, now.sample, *told.jump)
-        return moved, Record()
+        return moved, Record(nis=found.nis, scalars=found.scalars)
 
     def estimate(self, state: KalmanState) -> FilterState:
         """Pose and biases."""
         return state.estimate
+
+    def pose_covariance(self, state: KalmanState) -> PoseCovariance:
+        """The covariance of the pose error."""
+        return KalmanFilter(self.noise).ready().pose_covariance(state)
 
 
 def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) -> KalmanState:

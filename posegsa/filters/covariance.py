@@ -56,6 +56,11 @@ class Found(NamedTuple):
     covariance: Covariance
     correction: tuple[Array, ...]
     """x, the estimated errors of all states; applied to the estimate after the last measurement."""
+    nis: Array
+    """Normalised innovation squared: the sum over all scalars of their innovation squared over its
+    variance, each innovation after the scalars before it."""
+    scalars: Array
+    """How many scalars have been measured, the degrees of freedom of `nis`."""
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Array:
@@ -91,7 +96,7 @@ def by_components(
         variance: of each component's noise.
         factor: 0 where the measurement is missing.
     """
-    covariance, correction = found
+    covariance, correction, nis, scalars = found
     every = range(len(covariance))
     gains: list[list[Array]] = []
     parts: list[list[Array]] = []
@@ -106,7 +111,10 @@ def by_components(
         total = own + maximum(variance, smallest * own)
         used = (factor > 0) & (total > 0)
         per_total = choose(used, 1 / choose(used, total, 1.0), 0.0)
-        surprise = per_total * (off - product(h, correction.__getitem__))
+        innovation = off - product(h, correction.__getitem__)
+        surprise = per_total * innovation
+        nis = nis + surprise * innovation
+        scalars = scalars + choose(used, jnp.ones_like(scalars), 0.0)
         correction = tuple(x + surprise * g for x, g in zip(correction, gain, strict=True))
         gains.append(gain)
         parts.append([per_total * g for g in gain])
@@ -120,7 +128,7 @@ def by_components(
         tuple(cut(entry, i, j) for j, entry in enumerate(row, start=i))
         for i, row in enumerate(covariance)
     )
-    return Found(covariance, correction)
+    return Found(covariance, correction, nis, scalars)
 
 
 def next_vector_first(found: Found) -> Found:
@@ -136,7 +144,8 @@ def next_vector_first(found: Found) -> Found:
         tuple(entry(found.covariance, order[i], order[j]) for j in range(i, len(order)))
         for i in range(len(order))
     )
-    return Found(covariance, tuple(found.correction[i] for i in order))
+    correction = tuple(found.correction[i] for i in order)
+    return found._replace(covariance=covariance, correction=correction)
 
 
 def moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:

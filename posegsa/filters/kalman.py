@@ -106,27 +106,22 @@ from posegsa.filters.noise_schedules import (
     initial_noise_memory,
     noise_factor,
 )
-from posegsa.model.elementwise import choose
+from posegsa.filters.uncertainty import PoseCovariance
+from posegsa.model.elementwise import maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
 from posegsa.model.se3 import (
-    Quaternion,
     Vec3,
     add,
     compose,
-    cross,
-    dot,
+    log,
     move,
-    norm,
-    rotate,
     rows,
     scale,
-    stack,
     subtract,
     unrotate,
 )
-from posegsa.model.signal import TruePose
 from posegsa.model.vectors import VectorSample, VectorSettings
 
 
@@ -296,13 +291,21 @@ class ReadyKalmanFilter(NamedTuple):
         if self.signals is not None:
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
             state = state._replace(memory=memory)
-        updated, correction = update(state, sample, noise, self.iterations)
-        moving = correction if self.moves_covariance else None
-        return propagate(updated, moving, sample, noise), record
+        updated, found = update(state, sample, noise, self.iterations)
+        moving = found.correction if self.moves_covariance else None
+        record = record._replace(nis=found.nis, scalars=found.scalars)
+        after = propagate(updated, moving, sample, noise)
+        if self.schedule.unknown is not None and after.estimate.vector_biases:
+            after = forgotten(after, sample.time_step, self.noise, noise.vector_walk)
+        return after, record
 
     def estimate(self, state: KalmanState) -> FilterState:
         """Pose and biases."""
         return state.estimate
+
+    def pose_covariance(self, state: KalmanState) -> PoseCovariance:
+        """The covariance of xi."""
+        return tuple(row[: ANGULAR - i] for i, row in enumerate(state.covariance[:ANGULAR]))
 
     def _scheduled(
         self, signals: NoiseSignals, state: KalmanState, now: Samples
@@ -338,21 +341,23 @@ class ReadyKalmanFilter(NamedTuple):
         each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
         beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
-        weights: list[list[Array]] = []
-        for residual, schedule, before in zip(each, beliefs, memory[1:], strict=True):
-            given = residual.factor
-            if schedule is not None and before:
+        weights: list[tuple[Array, ...]] = []
+        sensors = each_vector(sample), sample.landmarks
+        of_kinds = zip(sensors, each, beliefs, memory[1:], strict=True)
+        for seen, residual, schedule, before in of_kinds:
+            given = tuple(sensor.factor for sensor in seen)
+            if schedule is not None and residual is not None:
                 follow = partial(noise_factor, schedule, signals.belief)
 
                 def one(nothing: tuple[()], of_sensor: Any, follow: Any = follow) -> Any:
-                    past, seen = of_sensor
-                    factor, after, _ = follow(past, seen.normalised, seen.factor > 0, *on_time)
-                    return nothing, (seen.factor / factor, after)
+                    past, now = of_sensor
+                    factor, after, _ = follow(past, now.normalised, now.factor > 0, *on_time)
+                    return nothing, (now.factor / factor, after)
 
-                _, (given, after) = lax.scan(one, (), (stacked(before), residual))
-                before = apart(after, len(before))
+                _, found = lax.scan(one, (), (stacked(before), residual))
+                given, before = (apart(those, len(seen)) for those in found)
             memories.append(before)
-            weights.append([given[i] for i in range(given.shape[0])])
+            weights.append(given)
         return weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
 
 
@@ -364,11 +369,12 @@ AS_MEASURED = VectorSettings(
 
 def update(
     state: KalmanState, sample: Sample, noise: KalmanNoise, iterations: int = 1
-) -> tuple[KalmanState, tuple[Array, ...]]:
+) -> tuple[KalmanState, Found]:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
     The covariance is still in the coordinates before the last correction of the estimate, which is
-    returned beside it: `propagate` moves it together with its own transport, in one product.
+    returned beside it: `propagate` moves it together with its own transport, in one product. The
+    innovations are those of the first linearisation, at the estimate before the sample.
 
     Args:
         state: the state before the update, of the batch shape.
@@ -382,19 +388,23 @@ def update(
     """
     before, covariance = state.estimate, state.covariance
     count, zero = len(covariance), jnp.zeros_like(before.place[0])
-    found = _linear_update(before, Found(covariance, (zero,) * count), sample, noise)
+    nothing = Found(covariance, (zero,) * count, nis=zero, scalars=zero)
+    first = found = _linear_update(before, nothing, sample, noise)
     estimate = _corrected(before, found.correction)
 
     def again(last: tuple[FilterState, Found], _: None) -> tuple[tuple[FilterState, Found], None]:
         estimate = last[0]
         back = _difference(estimate, before)
-        prior = Found(moved(covariance, tuple(-x for x in back)), back)
+        prior = nothing._replace(
+            covariance=moved(covariance, tuple(-x for x in back)), correction=back
+        )
         found = _linear_update(estimate, prior, sample, noise)
         return (_corrected(estimate, found.correction), found), None
 
     if iterations > 1:
         (estimate, found), _ = lax.scan(again, (estimate, found), None, iterations - 1)
-    return state._replace(estimate=estimate, covariance=found.covariance), found.correction
+    found = found._replace(nis=first.nis, scalars=first.scalars)
+    return state._replace(estimate=estimate, covariance=found.covariance), found
 
 
 def _linear_update(
@@ -460,25 +470,35 @@ def propagate(
     return state._replace(estimate=moved_to, covariance=covariance)
 
 
-def nees(state: KalmanState, truth: TruePose) -> Array:
-    """Normalised estimation error squared of the pose, xi^T Sigma^-1 xi, of the batch shape.
+def forgotten(state: KalmanState, time_step: Array, noise: KalmanNoise, walk: Array) -> KalmanState:
+    """The state after its estimates of the vectors' biases have been forgotten in part.
 
-    For a consistent filter it is chi-squared with 6 degrees of freedom, 6 on average. (Y.
-    Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
-    2001, section 5.4.) The initial deviations of the pose must not be 0.
+    A walk that a schedule has raised from w to W alone would let these biases grow without bound,
+    and explain a wrong attitude. So they return to 0 at the rate (W^2 - w^2) / (2 s^2), which makes
+    what the walk has added a Gauss-Markov process with the variance s^2, that of the start.
+
+    Args:
+        state: The state, of the batch shape.
+        time_step: [s].
+        noise: As configured: `vector_walk` is w, `initial_vector_bias` is s.
+        walk: W [1/sqrt(s)], in the vectors' unit.
     """
-    estimate = state.estimate
-    w, x, y, z = estimate.attitude
-    R, R_true = rows(estimate.attitude), rows(truth.attitude)
-    between = subtract(rotate(R_true, truth.origin), estimate.place)
-    theta, rho = _log(compose((w, -x, -y, -z), truth.attitude), unrotate(R, between))
-    error = stack(theta + rho)
-    # The states have different units, so their correlation matrix is used; float32 suffices for it.
-    sigma = matrix(state.covariance, 6)
-    deviation = jnp.sqrt(jnp.diagonal(sigma, axis1=-2, axis2=-1))
-    correlation = sigma / (deviation[..., :, None] * deviation[..., None, :])
-    relative = error / deviation
-    return jnp.sum(relative * jnp.linalg.solve(correlation, relative[..., None])[..., 0], axis=-1)
+    initial = noise.initial_vector_bias * noise.initial_vector_bias
+    more = walk * walk - noise.vector_walk * noise.vector_walk
+    smallest = float(jnp.finfo(initial.dtype).tiny)
+    keep = 1 / (1 + 0.5 * time_step * more / maximum(initial, smallest))
+    both = keep * keep
+    covariance = tuple(
+        tuple(
+            entry * (both if i >= VECTORS else keep) if j >= VECTORS else entry
+            for j, entry in enumerate(row, start=i)
+        )
+        for i, row in enumerate(state.covariance)
+    )
+    biases = tuple(scale(keep, c) for c in state.estimate.vector_biases)
+    return state._replace(
+        estimate=state.estimate._replace(vector_biases=biases), covariance=covariance
+    )
 
 
 def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterState:
@@ -504,28 +524,10 @@ def _difference(estimate: FilterState, other: FilterState) -> tuple[Array, ...]:
     w, x, y, z = estimate.attitude
     R = rows(estimate.attitude)
     turned = compose((w, -x, -y, -z), other.attitude)
-    theta, rho = _log(turned, unrotate(R, subtract(other.place, estimate.place)))
+    theta, rho = log(turned, unrotate(R, subtract(other.place, estimate.place)))
     errors = theta + rho
     for name in ("bias_angular", "bias_linear"):
         errors += subtract(getattr(other, name), getattr(estimate, name))
     for new, old in zip(estimate.vector_biases, other.vector_biases, strict=True):
         errors += subtract(old, new)
     return errors
-
-
-def _log(q: Quaternion, P: Vec3) -> tuple[Vec3, Vec3]:
-    """[theta; rho] of the pose (q, P) = exp([theta; rho]^), |theta| <= pi (rad, m)."""
-    sign = choose(q[0] < 0, -jnp.ones_like(q[0]), 1.0)
-    w, axis = sign * q[0], scale(sign, (q[1], q[2], q[3]))
-    sine = norm(axis)
-    turned = sine > 0
-    angle = 2 * jnp.arctan2(sine, w)
-    theta = scale(choose(turned, angle / choose(turned, sine, 1.0), 2.0), axis)
-    # rho = V^-1 P with V^-1 = I - 1/2 [theta]x + c [theta]x^2, c = (1 - t/2 cot t/2) / t^2.
-    t2 = dot(theta, theta)
-    small = t2 < 0.01
-    series = 1 / 12 + t2 * (1 / 720 + t2 * (1 / 30240))
-    closed = (1 - 0.5 * angle * w / choose(small, 1.0, sine)) / choose(small, 1.0, t2)
-    once = cross(theta, P)
-    twice = scale(choose(small, series, closed), cross(theta, once))
-    return theta, add(subtract(P, scale(0.5, once)), twice)

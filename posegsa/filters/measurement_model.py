@@ -72,8 +72,8 @@ class Residual(NamedTuple):
 
 def residuals(
     estimate: FilterState, covariance: Covariance, sample: Sample, vector: Array, landmark: Array
-) -> tuple[Residual, Residual]:
-    """The residuals of vectors and of landmarks, before any of them is used.
+) -> tuple[Residual | None, Residual | None]:
+    """The residuals of vectors and of landmarks, before any of them is used; None without any.
 
     Args:
         estimate: before the sample, of the batch shape.
@@ -82,7 +82,7 @@ def residuals(
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].
     """
-    R, like, axes = rows(estimate.attitude), estimate.place[0], range(3)
+    R, axes = rows(estimate.attitude), range(3)
     learnt = bool(estimate.vector_biases)
 
     def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
@@ -122,8 +122,7 @@ def residuals(
         each, off = landmark_rows(R, estimate.place, seen)
         return nothing, residual(spread(each), off, landmark, seen.factor)
 
-    none = Residual(*(jnp.zeros((0, *like.shape), like.dtype),) * 2)
-    of_vectors = of_landmarks = none
+    of_vectors = of_landmarks = None
     if vectors := each_vector(sample):
         biased = stacked(map(of_bias, range(len(vectors))))
         _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
@@ -189,7 +188,10 @@ def stacked(sensors: Iterable[Any]) -> Any:
 
 def apart(together: Any, count: int) -> tuple[Any, ...]:
     """The inverse of `stacked`."""
-    return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], together) for i in range(count))
+    return tuple(
+        jax.tree.map(lambda leaf, i=i: lax.index_in_dim(leaf, i, keepdims=False), together)
+        for i in range(count)
+    )
 
 
 def _cross_rows(a: Vec3) -> tuple[Row, Row, Row]:

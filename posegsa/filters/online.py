@@ -18,6 +18,9 @@ from jax import Array
 
 from posegsa.arguments import refuse
 from posegsa.filters.base import Filter, Samples, Sensors
+from posegsa.filters.covariance import matrix
+from posegsa.filters.uncertainty import pose_covariance
+from posegsa.model.elementwise import maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 
@@ -66,6 +69,11 @@ class OnlineRecord(NamedTuple):
     """The gain K that the schedule requested [1/s]; None for a filter without a gain."""
     gain_used: Any
     """K after the gain limit [1/s]; None for a filter without a gain."""
+    covariance: Any
+    """(6, 6) of the pose at the next sample; None for a filter without one."""
+    nis: Any
+    """Normalised innovation squared over its degrees of freedom, 0 where nothing was measured; None
+    for a filter without a covariance."""
 
 
 class Layout:
@@ -149,9 +157,15 @@ class OnlineLoop:
         """The packed record before the first sample, at an initial estimate; its gains are NaN."""
         with jax.enable_x64(self.dtype == np.float64):
             state = self._filter.start(initial, self._sensors)
-            estimate = self._filter.ready().estimate(state)
+            ready = self._filter.ready()
+            estimate, covariance = ready.estimate(state), pose_covariance(ready, state)
             unknown = self.record.unpack(np.full(self.record.size, np.nan, self.dtype))
-            first = unknown._replace(state=state, estimate=estimate, rotation=estimate.rotation)
+            first = unknown._replace(
+                state=state,
+                estimate=estimate,
+                rotation=estimate.rotation,
+                covariance=None if covariance is None else matrix(covariance, 6),
+            )
             return self.record.pack(first, self.dtype)
 
     def __call__(self, record: np.ndarray, sample: np.ndarray) -> np.ndarray:
@@ -207,7 +221,18 @@ def _compiled(
         samples = Samples(now.time, p.filter.prepare(measurement), None)
         after, record = ready.step(state.unpack(given[: state.size]), samples)
         estimate = ready.estimate(after)
-        return OnlineRecord(after, estimate, estimate.rotation, record.gain, record.gain_used)
+        covariance, nis = pose_covariance(ready, after), record.nis
+        if nis is not None and record.scalars is not None:
+            nis = nis / maximum(record.scalars, 1.0)
+        return OnlineRecord(
+            state=after,
+            estimate=estimate,
+            rotation=estimate.rotation,
+            gain=record.gain,
+            gain_used=record.gain_used,
+            covariance=None if covariance is None else matrix(covariance, 6),
+            nis=nis,
+        )
 
     def program(given: Array, numbers: Array) -> Array:
         leaves = jax.tree.leaves(step(given, numbers))

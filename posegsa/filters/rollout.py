@@ -22,6 +22,8 @@ from posegsa.filters.base import (
     sensors_in,
     sensors_of,
 )
+from posegsa.filters.covariance import matrix
+from posegsa.filters.uncertainty import PoseCovariance, nees, pose_covariance
 from posegsa.model.cost import (
     CostParts,
     CostWeights,
@@ -57,6 +59,14 @@ class Estimates(NamedTuple):
     """(N,) the schedule's input scaled error, in [0, 1]."""
     rate: Array
     """(N,) the schedule's input scaled rate, in [0, 1]."""
+    nis: Array | None = None
+    """(N,) normalised innovation squared of each sample's measurements over its degrees of freedom,
+    1 on average if the filter's noises are right, NaN where nothing was measured; None for a filter
+    without a covariance."""
+    covariance: Array | None = None
+    """(N, 6, 6) covariance of the pose error xi = [theta; rho] (rad, m), body frame, with T =
+    T_est exp(xi^); None for a filter without one. R_est Sigma_rho R_est^T is the position's in the
+    inertial frame."""
 
 
 class ErrorTrack(NamedTuple):
@@ -75,10 +85,15 @@ class ErrorTrack(NamedTuple):
     """(6,) the last bias estimate [rad/s, m/s], body frame, angular first."""
     vector_bias: Array
     """(n, 3) the last estimate of the vectors' biases, body frame; n is 0 if none is estimated."""
+    nees: Array | None = None
+    """(N,) normalised estimation error squared of the pose, 6 on average if the filter's covariance
+    is right; None for a filter without one."""
+    nis: Array | None = None
+    """(N,) as in `Estimates`."""
 
     def select(self, scenarios: slice) -> "ErrorTrack":
         """Some of the scenarios, of leaves (S, ...)."""
-        return ErrorTrack(*(leaf[scenarios] for leaf in self))
+        return jax.tree.map(lambda leaf: leaf[scenarios], self)
 
     def waiting(self, time: Array, begin: Array | None) -> "ErrorTrack":
         """The errors with those of the start, at `begin` [s], at all samples before it.
@@ -90,18 +105,34 @@ class ErrorTrack(NamedTuple):
             return self
         index = jnp.arange(time.shape[0])
         index = jnp.maximum(index, jnp.argmax(time >= begin))
-        names = ("attitude", "position", "gain", "distance")
-        return self._replace(**{name: getattr(self, name)[index] for name in names})
+        return self._over_time(lambda leaf: leaf[index])
 
     def until(self, sample: int) -> "ErrorTrack":
         """The errors before a sample, of leaves (S, N)."""
-        names = ("attitude", "position", "gain", "distance")
-        return self._replace(**{name: getattr(self, name)[:, :sample] for name in names})
+        return self._over_time(lambda leaf: leaf[:, :sample])
+
+    def _over_time(self, change: Callable[[Array], Array]) -> "ErrorTrack":
+        """With what has a value at each sample changed."""
+        changed = jax.tree.map(change, self._replace(bias=(), vector_bias=()))
+        return changed._replace(bias=self.bias, vector_bias=self.vector_bias)
 
 
-Look = Callable[[Any, FilterState, Record, Samples, Any], tuple[Any, Any]]
-"""Maps the sum so far, the estimate before a sample, the record of the step, the sample and its
-entry of `extra` to the new sum and to the values stored for the sample."""
+class View(NamedTuple):
+    """What there is to look at in a sample; what is not used of it costs nothing."""
+
+    estimate: FilterState
+    """Before the sample."""
+    covariance: PoseCovariance | None
+    """Of its pose; None for a filter without one."""
+    record: Record
+    """Of the step."""
+    now: Samples
+    """The sample itself."""
+
+
+Look = Callable[[Any, View, Any], tuple[Any, Any]]
+"""Maps the sum so far, what there is to look at in a sample, and its entry of `extra` to the new
+sum and to the values stored for the sample."""
 
 
 def run(
@@ -137,7 +168,8 @@ def run(
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
         after, record = ready.step(state, now)
-        total, stored = look(total, ready.estimate(state), record, now, entry)
+        view = View(ready.estimate(state), pose_covariance(ready, state), record, now)
+        total, stored = look(total, view, entry)
         return (after, total), stored
 
     over_time = scan_together if together else scan_rows
@@ -157,11 +189,9 @@ def simulate_cost(
         weights: weights of the cost, for N samples.
     """
 
-    def look(
-        total: CostParts, estimate: FilterState, record: Record, now: Samples, weight: Any
-    ) -> tuple[CostParts, None]:
+    def look(total: CostParts, view: View, weight: Any) -> tuple[CostParts, None]:
         transient, steady = weight
-        error = sample_error(*pose_errors(estimate, now.truth), weights)
+        error = sample_error(*pose_errors(view.estimate, view.now.truth), weights)
         return CostParts(total.transient + transient * error, total.steady + steady * error), None
 
     zero = jnp.zeros_like(initial.place[0])
@@ -181,12 +211,10 @@ def simulate_recorded_cost(
 ) -> Array:
     """Cost on a recording, summed up sample by sample; nothing else is stored (pure, jittable)."""
 
-    def look(
-        total: SquaredErrors, estimate: FilterState, record: Record, now: Samples, entry: Any
-    ) -> tuple[SquaredErrors, None]:
+    def look(total: SquaredErrors, view: View, entry: Any) -> tuple[SquaredErrors, None]:
         weight, place = entry
-        attitude, _ = pose_errors(estimate, now.truth)
-        off = subtract(estimate.place, place)
+        attitude, _ = pose_errors(view.estimate, view.now.truth)
+        off = subtract(view.estimate.place, place)
         return SquaredErrors(
             total.attitude + weight * attitude, total.position + weight * dot(off, off)
         ), None
@@ -208,27 +236,27 @@ def simulate(filter: Filter, samples: Samples, initial: FilterState) -> Estimate
     """The estimates of one simulation over all its samples."""
     state = filter.start(initial, sensors_in(samples))
     _, _, stored = run(_everything, filter, samples, state)
-    return _estimates(samples, *stored)
+    return _estimates(samples, stored)
 
 
 @jax.jit
 def simulate_part(filter: Filter, samples: Samples, state: Any) -> tuple[Any, Estimates]:
     """The estimates over a part of a sequence, and the state before the next part."""
     last, _, stored = run(_everything, filter, samples, state)
-    return last, _estimates(samples, *stored)
+    return last, _estimates(samples, stored)
 
 
-def _everything(
-    total: tuple[()], estimate: FilterState, record: Record, now: Samples, entry: tuple[()]
-) -> tuple[tuple[()], tuple[FilterState, Record]]:
+def _everything(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], View]:
     """Store everything that `Estimates` needs."""
-    return total, (estimate, record)
+    return total, view._replace(now=())
 
 
-def _estimates(samples: Samples, states: FilterState, records: Record) -> Estimates:
+def _estimates(samples: Samples, stored: View) -> Estimates:
+    states, covariance = stored.estimate, stored.covariance
     of_gain = {
         name: jnp.full_like(samples.time, jnp.nan) if values is None else values
-        for name, values in records._asdict().items()
+        for name, values in stored.record._asdict().items()
+        if name in Estimates._fields and name != "nis"
     }
     return Estimates(
         time=samples.time,
@@ -236,8 +264,17 @@ def _estimates(samples: Samples, states: FilterState, records: Record) -> Estima
         position=states.position,
         bias=states.bias,
         vector_bias=states.vector_bias,
+        nis=_nis(stored.record),
+        covariance=None if covariance is None else matrix(covariance, 6),
         **of_gain,
     )
+
+
+def _nis(record: Record) -> Array | None:
+    """NIS over its degrees of freedom, of stored records."""
+    if record.nis is None or record.scalars is None:
+        return None
+    return jnp.where(record.scalars > 0, record.nis / jnp.maximum(record.scalars, 1), jnp.nan)
 
 
 def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> ErrorTrack:
@@ -261,17 +298,17 @@ def simulate_errors_together(
     return _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
 
 
-def _true_errors(
-    total: tuple[()], estimate: FilterState, record: Record, now: Samples, entry: tuple[()]
-) -> tuple[tuple[()], tuple[Array, Array, Array | None, Vec3]]:
+def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:
     """Store what `ErrorTrack` needs."""
-    return total, (*pose_errors(estimate, now.truth), record.gain_used, estimate.place)
+    estimate, covariance, record, now = view
+    known = known_pose(now.truth)
+    off = None if covariance is None else nees(estimate, covariance, known)
+    return total, (*pose_errors(estimate, known), record, estimate.place, off)
 
 
-def _error_track(
-    samples: Samples, last: FilterState, errors: tuple[Array, Array, Array | None, Vec3]
-) -> ErrorTrack:
-    attitude, position, gain, place = errors
+def _error_track(samples: Samples, last: FilterState, errors: Any) -> ErrorTrack:
+    attitude, position, record, place, nees = errors
+    gain = record.gain_used
     return ErrorTrack(
         attitude=clip_distance(attitude),
         position=position,
@@ -279,6 +316,8 @@ def _error_track(
         distance=distances(place, samples),
         bias=last.bias,
         vector_bias=last.vector_bias,
+        nees=nees,
+        nis=_nis(record),
     )
 
 

@@ -21,6 +21,9 @@ from posegsa.words import counted, text_table
 
 PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
+WORSE = 1.02
+"""Ratio of errors above which one counts as worse."""
+
 
 class Endurance(NamedTuple):
     """Root mean square errors over all scenarios in w windows of time, each (w,)."""
@@ -76,7 +79,10 @@ class Endurance(NamedTuple):
         return f"{title}\n\n{text_table(rows)}\n{POSITION_WORDS}"
 
     def worse(self) -> list[str]:
-        """Errors and windows after the first in which the tuned filter is worse, as text."""
+        """Errors and windows after the first in which the tuned filter is worse, as text.
+
+        Less than WORSE times the other's error is as good.
+        """
         found = []
         for name, own, other in (
             ("attitude", self.attitude, self.other_attitude),
@@ -84,7 +90,7 @@ class Endurance(NamedTuple):
             ("distance", self.distance, self.other_distance),
         ):
             # `not <=` instead of `>`: NaN counts as worse.
-            windows = [i for i in range(1, len(own)) if not own[i] <= other[i]]
+            windows = [i for i in range(1, len(own)) if not own[i] <= WORSE * other[i]]
             found += [f"{name} from {self.begin[i]:g} to {self.end[i]:g} s" for i in windows]
         return found
 

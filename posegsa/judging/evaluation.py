@@ -129,6 +129,18 @@ BEHAVIOUR: _Columns = (
 )
 """Columns of the table of errors behind the costs, from `Metrics`."""
 
+CONSISTENCY: _Columns = (
+    ("NEES of the pose,\n6 if right", ".2f", lambda m: np.mean(m.nees)),
+    ("Inside its 95 %\nbound [%]", ".1f", lambda m: 100 * np.mean(m.nees_inside)),
+    ("NIS a scalar,\n1 if right", ".3f", lambda m: np.mean(m.nis)),
+)
+"""Columns of the table of covariances, from `Metrics`."""
+CONSISTENCY_WORDS = (
+    "NEES and NIS are normalised squares of the pose error, and of the difference of the sensors "
+    "from their prediction, over the second window. Above the right value the filter is too sure."
+)
+"""Explains them below the table."""
+
 
 @np.errstate(over="ignore")  # a filter may diverge to any number
 def _rows(columns: _Columns, of: Mapping[str, object], write: Callable[[float, str], str]) -> Rows:
@@ -193,11 +205,22 @@ class Evaluation:
         metrics = {name: each.metrics for name, each in self.contenders.items()}
         return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
 
+    def consistency(self, write: Callable[[float, str], str] = format) -> Rows:
+        """A table of how right the contenders' covariances are; empty if none has one."""
+        metrics = {
+            name: each.metrics
+            for name, each in self.contenders.items()
+            if not np.isnan(each.metrics.nees).all()
+        }
+        return _rows(CONSISTENCY, metrics, write) if metrics else []
+
     def table(self) -> str:
         """Both tables as text."""
         which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
         title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
+        if rows := self.consistency():
+            parts += [text_table(rows), CONSISTENCY_WORDS]
         waited = self.contenders[self.own].metrics.waited
         if np.any(waited > 0):
             parts.append(

@@ -25,6 +25,9 @@ POSITION_WORDS = (
     "estimate is from the body."
 )
 """Explains the two position errors below a table that shows both."""
+CONSISTENT_NEES = 12.591587243743977
+"""The NEES of a pose that 95 % of a consistent filter's do not exceed: chi-squared with 6 degrees
+of freedom."""
 QUANTILES = (0.05, 0.5, 0.95)
 """Quantiles over scenarios in the error bands."""
 
@@ -62,6 +65,15 @@ class Metrics(NamedTuple):
     """Attitude error at the start [deg]."""
     waited: PerScenario
     """Time before the start [s], until the sensors had fixed a pose; 0 from a given one."""
+    nees: PerScenario
+    """Mean normalised estimation error squared of the pose in the steady-state window, no unit: 6
+    if the filter's covariance is right, more if it is too small. NaN for a filter without one."""
+    nees_inside: PerScenario
+    """Share of that window in which it is up to CONSISTENT_NEES: 0.95 if the covariance is
+    right."""
+    nis: PerScenario
+    """Mean normalised innovation squared over its degrees of freedom in that window, no unit: 1 if
+    the filter's covariance and its sensors' noise are right."""
 
 
 class Bands(NamedTuple):
@@ -107,7 +119,13 @@ def metrics_of(
     those of the configured cost.
     """
     time = np.asarray(batch.samples.time[0], np.float64)
-    attitude, position, gain, distance, bias, _ = (np.asarray(leaf, np.float64) for leaf in tracks)
+    attitude, position, gain, distance, bias = (
+        np.asarray(leaf, np.float64) for leaf in tracks[: ErrorTrack._fields.index("vector_bias")]
+    )
+    nees, nis = (
+        np.full_like(attitude, np.nan) if leaf is None else np.asarray(leaf, np.float64)
+        for leaf in (tracks.nees, tracks.nis)
+    )
     angle = np.degrees(2 * np.arcsin(np.sqrt(attitude)))
     error = attitude + float(batch.weights.position) * position
     end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
@@ -141,6 +159,9 @@ def metrics_of(
         diverged=lost | ~finite,
         initial_angle=angle[:, 0] if batch.begin is None else _at(angle, time, begin),
         waited=begin,
+        nees=_mean(nees, window),
+        nees_inside=np.where(np.isnan(nees).all(), np.nan, _mean(nees <= CONSISTENT_NEES, window)),
+        nis=_mean(nis, window & (np.isfinite(nis) | ~np.isfinite(attitude))),
     )
 
     def band(values: np.ndarray) -> np.ndarray:

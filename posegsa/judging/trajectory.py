@@ -16,7 +16,9 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.se3 import (
     attitude_distance,
     clip_distance,
+    compose,
     euler_angles,
+    log,
     quaternion,
     rotation_angle,
     rotation_matrix,
@@ -74,6 +76,18 @@ class Trajectory:
         np.ndarray, _column("bias_est_v#_x", "bias_est_v#_y", "bias_est_v#_z", each=True)
     ]
     """(N, 3 n) estimated biases of n vectors, body frame, in their unit; n may be 0."""
+    attitude_parts: Annotated[
+        np.ndarray, _column("attitude_error_x_deg", "attitude_error_y_deg", "attitude_error_z_deg")
+    ]
+    """(N, 3) attitude error theta by axis of the body, R = R_est exp(theta^) [deg]."""
+    attitude_sigma: Annotated[
+        np.ndarray, _column("attitude_sigma_x_deg", "attitude_sigma_y_deg", "attitude_sigma_z_deg")
+    ]
+    """(N, 3) its standard deviations by the filter's covariance [deg]; NaN without one."""
+    position_sigma: Annotated[
+        np.ndarray, _column("position_sigma_x_m", "position_sigma_y_m", "position_sigma_z_m")
+    ]
+    """(N, 3) standard deviations of the estimated position, inertial frame [m]; NaN without one."""
     vector_bias_error: Annotated[np.ndarray, _column("bias_error_v#", each=True)]
     """(N, n) their distances from the true ones, in the vectors' unit."""
 
@@ -132,6 +146,9 @@ def _values(
     distance = attitude_distance((w_est, x_est, y_est, z_est), (w, x, y, z))
     R_err = jnp.einsum("nij,nkj->nik", estimates.rotation, R, precision="highest")
     P_err = estimates.position - jnp.einsum("nij,nj->ni", R_err, P, precision="highest")
+    zero = jnp.zeros_like(w)
+    theta, _ = log(compose((w_est, -x_est, -y_est, -z_est), (w, x, y, z)), (zero, zero, zero))
+    sigmas = _sigmas(estimates)
     estimated = estimates.vector_bias
     N, n, _ = estimated.shape
     true = jnp.broadcast_to(jnp.asarray(vector_bias, estimated.dtype)[None, :n], estimated.shape)
@@ -148,8 +165,24 @@ def _values(
         "attitude_distance": clip_distance(distance),
         "position_error": jnp.linalg.norm(P_err, axis=-1),
         "distance": jnp.linalg.norm(estimates.position - P, axis=-1),
+        "attitude_parts": jnp.degrees(stack(theta)),
+        "attitude_sigma": jnp.degrees(sigmas[0]),
+        "position_sigma": sigmas[1],
         "gain": estimates.gain,
         "gain_used": estimates.gain_used,
         "error": estimates.error,
         "rate": estimates.rate,
     }
+
+
+def _sigmas(estimates: Estimates) -> tuple[Array, Array]:
+    """Standard deviations (N, 3) of attitude and position; NaN for a filter without a covariance.
+
+    The attitude's are in the body frame [rad], the position's in the inertial frame [m].
+    """
+    if estimates.covariance is None:
+        unknown = jnp.full_like(estimates.position, jnp.nan)
+        return unknown, unknown
+    theta = jnp.diagonal(estimates.covariance[:, :3, :3], axis1=1, axis2=2)
+    R, rho = estimates.rotation, estimates.covariance[:, 3:, 3:]
+    return jnp.sqrt(theta), jnp.sqrt(jnp.einsum("nij,njk,nik->ni", R, rho, R, precision="highest"))

@@ -201,6 +201,24 @@ def velocity_to(omega: Vec3, displacement: Vec3) -> Vec3:
     return add(subtract(displacement, scale(0.5, turned)), twice)
 
 
+def log(q: Quaternion, P: Vec3) -> tuple[Vec3, Vec3]:
+    """[theta; rho] of the pose (q, P) = exp([theta; rho]^), |theta| <= pi (rad, m)."""
+    sign = choose(q[0] < 0, -jnp.ones_like(q[0]), 1.0)
+    w, axis = sign * q[0], scale(sign, (q[1], q[2], q[3]))
+    sine = norm(axis)
+    turned = sine > 0
+    angle = 2 * jnp.arctan2(sine, w)
+    theta = scale(choose(turned, angle / choose(turned, sine, 1.0), 2.0), axis)
+    # rho = V^-1 P with V^-1 = I - 1/2 [theta]x + c [theta]x^2, c = (1 - t/2 cot t/2) / t^2.
+    t2 = dot(theta, theta)
+    small = t2 < 0.01
+    series = 1 / 12 + t2 * (1 / 720 + t2 * (1 / 30240))
+    closed = (1 - 0.5 * angle * w / choose(small, 1.0, sine)) / choose(small, 1.0, t2)
+    once = cross(theta, P)
+    twice = scale(choose(small, series, closed), cross(theta, once))
+    return theta, add(subtract(P, scale(0.5, once)), twice)
+
+
 def attitude_distance(q_est: Quaternion, q: Quaternion) -> Array:
     """||R_est R^T||_I = (1/4) tr(I - R_est R^T), in [0, 1] but for rounding.
 

@@ -15,7 +15,7 @@ from posegsa import config
 from posegsa.figures import evaluation_figures, schedule_figures, trajectory_figures
 from posegsa.figures import search as search_figures
 from posegsa.judging import metrics
-from posegsa.judging.evaluation import SWITCH, called
+from posegsa.judging.evaluation import CONSISTENCY_WORDS, SWITCH, called
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
 from posegsa.report import report_tables
@@ -51,6 +51,7 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
         experiment=result.experiment,
         judged=judged,
         evaluation=judged.evaluation,
+        CONSISTENCY_WORDS=CONSISTENCY_WORDS,
         beside=judged.beside,
         pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
         verdict=verdict(judged),

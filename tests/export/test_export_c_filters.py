@@ -34,9 +34,11 @@ from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import filter_to_c
 from posegsa.filters.base import Filter, Record, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.noise_schedules import NoiseGains, NoiseSignal, NoiseSignals
 from posegsa.filters.rollout import Estimates, run_filter
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
+from posegsa.model.schedules import KnotGain
 from posegsa.model.vectors import VectorSettings
 
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0]])
@@ -61,11 +63,20 @@ def kalman(vector_biases: bool) -> KalmanFilter:
         return KalmanFilter(KalmanNoise(*(jnp.asarray(x) for x in NOISE)), vector_biases)
 
 
-def recommended() -> Filter:
-    """The paper's controller on a Kalman filter's noises."""
+def scheduled(name: str, landmarks: int) -> Filter:
+    """The paper's controllers on a Kalman filter's noises."""
     with jax.enable_x64(True):
-        filter = posegsa.configured().filter_for(vectors=2, landmarks=1)
+        filter = posegsa.configured(name).filter_for(vectors=2, landmarks=landmarks)
         return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), filter)
+
+
+def by_the_clock() -> Filter:
+    """Factors over time on a Kalman filter's noises."""
+    with jax.enable_x64(True):
+        time, log_gain = jnp.asarray([0.0, 0.5, 0.5, 30.0]), jnp.asarray([4.0, 3.0, 1.0, 0.0])
+        signal = NoiseSignal(*map(jnp.asarray, (0.1, 30.0, 0.1, 600.0)))
+        clock = NoiseGains(KnotGain(time, log_gain))
+        return replace(kalman(True), schedule=clock, signals=NoiseSignals(signal, signal))
 
 
 def own() -> Filter:
@@ -81,12 +92,16 @@ def case_of(name: str) -> Case:
         "own": lambda: Case(own(), VECTORS, LANDMARKS[:1]),
         "12 states": lambda: Case(kalman(False), VECTORS, LANDMARKS[:1]),
         "18 states": lambda: Case(kalman(True), VECTORS, LANDMARKS),
-        "recommended": lambda: Case(recommended(), VECTORS, LANDMARKS[:1]),
+        "recommended": lambda: Case(scheduled("recommended", 1), VECTORS, LANDMARKS[:1]),
+        "disturbed": lambda: Case(scheduled("disturbed", 3), VECTORS, LANDMARKS[:3]),
+        "clock": lambda: Case(by_the_clock(), VECTORS, LANDMARKS[:1]),
     }
     return made[name]()
 
 
-CASES = ("own", "12 states", "18 states", "recommended")
+CASES = ("own", "12 states", "18 states", "recommended", "disturbed", "clock")
+SCHEDULED = ("recommended", "disturbed", "clock")
+"""In float their gains, and so their estimates, differ by more."""
 
 
 @cache
@@ -162,7 +177,7 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str, real: str):
     found = run_c(program, rows, exact.vector_bias.shape[1])
     assert (found.code == CODES["ok"]).all()
     for quantity in QUANTITIES:
-        allowed = 1e-12 if real == "double" else 2e-5
+        allowed = 1e-12 if real == "double" else 1e-4 if name in SCHEDULED else 2e-5
         assert deviation(found, exact, quantity) < allowed, quantity
 
 
@@ -328,7 +343,6 @@ def step_with(word: str) -> Any:
             "lgamma": lambda: jax.scipy.special.gammaln(x),
             "cond": lambda: jax.lax.cond(x > 0, lambda: x, lambda: -x),
             "while": lambda: jax.lax.while_loop(lambda a: a < 9, lambda a: a + 1, x),
-            "stored": lambda: jax.lax.scan(lambda c, a: (c + a, c * a), x, jnp.stack([x, x]))[0],
             "counter": lambda: jax.lax.fori_loop(0, 3, lambda i, a: a + i, x),
         }
         return state._replace(counted=made[word]()), Record()
@@ -356,7 +370,6 @@ def starting_with(extra: Any) -> Any:
         ({"step": step_with("lgamma")}, "'lgamma'"),
         ({"step": step_with("cond")}, "on integers.*not lax.cond"),
         ({"step": step_with("while")}, "'while'"),
-        ({"step": step_with("stored")}, "stores something"),
         ({"step": step_with("counter")}, "'scan' on integers|arrays"),
         ({"step": another_state}, "a state of another structure"),
         ({"start": starting_with(jnp.asarray(0))}, "its state's counted is of type int"),

@@ -96,6 +96,22 @@ def loop_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return jax.lax.scan(outer, x, jnp.stack(y))[0], y
 
 
+def what_is_stored(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """A loop whose stored numbers and truths are used one by one, and by the loop after it."""
+
+    def turn(total: jax.Array, z: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        return total + z, (total * z, z > 0)
+
+    def again(total: jax.Array, stored: tuple) -> tuple[jax.Array, jax.Array]:
+        number, positive = stored
+        return total - number, jax.lax.select(positive, number, total)
+
+    total, stored = jax.lax.scan(turn, x[0], jnp.stack(y[:5]))
+    last, chosen = jax.lax.scan(again, total, stored)
+    each = tuple(jax.lax.index_in_dim(chosen, i, keepdims=False) for i in range(5))
+    return (total, last, *each, *x[7:]), y
+
+
 def sums_so_far(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     """Each needs the one before: no array that could be computed at once."""
     found = [x[0]]
@@ -104,7 +120,14 @@ def sums_so_far(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return tuple(found), tuple(a * found[3] for a in y)
 
 
-BY_HAND = [swapped, reversed_on_the_spot, half_of_a_truth, loop_in_a_loop, sums_so_far]
+BY_HAND = [
+    swapped,
+    reversed_on_the_spot,
+    half_of_a_truth,
+    loop_in_a_loop,
+    what_is_stored,
+    sums_so_far,
+]
 
 
 def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:

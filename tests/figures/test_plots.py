@@ -42,6 +42,7 @@ FIGURES = {
     "position": partial(paths.plot_position, trajectory()),
     "errors": partial(paths.plot_errors, trajectory()),
     "gain": partial(paths.plot_gain, trajectory()),
+    "uncertainty": partial(paths.plot_uncertainty, trajectory()),
 }
 
 
@@ -273,6 +274,28 @@ def test_angles_break_at_wraps():
         x, [0, 1, 1.5, 1.5, 1.5, 2, 3, 4, 5, *[5.25] * 3, 6, 7, 7, 7, 7, 7, 7, 7, 8]
     )
     assert np.nanmax(np.abs(np.diff(y))) <= 180
+
+
+def test_the_bands_are_two_sigma_and_the_errors_those_of_the_axes() -> None:
+    run = trajectory()
+    figure = paths.plot_uncertainty(run)
+    assert figure is not None
+    assert len(figure.axes) == 6
+    off = run.position - run.position_est
+    for i, ax in enumerate(figure.axes):
+        error, sigma = (
+            (run.attitude_parts[:, i], run.attitude_sigma[:, i])
+            if i < 3
+            else (100 * off[:, i - 3], 100 * run.position_sigma[:, i - 3])
+        )
+        np.testing.assert_allclose(ax.lines[0].get_ydata(), error)
+        edge = ax.collections[0].get_paths()[0].vertices[:, 1]
+        assert edge.max() == pytest.approx(2 * sigma.max())
+        assert edge.min() == pytest.approx(-2 * sigma.max())
+
+
+def test_without_a_covariance_there_is_no_figure_of_it() -> None:
+    assert paths.plot_uncertainty(trajectory(attitude_sigma=np.full((301, 3), np.nan))) is None
 
 
 def test_errors_are_drawn_over_logarithmic_axes():

@@ -82,8 +82,8 @@ def ran(
     state = filter.start(initial_state(np.eye(3), np.zeros(3)), Sensors(2, 0))
     assert jax.tree.leaves(state)[0].dtype == np.float64
 
-    def look(total: Any, estimate: Any, record: Any, now: Any, entry: Any) -> Any:
-        return total, (estimate.attitude, estimate.bias_angular)
+    def look(total: Any, view: Any, entry: Any) -> Any:
+        return total, (view.estimate.attitude, view.estimate.bias_angular)
 
     last, _, (q, b) = run(look, filter, samples_of(filter, measurements), state)
     w, x, y, z = map(np.asarray, q)

@@ -66,7 +66,8 @@ def states(filter: Clairvoyant, m: Measurements, events: Events, initial, jumps:
     """Pose, biases and covariance before each sample."""
     samples = with_events(samples_of(filter, events.weighed(m)), events, jumps=jumps)
 
-    def look(total, estimate, record, now, entry):
+    def look(total, view, entry):
+        estimate = view.estimate
         return total, (estimate.rotation, estimate.position, estimate.bias, estimate.vector_bias)
 
     state = filter.start(initial, Sensors(2, 1))

@@ -24,11 +24,11 @@ from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
     KalmanState,
-    nees,
     propagate,
     update,
 )
 from posegsa.filters.rollout import simulate, simulate_cost, simulate_errors
+from posegsa.filters.uncertainty import nees
 from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
@@ -88,7 +88,13 @@ def plain(noise: KalmanNoise) -> KalmanFilter:
 
 
 jitted_samples = jax.jit(samples_for)
-jitted_nees, jitted_prepare = jax.jit(nees), jax.jit(prepare)
+jitted_prepare = jax.jit(prepare)
+
+
+@jax.jit
+def nees_of(state: KalmanState, truth: TruePose) -> Array:
+    covariance = plain(noise_of(PLAIN, np.float32)).ready().pose_covariance(state)
+    return nees(state.estimate, covariance, truth)
 
 
 def leaves_close(got: Any, want: Any, atol: float) -> None:
@@ -104,8 +110,8 @@ def step(
     moved: bool = False,
 ) -> KalmanState:
     """Process one sample, as in a user's own loop."""
-    updated, correction = update(state, sample, noise, iterations)
-    return propagate(updated, correction if moved else None, sample, noise)
+    updated, found = update(state, sample, noise, iterations)
+    return propagate(updated, found.correction if moved else None, sample, noise)
 
 
 def held(state: KalmanState) -> tuple[Array, ...]:
@@ -179,7 +185,7 @@ def test_the_nees_is_that_of_the_pose_error_in_exponential_coordinates(size) -> 
     truth = T @ se3_exp(xi)
     origin = truth[:3, :3].T @ truth[:3, 3]
     truth = TruePose(state_of(truth).attitude, (origin[0], origin[1], origin[2]))
-    got = jitted_nees(state, truth)
+    got = nees_of(state, truth)
     np.testing.assert_allclose(got, np.sum((xi / PLAIN.pose) ** 2), rtol=1e-9)
 
 
@@ -274,9 +280,9 @@ def test_without_measurements_an_update_changes_nothing() -> None:
     noise = noise_of(PLAIN)
     state = started(state_of(random_poses(rng, 1)[0]), noise)
     sample = first_of(seen(missing, rng))
-    updated, correction = update(state, sample, noise)
+    updated, found = update(state, sample, noise)
     leaves_close(updated, state, atol=1e-15)
-    assert not any(map(float, correction))
+    assert not any(map(float, found.correction))
 
 
 def test_samples_of_an_observer_that_learns_the_biases_serve_too() -> None:
@@ -343,7 +349,7 @@ def watched(state: KalmanState, samples: Samples, noise: KalmanNoise) -> tuple[K
 
     def look(state: KalmanState, some: Samples) -> tuple[KalmanState, tuple[Array, Array]]:
         assert some.truth is not None
-        now = nees(state, jax.tree.map(lambda a: a[0], some.truth)), state.covariance_matrix
+        now = nees_of(state, jax.tree.map(lambda a: a[0], some.truth)), state.covariance_matrix
         return jax.lax.scan(body, state, some.sample)[0], now
 
     parts = jax.tree.map(lambda a: a.reshape(CHUNK // BETWEEN, BETWEEN, *a.shape[1:]), samples)

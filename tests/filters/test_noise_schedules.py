@@ -22,6 +22,7 @@ from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
     KalmanState,
+    forgotten,
 )
 from posegsa.filters.measurement_model import measured_error, residuals, weighted
 from posegsa.filters.noise_schedules import (
@@ -171,7 +172,39 @@ def test_a_constant_factor_is_another_noise() -> None:
     faster = ran(kalman(NoiseGains(unknown=unknown)), m, T)
     more = {name: 4 * getattr(NOISE, name) for name in ("angular_velocity", "velocity")}
     plain = ran(KalmanFilter(numbers(NOISE._replace(**more, vector_walk=4e-4))), m, T)
-    np.testing.assert_allclose(faster.covariance_matrix, plain.covariance_matrix, atol=1e-9)
+    # What is forgotten of the vectors' biases is a share of 1e-7 a sample here.
+    np.testing.assert_allclose(faster.covariance_matrix, plain.covariance_matrix, atol=1e-6)
+
+
+def test_a_raised_walk_forgets_the_vectors_biases() -> None:
+    """In the form of matrices: F = diag(I, k I), k = 1 / (1 + dt (W^2 - w^2) / (2 s^2))."""
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(18, 18))
+    Sigma, c = root @ root.T, rng.normal(size=(2, 3))
+    noise = numbers(NOISE._replace(vector_walk=0.3, initial_vector_bias=0.7))
+    state = KalmanFilter(noise).start(state_of(np.eye(4), learnt_vectors=2), Sensors(2, 1))
+    state = state._replace(
+        estimate=state.estimate._replace(vector_biases=tuple(map(tuple, jnp.asarray(c)))),
+        covariance=tuple(tuple(jnp.asarray(Sigma[i, i:])) for i in range(18)),
+    )
+    k = 1 / (1 + 0.1 * (2.0**2 - 0.3**2) / (2 * 0.7**2))
+    F = np.diag([1.0] * 12 + [k] * 6)
+    after = forgotten(state, jnp.asarray(0.1), noise, jnp.asarray(2.0))
+    np.testing.assert_allclose(after.covariance_matrix, F @ Sigma @ F, rtol=1e-12)
+    np.testing.assert_allclose(after.estimate.vector_biases, k * c, rtol=1e-12)
+
+
+def test_what_is_forgotten_bounds_the_variance_of_the_vectors_biases() -> None:
+    """Without measurements, a walk raised from next to nothing ends at the initial variance."""
+    m, T = sequence(1)
+    none = m._replace(vector_weights=np.zeros((1, 2)), landmark_weights=np.zeros((1, 1)))
+    raised = ConstantGain(jnp.asarray(101.0))
+    noise = numbers(NOISE._replace(vector_walk=1e-3, initial_vector_bias=0.2))
+    filter = replace(kalman(NoiseGains(unknown=raised)), noise=noise)
+    for count in (10, 1000):
+        found = ran(filter, jax.tree.map(lambda a, n=count: np.repeat(a, n, axis=0), none), T)
+        deviations = np.sqrt(np.diagonal(found.covariance_matrix)[12:])
+        np.testing.assert_allclose(deviations, 0.2, rtol=0.1)
 
 
 def test_a_sensor_that_disagrees_is_not_believed() -> None:

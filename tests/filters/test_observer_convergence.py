@@ -192,7 +192,7 @@ def test_at_rest_for_long_nothing_wanders() -> None:
     off = {}
     for gain in (0.5, 0.0):
         truth, estimates = learnt(s, learning(np.float32, gain=gain), schedule, np.float32)
-        for leaf in estimates:
+        for leaf in jax.tree.leaves(estimates):
             assert np.isfinite(leaf).all()
         attitude, position = errors(truth, estimates)
         off[gain] = [np.sqrt(np.mean(attitude[-1200:])), np.sqrt(np.mean(position[-1200:] ** 2))]

@@ -115,12 +115,16 @@ def not_numbers(result: posegsa.Result) -> list[str]:
     for name, found in contenders.items():
         good = np.isfinite(found.metrics.cost)
         seen |= {f"{name}: {key}": numbers for key, numbers in found.filter.numbers.items()}
+        of_covariance = ("nees", "nees_inside", "nis")
         for field, values in found.metrics._asdict().items():
+            if field in of_covariance and found.filter.kind != "kalman":
+                continue
             seen[f"{name}: {field}"] = values if field == "cost" else values[good]
         if good.any():
             seen |= {f"{name}: band of {key}": a for key, a in found.bands._asdict().items()}
     if np.isfinite(contenders[TUNED].metrics.cost[0]):
-        seen |= {f"trajectory.{key}": a for key, a in vars(judged.trajectory).items()}
+        known = vars(judged.trajectory).items()
+        seen |= {f"trajectory.{key}": a for key, a in known if not key.endswith("_sigma")}
         if trust.rule_weights is not None:
             seen["trust.rule_weights"] = trust.rule_weights
     return [name for name, values in seen.items() if np.isnan(values).any()]

@@ -67,6 +67,8 @@ def contender(seed: int, scenarios: int = 40, filter=FILTERS[TUNED], **metrics) 
     rng = np.random.default_rng(seed)
     drawn = {name: rng.uniform(1, 40, scenarios) for name in Metrics._fields}
     drawn["diverged"] = np.zeros(scenarios, bool)
+    if filter.kind != "kalman":
+        drawn |= dict.fromkeys(("nees", "nees_inside", "nis"), np.full(scenarios, np.nan))
     drawn["initial_angle"] = np.full(scenarios, 174.8)
     bands = Bands(*np.sort(rng.uniform(0.1, 50, (3, 3, len(TIME))), axis=1))
     return Contender(Metrics(**{**drawn, **metrics}), bands, filter)
@@ -122,6 +124,7 @@ def history(iterations=40, non_finite=0):
 def trajectory(samples=301, **values):
     rng = np.random.default_rng(0)
     shapes = {"euler": 3, "euler_est": 3, "position": 3, "position_est": 3, "bias_est": 6}
+    shapes |= dict.fromkeys(("attitude_parts", "attitude_sigma", "position_sigma"), 3)
     shapes |= {"vector_bias_est": 6, "vector_bias_error": 2}
     names = Trajectory.__dataclass_fields__
     drawn = {

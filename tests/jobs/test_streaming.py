@@ -155,7 +155,14 @@ def test_a_kalman_filter_is_streamed_as_it_is_run(result):
     np.testing.assert_allclose([p.position for p in poses], expected.position[1:], atol=1e-12)
     np.testing.assert_allclose([p.rotation for p in poses], expected.rotation[1:], atol=1e-12)
     np.testing.assert_allclose(pose_filter.vector_bias, expected.vector_bias[-1], atol=1e-12)
+    np.testing.assert_allclose(pose_filter.covariance, expected.covariance[-1], atol=1e-12)
+    assert pose_filter.nis == pytest.approx(expected.nis[-2], rel=1e-9)
     assert math.isnan(pose_filter.gain), "it has none"
+
+
+def test_an_observer_has_no_covariance(pose_filter):
+    assert pose_filter.covariance is None
+    assert math.isnan(pose_filter.nis)
 
 
 def test_weights_of_a_sample_are_factors_on_those_of_the_filter(result):
@@ -348,7 +355,7 @@ def test_what_is_returned_is_the_callers_own(pose_filter):
     ("change", "message"),
     [
         (lambda c: c.pop("ages"), "checkpoint: without 'ages'"),
-        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 3"),
+        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 4"),
         (lambda c: c.update(record=c["record"][1:]), "record of float64"),
         (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
         (lambda c: c.update(structure=c["structure"] + 1), "of a filter with other laws or rules"),

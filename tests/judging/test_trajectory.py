@@ -80,6 +80,38 @@ def test_angles_are_roll_pitch_and_yaw_in_degrees() -> None:
     assert np.abs(made.euler).max() > 90
 
 
+def test_errors_by_axis_are_those_of_the_body_frame() -> None:
+    T, T_est, made = true_and_estimated("float64")
+    between = Rotation.from_matrix(T_est[:, :3, :3]).inv() * Rotation.from_matrix(T[:, :3, :3])
+    wanted = between.as_rotvec(degrees=True)
+    np.testing.assert_allclose(made.attitude_parts, wanted, rtol=0, atol=1e-6)
+
+
+def test_deviations_are_by_axis_of_the_body_and_of_the_inertial_frame() -> None:
+    """By sampling errors of the covariance, and moving the estimate by them."""
+    rng = np.random.default_rng(2)
+    root = 0.01 * rng.normal(size=(6, 6))
+    T, T_est, _ = true_and_estimated("float64")
+    with jax.enable_x64(True):
+        nothing = dict.fromkeys(("gain", "gain_used", "error", "rate"), jnp.zeros(N))
+        estimates = Estimates(
+            time=jnp.arange(float(N)),
+            rotation=jnp.asarray(T_est[:, :3, :3]),
+            position=jnp.asarray(T_est[:, :3, 3]),
+            bias=jnp.zeros((N, 6)),
+            vector_bias=jnp.zeros((N, 0, 3)),
+            covariance=jnp.asarray(np.broadcast_to(root @ root.T, (N, 6, 6))),
+            **nothing,
+        )
+        made = trajectory(T[:, :3, :3], T[:, :3, 3], estimates, np.zeros((0, 3)))
+    xi = rng.normal(size=(40000, 6)) @ root.T
+    theta = np.degrees(np.std(xi[:, :3], axis=0))
+    np.testing.assert_allclose(made.attitude_sigma, np.broadcast_to(theta, (N, 3)), rtol=0.02)
+    for k in range(3):
+        moved = xi[:, 3:] @ T_est[k, :3, :3].T
+        np.testing.assert_allclose(made.position_sigma[k], np.std(moved, axis=0), rtol=0.02)
+
+
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_everything_else_is_taken_as_it_is(dtype: str) -> None:
     T, T_est, made = true_and_estimated(dtype)
@@ -89,7 +121,10 @@ def test_everything_else_is_taken_as_it_is(dtype: str) -> None:
     shapes = {field.name: getattr(made, field.name).shape[1:] for field in fields(Trajectory)}
     vectors = {"euler": (3,), "euler_est": (3,), "position": (3,), "position_est": (3,)}
     biases = {"bias_est": (6,), "vector_bias_est": (6,), "vector_bias_error": (2,)}
-    assert shapes == dict.fromkeys(shapes, ()) | vectors | biases
+    axes = dict.fromkeys(("attitude_parts", "attitude_sigma", "position_sigma"), (3,))
+    assert shapes == dict.fromkeys(shapes, ()) | vectors | biases | axes
+    assert np.isnan(made.attitude_sigma).all()
+    assert np.isnan(made.position_sigma).all()
 
 
 def test_distances_of_half_a_turn_are_not_rounded_above_one() -> None:

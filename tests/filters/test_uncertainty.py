@@ -1,4 +1,4 @@
-"""NEES of drawn scenarios: against the matrix form, and against chi-squared where it is exact."""
+"""NEES and NIS of drawn scenarios: against the matrix form, and against chi-squared."""
 
 from typing import Any
 
@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from posegsa import config
 from posegsa.config.shipped import find
-from posegsa.errors import ArgumentError
 from posegsa.filters.base import sensors_in
-from posegsa.judging.consistency import Consistency, bound, consistency
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.model.schedules import ConstantGain
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import scenario_keys
@@ -47,15 +47,12 @@ def true_poses(batch: ScenarioBatch) -> np.ndarray:
     return T
 
 
-def test_the_bound_is_that_of_chi_squared() -> None:
-    assert bound() == pytest.approx(scipy.stats.chi2.ppf(0.95, 6), rel=1e-12)
-
-
 @pytest.mark.usefixtures("x64")
 def test_nees_is_that_of_the_matrix_form_at_each_time() -> None:
     batch = drawn(2, "run.dtype=float64", "scenario.start=given", "family.attitude_error=[5, 20]")
-    found = consistency(Candidate(), batch, (0.0, 0.25, 0.6, 1.0, 2.0))
-    np.testing.assert_array_equal(found.time, [0.0, 0.25, 0.6, 1.0])
+    found = error_tracks(Candidate(), batch)
+    assert found.nees is not None
+    assert found.nis is not None
     noise_of: Any = batch.filter
     n = jax.tree.map(float, noise_of.noise)
     noise = reference_ekf.Noise(
@@ -74,29 +71,32 @@ def test_nees_is_that_of_the_matrix_form_at_each_time() -> None:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = start.rotation, start.position
         s: Any = jax.tree.map(lambda a, i=i: np.asarray(a[i]), batch.samples.sample)
-        states = reference_ekf.run(
-            [
-                Sample(
-                    dt=float(s.time_step[k]),
-                    omega=np.array([a[k] for a in s.angular_velocity]),
-                    v=np.array([a[k] for a in s.velocity]),
-                    y=np.array([[a[k] for a in p.body] for p in s.landmarks]),
-                    p=np.array([[a[k] for a in p.inertial] for p in s.landmarks]),
-                    sL=np.array([p.factor[k] for p in s.landmarks]),
-                    vB=np.array([[a[k] for a in v.measured] for v in s.vectors.each]),
-                    vI=np.array([[a[k] for a in v.known] for v in s.vectors.each]),
-                    sR=np.array([v.factor[k] for v in s.vectors.each]),
-                )
-                for k in range(100)
-            ],
-            reference_ekf.start(pose, np.zeros(6), 2, noise),
-            noise,
-        )
-        for j, k in enumerate((0, 25, 60, 99)):
+        samples = [
+            Sample(
+                dt=float(s.time_step[k]),
+                omega=np.array([a[k] for a in s.angular_velocity]),
+                v=np.array([a[k] for a in s.velocity]),
+                y=np.array([[a[k] for a in p.body] for p in s.landmarks]),
+                p=np.array([[a[k] for a in p.inertial] for p in s.landmarks]),
+                sL=np.array([p.factor[k] for p in s.landmarks]),
+                vB=np.array([[a[k] for a in v.measured] for v in s.vectors.each]),
+                vI=np.array([[a[k] for a in v.known] for v in s.vectors.each]),
+                sR=np.array([v.factor[k] for v in s.vectors.each]),
+            )
+            for k in range(100)
+        ]
+        begun = reference_ekf.start(pose, np.zeros(6), 2, noise)
+        states = reference_ekf.run(samples, begun, noise)
+        for k in (0, 25, 60, 99):
             error = scipy.linalg.logm(np.linalg.inv(states[k].T) @ T[i, k]).real
             xi = [error[2, 1], error[0, 2], error[1, 0], *error[:3, 3]]
             wanted = xi @ np.linalg.solve(states[k].Sigma[:6, :6], xi)
-            assert found.nees[i, j] == pytest.approx(wanted, rel=1e-5), (i, k)
+            assert found.nees[i, k] == pytest.approx(wanted, rel=1e-5), (i, k)
+            H, measured, expected, N = reference_ekf.linearised(states[k], samples[k], noise)
+            residual = measured - expected
+            S = H @ states[k].Sigma @ H.T + N
+            wanted = residual @ np.linalg.solve(S, residual) / len(residual)
+            assert found.nis[i, k] == pytest.approx(wanted, rel=1e-5), (i, k)
 
 
 LINEAR = (
@@ -120,20 +120,24 @@ def started_near(batch: ScenarioBatch) -> ScenarioBatch:
     return batch._replace(initial=initial._replace(turning=batch.initial.turning))
 
 
-def test_where_the_filter_is_linear_its_nees_is_chi_squared() -> None:
+def test_where_the_filter_is_linear_nees_and_nis_are_chi_squared() -> None:
     """Errors so small that products of them are negligible, and noise that is all known."""
-    count, times = 400, (0.0, 0.3, 0.99)
+    count, at = 400, (0, 30, 99)
     batch = started_near(drawn(count, *LINEAR))
     assert sensors_in(batch.samples) == (2, 1)
-    found = consistency(Candidate(), batch, times)
+    tracks = error_tracks(Candidate(), batch)
+    assert tracks.nees is not None
+    assert tracks.nis is not None
     low, high = scipy.stats.chi2.ppf([5e-5, 1 - 5e-5], 6 * count) / count
-    deviation = np.sqrt(0.95 * 0.05 / count)
-    for j in range(len(times)):
+    for k in at:
         # The chance of a larger distance is 1e-4, of the distribution and of its mean.
-        test: Any = scipy.stats.kstest(found.nees[:, j], scipy.stats.chi2(6).cdf)
-        assert test.pvalue > 1e-4
-        assert low < found.mean[j] < high
-        assert abs(found.inside[j] - 0.95) < 4 * deviation
+        for values, degrees in ((tracks.nees[:, k], 6), (9 * tracks.nis[:, k], 9)):
+            test: Any = scipy.stats.kstest(values, scipy.stats.chi2(degrees).cdf)
+            assert test.pvalue > 1e-4, (k, degrees)
+        assert low < np.mean(tracks.nees[:, k]) < high
+    right, _ = metrics_of(tracks, batch)
+    assert np.mean(right.nees_inside) == pytest.approx(0.95, abs=0.02)
+    assert np.mean(right.nis) == pytest.approx(1, abs=0.01)
     # Noises believed three times too small are found out, by numbers of the candidate.
     believed = ("angular_velocity", "velocity", "vector", "landmark")
     noise: Any = batch.filter
@@ -141,40 +145,16 @@ def test_where_the_filter_is_linear_its_nees_is_chi_squared() -> None:
         values=tuple(jnp.asarray(getattr(noise.noise, name) / 3) for name in believed),
         keys=tuple(f"filter.{name}" for name in believed),
     )
-    wrong = consistency(small, batch, times)
-    assert wrong.mean[0] == found.mean[0]
-    assert wrong.mean[-1] > 2 * high
-    assert wrong.inside[-1] < 0.6
+    wrong, _ = metrics_of(error_tracks(small, batch), batch)
+    assert np.mean(wrong.nees) > 2 * high
+    assert np.mean(wrong.nees_inside) < 0.6
+    assert np.mean(wrong.nis) > 5
 
 
-def test_scenarios_count_between_their_start_and_their_end() -> None:
-    values = drawn(4, "scenario.start=sensors")
-    begin = np.array([0.0, 0.4, 0.0, 0.4], np.float32)
-    end = np.array([np.inf, np.inf, 0.45, 0.45], np.float32)
-    found = consistency(Candidate(), values._replace(begin=begin, end=end), (0.2, 0.42, 0.9))
-    counts = ~np.isnan(found.nees)
-    np.testing.assert_array_equal(counts, [[1, 1, 1], [0, 1, 1], [1, 1, 0], [0, 1, 0]])
-    for j in range(3):
-        assert found.mean[j] == pytest.approx(np.mean(found.nees[counts[:, j], j]))
-    none = Consistency(found.time, np.full((4, 3), np.nan))
-    assert np.isnan(none.mean).all()
-    assert np.isnan(none.inside).all()
-    lost = Consistency(np.ones(1), np.array([[np.inf], [3.0]]))
-    assert lost.mean == np.inf
-    assert lost.inside == 0.5
-
-
-def test_times_after_the_end_are_left_out() -> None:
-    found = consistency(Candidate(), drawn(2, "scenario.start=sensors"))
-    assert found.time.shape == found.mean.shape == (0,)
-
-
-@pytest.mark.parametrize("times", [(), (-1.0, 2.0), (2.0, 1.0), (1.0, 1.0)])
-def test_times_that_do_not_ascend_are_refused(times) -> None:
-    with pytest.raises(ArgumentError, match=r"times: .*ascending"):
-        consistency(Candidate(), drawn(2, "scenario.start=sensors"), times)
-
-
-def test_a_filter_without_a_covariance_is_refused() -> None:
-    with pytest.raises(ArgumentError, match=r"Observer.*KalmanFilter"):
-        consistency(Candidate(), drawn(2, kind="quick"))
+def test_a_filter_without_a_covariance_has_neither() -> None:
+    batch = drawn(2, kind="quick")
+    tracks = error_tracks(Candidate(ConstantGain(jnp.float32(20))), batch)
+    assert tracks.nees is None
+    assert tracks.nis is None
+    found, _ = metrics_of(tracks, batch)
+    assert np.isnan([found.nees, found.nees_inside, found.nis]).all()
