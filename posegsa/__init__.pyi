@@ -56,6 +56,8 @@ from .recordings.accuracy import attitude_errors as attitude_errors
 from .recordings.accuracy import position_errors as position_errors
 from .recordings.accuracy import recording_errors as recording_errors
 from .recordings.accuracy import rmse as rmse
+from .recordings.data_check import DataCheck as DataCheck
+from .recordings.data_check import check as check
 from .recordings.imu import as_imu as as_imu
 from .recordings.imu import imu as imu
 from .recordings.recording import Recording as Recording

@@ -13,7 +13,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from posegsa.cli import compare, configs, evaluate, export, replay, sweep, tune
+from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parser import Parser
 from posegsa.cli.progress import say
 from posegsa.config import shipped
@@ -129,7 +129,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"posegsa {VERSION}")
     commands = parser.add_subparsers(title="commands", required=True)
-    for command in (tune, evaluate, replay, export, compare, sweep, configs):
+    for command in (tune, evaluate, replay, check, export, compare, sweep, configs):
         command.add(commands)
     return parser
 

@@ -7,12 +7,13 @@ arguments appear at once.
 import argparse
 import importlib
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from posegsa.config import shipped
-from posegsa.errors import ArgumentError
+from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.recordings.frames import UP
 from posegsa.recordings.policies import LONGEST_GAP, Policy
 
@@ -210,8 +211,11 @@ def read(
     part: tuple[float, float] | None,
     bridge: Policy | None = None,
     longest_gap: float | None = None,
+    **more: Any,
 ) -> "list[Recording]":
     """Read recordings, bridge their gaps if asked to, and cut them to a window.
+
+    `more` are further arguments of `Recording.read`.
 
     Raises:
         ArgumentError: A longest gap is given, but gaps are not bridged.
@@ -221,6 +225,15 @@ def read(
     if longest_gap is not None and bridge in (None, "refuse"):
         raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
     stated = {"bridge": bridge, "longest_gap": longest_gap}
-    more = {name: value for name, value in stated.items() if value is not None}
+    more |= {name: value for name, value in stated.items() if value is not None}
     found = [Recording.read(path, **more) for path in paths]
     return found if part is None else [each.window(*part) for each in found]
+
+
+def warn_of_mistakes(recordings: "Iterable[Recording]") -> None:
+    """Warn of the mistakes that recordings seem to have, before a filter runs on them."""
+    from posegsa.recordings.data_check import check
+
+    for one in recordings:
+        for words in check(one).findings:
+            warnings.warn(f"{one.name}: {words}", PosegsaWarning, stacklevel=2)

@@ -12,6 +12,7 @@ from posegsa.cli.options import (
     in_frame,
     read,
     result_of,
+    warn_of_mistakes,
 )
 from posegsa.errors import ArgumentError
 
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
     recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
+    warn_of_mistakes(recordings)
     result = result_of(options)
     recordings = in_frame(options, result.filter.kind, recordings)
     where = {"out": options.out, "overwrite": options.overwrite, "figures": options.figures}

@@ -18,6 +18,7 @@ from posegsa.cli.options import (
     in_frame,
     own_filter,
     read,
+    warn_of_mistakes,
     window,
 )
 from posegsa.cli.progress import Display
@@ -142,6 +143,8 @@ def _recordings(options: argparse.Namespace, kind: str) -> "dict[str, Any]":
         "recordings": read(options.recording, options.window, *bridge),
         "held_out": read(options.held_out or [], options.held_out_window, *bridge),
     }
+    for each in found.values():
+        warn_of_mistakes(each)
     return {name: in_frame(options, kind, each) for name, each in found.items()}
 
 

@@ -27,6 +27,8 @@ GAP = 5.0
 LONGEST_STEP = 3600.0
 """Upper limit of `longest_gap` [s]: longer gaps suggest time stamps in another unit."""
 ALLOWED = 'allowed: bridge = "hold" or "interpolate" (--bridge)'
+SLOWEST, FASTEST = 1.0, 1e-5
+"""Range of the median time step [s]; no inertial sensor is outside, but stamps in another unit."""
 
 
 class Bridged(NamedTuple):
@@ -47,7 +49,7 @@ class Bridged(NamedTuple):
 
 
 def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) -> np.ndarray:
-    """Time (K,) since the first sample [s], float64.
+    """Time (K,) since the first sample [s], float64, of a rate that an inertial sensor has.
 
     Args:
         time: (K,) time stamps: integers in ns, floats in s; None if there is a time step.
@@ -55,9 +57,23 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
         samples: K.
 
     Raises:
-        RecordingError: not exactly one of both is given, or it has the wrong shape or is not
-            finite.
+        RecordingError: not exactly one of both is given, it has the wrong shape or is not finite,
+            or the rate is none of an inertial sensor.
     """
+    found = _stamps(time, time_step, samples)
+    step = float(np.median(np.diff(found)))
+    if step > SLOWEST or 0 < step < FASTEST:
+        name = "time_step" if time is None else "time"
+        raise RecordingError(
+            f"{name}: a median step of {step:.3g} s, {1 / step:.3g} samples a second; allowed: "
+            f"{FASTEST:g} to {SLOWEST:g} s. Are the time stamps in another unit? Set "
+            "time_unit to s, ms, us or ns (in Python, floats are in s and integers in ns)"
+        )
+    return found
+
+
+def _stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) -> np.ndarray:
+    """The same for any rate."""
     if samples < 2:
         raise RecordingError(f"a recording has {counted(samples, 'sample')}; allowed: 2 or more")
     if (time is None) == (time_step is None):

@@ -1,0 +1,37 @@
+"""`posegsa check`."""
+
+import argparse
+
+from posegsa.cli.options import RECORDING, add_bridge, add_window, read
+
+
+def add(commands) -> None:
+    """Add the command to the others."""
+    parser = commands.add_parser(
+        "check",
+        help="look for mistakes in recordings",
+        description="Shows rates, gaps, noise and biases of the sensors of recordings, whether "
+        "they determine the pose, and the usual mistakes that they seem to have: units, axes, "
+        "frames, order of quaternions, exchanged sensors, delays. Nothing is changed. The exit "
+        "status is 1 if something was found.",
+    )
+    parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
+    add_window(parser)
+    add_bridge(parser)
+    parser.add_argument("--out", metavar="DIR", help="folder for a figure of each recording")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check recordings and show what was found."""
+    from posegsa.recordings.data_check import check
+    from posegsa.saving.check_files import write_checks
+
+    bridged = options.bridge, options.longest_gap
+    recordings = read(options.recordings, options.window, *bridged, landmark_outlier="off")
+    found = [check(one) for one in recordings]
+    print("\n\n".join(one.text() for one in found))
+    if options.out is not None:
+        write_checks(found, options.out)
+        print(f"\nWritten to {options.out}")
+    return 1 if any(one.findings for one in found) else 0

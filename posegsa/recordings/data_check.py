@@ -1,0 +1,146 @@
+"""A look at a recording before a filter runs on it: rates, gaps, noise, biases, mistakes."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from posegsa.arguments import check_type
+from posegsa.model.observability import why_attitude_unobservable, why_unobservable
+from posegsa.recordings.delays import delays, predicted
+from posegsa.recordings.mistakes import mistakes
+from posegsa.recordings.recording import Recording
+from posegsa.recordings.relations import FEWEST, Quantities, misfits, quantities
+from posegsa.words import text_table
+
+
+class SensorCheck(NamedTuple):
+    """What was found of one sensor."""
+
+    name: str
+    unit: str
+    rate: float
+    """Measurements [1/s], between the first and the last."""
+    gap: float
+    """Longest time without one [s]."""
+    noise: float
+    """Standard deviation of each component's white noise, in its unit, by neighbouring samples."""
+    bias: float | None
+    """Length of the mean difference from what the truth predicts, in its unit; None without one."""
+
+
+@dataclass(frozen=True)
+class DataCheck:
+    """What was found in a recording."""
+
+    recording: Recording
+    sensors: list[SensorCheck]
+    misfits: dict[str, float]
+    """How far the sensors disagree with each other and with the truth, as shares
+    (`recordings.relations`)."""
+    unobservable: str
+    """What is missing to determine the pose; "" if nothing is."""
+    findings: list[str]
+    """Mistakes and delays that the recording seems to have, in words; nothing is mended."""
+
+    def text(self) -> str:
+        """All that was found, for a person."""
+        rows = [["sensor", "rate [1/s]", "longest gap [s]", "noise by axis", "bias", "unit"]]
+        for one in self.sensors:
+            bias = "" if one.bias is None else f"{one.bias:.3g}"
+            numbers = f"{one.rate:.4g}", f"{one.gap:.3g}", f"{one.noise:.3g}", bias
+            rows.append([one.name, *numbers, one.unit])
+        parts = [self.recording.describe(), text_table(rows)]
+        if self.unobservable:
+            parts.append(f"The pose can't be determined: {self.unobservable}.")
+        if self.findings:
+            parts.append("\n".join(f"  look: {words}" for words in self.findings))
+        else:
+            parts.append("No mistake was found: the sensors agree with each other and the truth.")
+        return "\n\n".join(parts)
+
+
+def check(recording: Recording) -> DataCheck:
+    """Look for the usual mistakes in a recording, and tell what its sensors are like.
+
+    Sensors are compared with each other and, where it is known, with the truth. Delays and some
+    mistakes can only be told with a truth, and those of an axis only if the body turns about it.
+
+    Args:
+        recording: Any; best read with `landmark_outlier="off"`, since landmarks that are mistaken
+            look like outliers.
+
+    Raises:
+        ArgumentError: It is no recording.
+    """
+    check_type("recording", recording, Recording)
+    q = quantities(recording)
+    found = [str(one) for one in mistakes(q)]
+    found += [str(one) for one in delays(q) if one.clear] if not found else []
+    return DataCheck(
+        recording=recording,
+        sensors=_sensors(recording, q),
+        misfits=misfits(q),
+        unobservable=_unobservable(recording, q),
+        findings=found,
+    )
+
+
+def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
+    differences = {one.sensor: one.measured - one.expected for one in predicted(q)}
+    named = [("angular_velocity", "rad/s", q.gyroscope)]
+    if q.velocity is not None:
+        named.append(("velocity", "m/s", q.velocity))
+    for vector in q.vectors:
+        unit = "m/s^2" if vector.name == "accelerometer" else "its own"
+        named.append((vector.name, unit, vector.body))
+    named += [(f"landmark {j}", "m", y) for j, y in enumerate(q.landmarks)]
+    found = []
+    for name, unit, values in named:
+        steps = np.diff(recording.time[_there(recording, name)])
+        off = _known(differences[name]) if name in differences else np.zeros((0, 3))
+        found.append(
+            SensorCheck(
+                name=name,
+                unit=unit,
+                rate=float(1 / np.median(steps)) if steps.size else 0.0,
+                gap=float(np.max(steps)) if steps.size else recording.duration,
+                noise=_noise(off if len(off) > FEWEST else _known(values)),
+                bias=float(np.linalg.norm(np.mean(off, axis=0))) if len(off) else None,
+            )
+        )
+    return found
+
+
+def _there(recording: Recording, name: str) -> np.ndarray:
+    """(K,) at which samples a sensor has a measurement."""
+    kind, _, index = name.partition(" ")
+    if kind in recording.sensors:
+        return np.isfinite(recording.sensors[kind]).all(axis=1)
+    if kind in ("vector", "landmark"):
+        weights = np.asarray(getattr(recording.measurements, f"{kind}_weights"))
+        return np.asarray(weights[:, int(index)] > 0)
+    return np.full(recording.samples, True)
+
+
+def _unobservable(recording: Recording, q: Quantities) -> str:
+    """What is missing to determine the pose, or the attitude of a recording without position."""
+    references = [v.reference for v in q.vectors if v.reference is not None]
+    directions = np.array([np.atleast_2d(r)[0] for r in references]).reshape(-1, 3)
+    if recording.attitude_only:
+        told = any(v.reference is None for v in q.vectors)  # a field, whose reference is learnt
+        return "" if told else why_attitude_unobservable(directions)
+    return why_unobservable(directions, np.array(q.places).reshape(-1, 3))
+
+
+def _known(values: np.ndarray) -> np.ndarray:
+    """The rows of values (K, 3) that are finite."""
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _noise(values: np.ndarray) -> float:
+    """Standard deviation of white noise in values (n, 3), by their second differences."""
+    if len(values) < FEWEST:
+        return np.nan
+    second = values[2:] - 2 * values[1:-1] + values[:-2]
+    return float(1.4826 * np.median(np.abs(second - np.median(second, axis=0))) / np.sqrt(6))

@@ -1,0 +1,158 @@
+"""How late each sensor of a recording is, by the truth.
+
+What the truth predicts is shifted in time until it differs least from what is measured. The shift
+is a delay if it explains much of the difference; or if what is left is white, as the noise of a
+sensor is, and it explains more than chance does. What a body does beside turning, above all its
+accelerations, is not white, and correlates with its turns.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posegsa.recordings.relations import FEWEST, Quantities
+from posegsa.recordings.rotations import product, quaternions
+
+LATE = 0.025
+"""Delay from which on a sensor is named [s]."""
+WIDEST = 0.2
+"""Largest delay that is tried [s]."""
+EXPLAINED = 0.22
+"""Share of the squares that a delay that is named explains, where what is left is coloured."""
+CHANCE = 64.0
+"""Where it is white: this many times what chance explains of as many samples."""
+WHITE = 0.4
+"""Correlation of neighbouring samples up to which what is left is white."""
+SPAN = 0.05
+"""Time over which the truth is differentiated [s]."""
+LARGEST = 4.0
+"""Differences of more than this many medians are left out."""
+
+
+class Delay(NamedTuple):
+    """How late a sensor is."""
+
+    sensor: str
+    delay: float
+    """[s]; below 0 if it is early."""
+    explained: float
+    """Share of the squares of the differences that it explains."""
+    chance: float
+    """The same as a multiple of what chance explains."""
+    correlation: float
+    """Of neighbouring samples of what is left."""
+
+    @property
+    def clear(self) -> bool:
+        """Whether the sensor is late, or early, beyond doubt."""
+        white = self.correlation < WHITE and self.chance > CHANCE
+        return abs(self.delay) > LATE and (white or self.explained > EXPLAINED)
+
+    def __str__(self) -> str:
+        word = "late" if self.delay > 0 else "early"
+        return f"{self.sensor} looks {1000 * abs(self.delay):.0f} ms {word}, by the truth"
+
+
+def delays(q: Quantities) -> list[Delay]:
+    """The delays of all sensors that the truth says something about."""
+    found = [_delay(one, q.time) for one in predicted(q)]
+    return [one for one in found if one is not None]
+
+
+class Predicted(NamedTuple):
+    """What a sensor measures, and what the truth says of it."""
+
+    sensor: str
+    unit: str
+    measured: np.ndarray
+    """(K, 3); NaN where missing."""
+    expected: np.ndarray
+    """(K, 3); NaN where unknown."""
+
+
+def predicted(q: Quantities) -> list[Predicted]:
+    """All sensors whose measurements the truth predicts; none without a truth."""
+    if q.rotation is None:
+        return []
+    reach = max(1, round(0.5 * SPAN / float(np.median(np.diff(q.time)))))
+    found = [Predicted("angular_velocity", "rad/s", q.gyroscope, _rate(q, reach))]
+    R, P = q.rotation, q.position
+    if q.velocity is not None and P is not None:
+        moving = np.einsum("kji,kj->ki", R, _slope(P, q.time, reach))
+        found.append(Predicted("velocity", "m/s", q.velocity, moving))
+    for vector in q.vectors:
+        there = np.einsum("kij,kj->ki", R, vector.body)
+        reference = vector.reference
+        if reference is None:
+            reference = np.nanmedian(there, axis=0)
+        expected = np.einsum("kji,kj->ki", R, np.broadcast_to(reference, there.shape))
+        found.append(Predicted(vector.name, "", vector.body, expected))
+    if P is not None:
+        for j, (y, place) in enumerate(zip(q.landmarks, q.places, strict=True)):
+            expected = np.einsum("kji,kj->ki", R, place - P)
+            found.append(Predicted(f"landmark {j}", "m", y, expected))
+    return found
+
+
+def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
+    """The delay of measurements behind what is expected; None if none can be told."""
+    measured, expected = of.measured, of.expected
+    step = float(np.median(np.diff(time)))
+    widest = max(1, round(WIDEST / step))
+    at = np.flatnonzero(np.isfinite(measured).all(axis=1))
+    at = at[(at >= widest) & (at < len(time) - widest)]
+    near = np.abs(time[at + widest] - time[at - widest] - 2 * widest * step) < step
+    shifts = np.arange(-widest, widest + 1)
+    rows = at[near][:, None] - shifts
+    there = np.isfinite(expected).all(axis=1)[rows].all(axis=1)
+    rows = rows[there]
+    if len(rows) < FEWEST:
+        return None
+    seen = measured[at[near][there]]
+    off = seen - expected[rows[:, widest]]
+    size = np.linalg.norm(off - np.median(off, axis=0), axis=1)
+    usual = size <= LARGEST * np.median(size)
+    rows, seen = rows[usual], seen[usual]
+    squares = []
+    for k in range(len(shifts)):
+        off = seen - expected[rows[:, k]]
+        squares.append(float(np.sum((off - off.mean(axis=0)) ** 2)))
+    best = int(np.argmin(squares))
+    if squares[widest] == 0 or best in (0, len(shifts) - 1):
+        return None
+    explained = 1 - squares[best] / squares[widest]
+    rest = seen - expected[rows[:, best]]
+    rest = rest - rest.mean(axis=0)
+    correlation = float(np.sum(rest[1:] * rest[:-1]) / max(squares[best], 1e-300))
+    chance = explained * 3 * len(rows)
+    return Delay(of.sensor, float(shifts[best] * step), explained, chance, correlation)
+
+
+def _slope(a: np.ndarray, time: np.ndarray, reach: int) -> np.ndarray:
+    """Derivative (K, 3) of a (K, 3) over `reach` samples on both sides; NaN at gaps and ends."""
+    found = np.full(a.shape, np.nan)
+    if len(a) > 2 * reach:
+        span = time[2 * reach :] - time[: -2 * reach]
+        whole = span < 3 * np.median(span)
+        inner = (a[2 * reach :] - a[: -2 * reach]) / span[:, None]
+        found[reach:-reach] = np.where(whole[:, None], inner, np.nan)
+    return found
+
+
+def _rate(q: Quantities, reach: int) -> np.ndarray:
+    """True angular velocity (K, 3), body frame [rad/s]; NaN where unknown."""
+    assert q.rotation is not None
+    known = np.isfinite(q.rotation).all(axis=(1, 2))
+    attitude = np.full((len(q.time), 4), np.nan)
+    attitude[known] = quaternions(q.rotation[known])
+    found = np.full((len(q.time), 3), np.nan)
+    if len(attitude) > 2 * reach:
+        turn = product(attitude[: -2 * reach] * [1, -1, -1, -1], attitude[2 * reach :])
+        turn = np.where(turn[:, :1] < 0, -turn, turn)
+        sine = np.linalg.norm(turn[:, 1:], axis=1)
+        angle = 2 * np.arctan2(sine, turn[:, 0])
+        span = q.time[2 * reach :] - q.time[: -2 * reach]
+        factor = np.where(sine > 0, angle / np.where(sine > 0, sine, 1), 2.0) / span
+        whole = (span < 3 * np.median(span))[:, None]
+        found[reach:-reach] = np.where(whole, factor[:, None] * turn[:, 1:], np.nan)
+    return found

@@ -1,0 +1,355 @@
+"""The usual mistakes in recordings: what each would have changed, and which fits far better.
+
+Each hypothesis undoes one mistake. The misfits of all relations (`relations`) are computed of the
+quantities as they are and as the hypothesis would have them. One that lowers them by far, on the
+whole, is named; nothing is mended.
+"""
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from posegsa.recordings.relations import Quantities, Vector, misfits
+from posegsa.recordings.rotations import matrices, quaternions
+
+BETTER = 2.5
+"""Ratio of misfits, of the relation that gains most, from which on a hypothesis is named."""
+FITS = 0.35
+"""Misfit that the relation that gains most may have at most under the hypothesis."""
+MANY = 100.0
+"""Ratio that is not told more precisely."""
+SUSPICIOUS = 0.12
+"""Largest misfit up to which nothing is looked for."""
+AS_GOOD = 0.85
+"""Share of the largest gain from which on a simpler hypothesis is preferred."""
+GRAVITY = 9.81
+AXES = "xyz"
+TURNING, MOVING, TRUTH = "gyroscope|velocities", "velocity|velocities", "truth"
+"""Names of the relations of the gyroscope, of the velocity and of the truth."""
+
+
+class Mistake(NamedTuple):
+    """A mistake that a recording seems to have."""
+
+    words: str
+    """What seems wrong, and what to do."""
+    times: float
+    """By how much the relation that gains most fits better."""
+
+    def __str__(self) -> str:
+        times = f"{self.times:.2g}" if self.times < MANY else f"over {MANY:g}"
+        return f"{self.words} (fits {times} times better)"
+
+
+class Hypothesis(NamedTuple):
+    """A mistake, and the quantities as they would be without it."""
+
+    words: str
+    mended: Callable[[Quantities], Quantities]
+    complexity: int
+    """How much it changes; of equal ones the simplest is named."""
+    of: str
+    """Regular expression of the names of the relations that it is about."""
+
+
+def mistakes(q: Quantities) -> list[Mistake]:
+    """The mistakes that quantities seem to have, the clearest first.
+
+    One is looked for, and if it is found another, in what is then mended.
+    """
+    found: list[Mistake] = []
+    for _ in range(4):
+        best = _clearest(q)
+        if best is None:
+            break
+        hypothesis, times = best
+        found.append(Mistake(hypothesis.words, times))
+        q = hypothesis.mended(q)
+    return found
+
+
+def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
+    before = misfits(q)
+    tried: list[tuple[float, float, float, Hypothesis]] = []
+    suspicious = [name for name, misfit in before.items() if misfit > SUSPICIOUS]
+    for hypothesis in hypotheses(q):
+        if not any(re.search(hypothesis.of, name) for name in suspicious):
+            continue
+        after = misfits(hypothesis.mended(q))
+        gains = {
+            name: math.log(before[name] / after[name])
+            for name in before
+            if name in after and math.isfinite(before[name]) and after[name] > 0
+        }
+        if not gains:
+            continue
+        name = max(gains, key=gains.__getitem__)
+        tried.append((sum(gains.values()), gains[name], after[name], hypothesis))
+    tried = [one for one in tried if one[0] > math.log(BETTER) < one[1] + 1e-12 and one[2] < FITS]
+    if not tried:
+        return None
+    most = max(total for total, *_ in tried)
+    near = [one for one in tried if one[0] >= AS_GOOD * most]
+    _, largest, _, hypothesis = min(near, key=lambda one: (one[3].complexity, -one[0]))
+    return hypothesis, math.exp(largest)
+
+
+def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
+    """All that can be told from the relations of these quantities."""
+    degree = math.pi / 180
+    yield Hypothesis(
+        "angular_velocity looks like deg/s: divide by 57.3",
+        lambda q: q.changed(gyroscope=q.gyroscope * degree),
+        1,
+        TURNING,
+    )
+    for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        yield Hypothesis(
+            f'the time stamps look like {unit}: set time_unit = "{unit}"',
+            lambda q, factor=factor: q.changed(time=q.time * factor),
+            1,
+            f"{TURNING}|{MOVING}",
+        )
+    for words, sign in _turned_axes():
+        yield Hypothesis(
+            f"angular_velocity: {words}",
+            lambda q, sign=sign: q.changed(gyroscope=q.gyroscope @ sign.T),
+            _changes(sign),
+            TURNING,
+        )
+    if q.velocity is not None:
+        for words, sign in _turned_axes():
+            yield Hypothesis(
+                f"velocity: {words}",
+                lambda q, sign=sign: q.changed(velocity=_of(q.velocity) @ sign.T),
+                _changes(sign),
+                MOVING,
+            )
+    if q.rotation is not None:
+        yield from _of_truth(q)
+    for i, vector in enumerate(q.vectors):
+        yield from _of_vector(q, i, vector)
+    for i, j in itertools.combinations(range(len(q.vectors)), 2):
+        yield Hypothesis(
+            f"{q.vectors[i].name} and {q.vectors[j].name} look exchanged: exchange their columns, "
+            "or their references",
+            lambda q, i=i, j=j: _with_vectors_exchanged(q, i, j),
+            2,
+            f"{re.escape(q.vectors[i].name)}|{re.escape(q.vectors[j].name)}",
+        )
+    yield from _of_landmarks(q)
+
+
+def _of(a: np.ndarray | None) -> np.ndarray:
+    assert a is not None
+    return a
+
+
+def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
+    yield Hypothesis(
+        "the true rotation looks inverse: it must map body to inertial coordinates (transpose it, "
+        "or conjugate the quaternion)",
+        lambda q: q.changed(rotation=_of(q.rotation).transpose(0, 2, 1)),
+        1,
+        TRUTH,
+    )
+    yield Hypothesis(
+        "the true quaternion looks as if its scalar came last: posegsa reads (w, x, y, z)",
+        lambda q: q.changed(rotation=_scalar_last(_of(q.rotation))),
+        1,
+        TRUTH,
+    )
+    yield Hypothesis(
+        "the true quaternion looks inverse and as if its scalar came last: posegsa reads "
+        "(w, x, y, z), body to inertial",
+        lambda q: q.changed(rotation=_scalar_last(_of(q.rotation)).transpose(0, 2, 1)),
+        3,
+        TRUTH,
+    )
+    if q.velocity is not None:
+        yield Hypothesis(
+            "velocity looks as if it were in the inertial frame: the filter needs it in the body "
+            "frame, R^T v",
+            lambda q: q.changed(velocity=_to_body(q, _of(q.velocity))),
+            1,
+            MOVING,
+        )
+
+
+def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
+    def with_body(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Quantities], Quantities]:
+        return lambda q: _with_vector(q, i, replace(q.vectors[i], body=change(q.vectors[i].body)))
+
+    about = re.escape(vector.name)
+    for words, sign in _turned_axes():
+        yield Hypothesis(
+            f"{vector.name}: {words}",
+            with_body(lambda b, sign=sign: b @ sign.T),
+            _changes(sign),
+            about,
+        )
+    if vector.reference is None:
+        return
+    down = ": an accelerometer at rest measures upwards" if _is_up(vector.reference) else ""
+    yield Hypothesis(
+        f"{vector.name} and its reference look opposite{down}: change the sign of one",
+        with_body(np.negative),
+        1,
+        about,
+    )
+    mirrored = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    reference = vector.reference
+    yield Hypothesis(
+        f"the reference of {vector.name} looks mirrored, north-east-down for east-north-up: "
+        "(x, y, z) is (y, x, -z) in the other",
+        lambda q: _with_vector(q, i, replace(q.vectors[i], reference=reference @ mirrored.T)),
+        2,
+        about,
+    )
+    for factor, words in (
+        (GRAVITY, f"multiples of g: multiply by {GRAVITY}, or give it a reference of length 1"),
+        (1 / GRAVITY, f"m/s^2: divide by {GRAVITY}, or give it a reference of that length"),
+    ):
+        yield Hypothesis(
+            f"{vector.name} looks like {words}",
+            with_body(lambda b, factor=factor: factor * b),
+            1,
+            about,
+        )
+    if q.rotation is not None:
+        yield Hypothesis(
+            f"{vector.name} and its reference look exchanged: the first is measured in the body "
+            "frame, the second constant in the inertial frame",
+            lambda q: _with_vector(
+                q, i, replace(q.vectors[i], body=_to_body(q, q.vectors[i].body))
+            ),
+            2,
+            about,
+        )
+    if q.rotation is not None and misfits(q).get(f"{vector.name} and truth", 0.0) > FITS:
+        yield Hypothesis(
+            f"{vector.name} looks like an acceleration without gravity: the filter needs what the "
+            "sensor measures, gravity included",
+            lambda q: _with_vector(
+                q,
+                i,
+                replace(
+                    q.vectors[i],
+                    body=q.vectors[i].body
+                    + _to_body(q, np.broadcast_to(reference, q.vectors[i].body.shape)),
+                ),
+            ),
+            2,
+            about,
+        )
+
+
+def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
+    count, about = len(q.places), "landmark"
+    for i, j in itertools.combinations(range(count), 2):
+        order = list(range(count))
+        order[i], order[j] = j, i
+        yield Hypothesis(
+            f"landmarks {i} and {j} look exchanged: exchange their columns, or their references",
+            lambda q, order=order: q.changed(places=tuple(q.places[k] for k in order)),
+            1,
+            about,
+        )
+    if count and q.rotation is not None:
+        yield Hypothesis(
+            "the landmarks look as if they were measured in the inertial frame, p - P: the filter "
+            "needs them in the body frame, R^T (p - P)",
+            lambda q: q.changed(landmarks=tuple(_to_body(q, y) for y in q.landmarks)),
+            1,
+            about,
+        )
+        if q.position is not None:
+            yield Hypothesis(
+                "the landmarks look like their positions in the inertial frame: the filter needs "
+                "what the body sees, R^T (p - P)",
+                lambda q: q.changed(
+                    landmarks=tuple(_to_body(q, y - _of(q.position)) for y in q.landmarks)
+                ),
+                2,
+                about,
+            )
+    if count:
+        for words, sign in _turned_axes():
+            yield Hypothesis(
+                f"landmarks: {words}",
+                lambda q, sign=sign: q.changed(landmarks=tuple(y @ sign.T for y in q.landmarks)),
+                _changes(sign),
+                about,
+            )
+    if count > 1:
+        for j in range(count):
+            for words, sign in _turned_axes():
+                yield Hypothesis(
+                    f"landmark {j}: {words}",
+                    lambda q, j=j, sign=sign: _with_landmark(q, j, q.landmarks[j] @ sign.T),
+                    2 + _changes(sign),
+                    rf"landmarks? (\d+ and )?{j}\b",
+                )
+
+
+def _turned_axes() -> Iterator[tuple[str, np.ndarray]]:
+    """All ways to exchange axes and to change their signs, in words; but for the axes as they are.
+
+    The matrix maps what was written to what was measured.
+    """
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.array_equal(matrix, np.eye(3)):
+                continue
+            parts = [f"{'-' if s < 0 else ''}{AXES[k]}" for k, s in zip(order, signs, strict=True)]
+            flipped = [AXES[k] for k, s in zip(order, signs, strict=True) if s < 0]
+            if order == (0, 1, 2) and len(flipped) == 1:
+                words = f"the sign of its {flipped[0]} axis looks wrong"
+            else:
+                words = f"its axes look exchanged: (x, y, z) should be ({', '.join(parts)})"
+            yield words, matrix
+
+
+def _changes(matrix: np.ndarray) -> int:
+    """How many axes are exchanged or change sign."""
+    return int(np.sum(np.diag(matrix) != 1)) + int(np.sum(matrix < 0))
+
+
+def _to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
+    """R^T of vectors (K, 3)."""
+    return np.einsum("kji,kj->ki", _of(q.rotation), inertial)
+
+
+def _scalar_last(R: np.ndarray) -> np.ndarray:
+    """Rotations whose quaternions were read as (w, x, y, z) and are (x, y, z, w)."""
+    known = np.isfinite(R).all(axis=(1, 2))
+    found = np.full(R.shape, np.nan)
+    found[known] = matrices(quaternions(R[known])[:, [3, 0, 1, 2]])
+    return found
+
+
+def _with_vector(q: Quantities, i: int, vector: Vector) -> Quantities:
+    return q.changed(vectors=(*q.vectors[:i], vector, *q.vectors[i + 1 :]))
+
+
+def _with_vectors_exchanged(q: Quantities, i: int, j: int) -> Quantities:
+    one, other = q.vectors[i], q.vectors[j]
+    q = _with_vector(q, i, replace(one, body=other.body))
+    return _with_vector(q, j, replace(other, body=one.body))
+
+
+def _with_landmark(q: Quantities, j: int, seen: np.ndarray) -> Quantities:
+    return q.changed(landmarks=(*q.landmarks[:j], seen, *q.landmarks[j + 1 :]))
+
+
+def _is_up(reference: np.ndarray) -> bool:
+    """Whether a reference is vertical."""
+    mean = np.atleast_2d(reference).mean(axis=0)
+    return bool(abs(mean[2]) > 0.99 * np.linalg.norm(mean) > 0)

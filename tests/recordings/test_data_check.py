@@ -1,0 +1,250 @@
+"""A look at a recording: every usual mistake is named, and nothing else."""
+
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.recordings import inertial_motion
+from scipy.spatial.transform import Rotation
+
+import posegsa
+from posegsa.errors import ArgumentError, RecordingError
+from posegsa.figures.check_figures import plot_check
+from posegsa.recordings.data_check import check
+from posegsa.recordings.recording import Recording
+
+COUNT, STEP = 1500, 0.01
+GRAVITY, FIELD = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.44, -0.9])
+PLACES = np.array([[4.0, 1.0, 0.5], [-3.0, 4.0, 1.0], [0.5, -4.0, 2.0]])
+Arguments = dict[str, Any]
+
+
+@cache
+def flown() -> Arguments:
+    """A tumbling flight by SciPy's rotations, with noise and biases."""
+    rng = np.random.default_rng(4)
+    t = STEP * np.arange(COUNT + 1)
+    angles = np.stack([0.9 * np.sin(0.9 * t), 0.7 * np.sin(1.3 * t + 1), 0.8 * t], axis=1)
+    turn = Rotation.from_euler("xyz", angles)
+    P = np.stack([3 * np.sin(0.7 * t), 2 * np.cos(0.5 * t), 1 + 0.5 * np.sin(1.1 * t)], axis=1)
+    R = turn.as_matrix()
+    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / STEP
+    moved = np.einsum("kji,kj->ki", R[:-1], np.diff(P, axis=0)) / STEP
+    R, P = R[:-1], P[:-1]
+    vectors = np.einsum("kji,nj->kni", R, np.stack([GRAVITY, FIELD]))
+    landmarks = np.einsum("kji,knj->kni", R, PLACES - P[:, None])
+    landmarks += 0.03 * rng.normal(size=landmarks.shape)
+    landmarks[np.arange(COUNT) % 5 != 0] = np.nan
+    return {
+        "time": STEP * np.arange(COUNT),
+        "angular_velocity": rate + [0.02, -0.01, 0.01] + 0.005 * rng.normal(size=rate.shape),
+        "velocity": moved + [0.05, 0.05, -0.05] + 0.03 * rng.normal(size=moved.shape),
+        "vectors": vectors + 0.02 * rng.normal(size=vectors.shape),
+        "vector_references": np.stack([GRAVITY, FIELD]),
+        "landmarks": landmarks,
+        "landmark_references": PLACES,
+        "truth_quaternion": turn[:-1].as_quat(scalar_first=True),
+        "truth_position": P,
+        "landmark_outlier": "off",
+    }
+
+
+def true_rotations(a: Arguments) -> np.ndarray:
+    return Rotation.from_quat(a["truth_quaternion"], scalar_first=True).as_matrix()
+
+
+def one_of(a: Arguments, name: str, index: int, change: Callable[[Any], Any]) -> Arguments:
+    changed = np.array(a[name], float)
+    changed[..., index, :] = change(changed[..., index, :])
+    return a | {name: changed}
+
+
+def to_inertial(a: Arguments, values: np.ndarray) -> np.ndarray:
+    return np.einsum("kij,k...j->k...i", true_rotations(a), values)
+
+
+def late(values: np.ndarray) -> np.ndarray:
+    """Five samples, 50 ms."""
+    return np.concatenate([np.repeat(values[:1], 5, axis=0), values[:-5]])
+
+
+MISTAKES: dict[str, tuple[Callable[[Arguments], Arguments], str]] = {
+    "degrees": (
+        lambda a: a | {"angular_velocity": np.rad2deg(a["angular_velocity"])},
+        r"angular_velocity looks like deg/s: divide by 57\.3",
+    ),
+    "scalar last": (
+        lambda a: a | {"truth_quaternion": a["truth_quaternion"][:, [1, 2, 3, 0]]},
+        "quaternion looks as if its scalar came last",
+    ),
+    "inverse": (
+        lambda a: a | {"truth_quaternion": a["truth_quaternion"] * [1, -1, -1, -1]},
+        "true rotation looks inverse",
+    ),
+    "axis of the gyroscope": (
+        lambda a: a | {"angular_velocity": a["angular_velocity"] * [1, -1, 1]},
+        "angular_velocity: the sign of its y axis looks wrong",
+    ),
+    "axes of the gyroscope": (
+        lambda a: a | {"angular_velocity": a["angular_velocity"][:, [1, 2, 0]]},
+        r"angular_velocity: its axes look exchanged: \(x, y, z\) should be \(z, x, y\)",
+    ),
+    "velocity, inertial": (
+        lambda a: a | {"velocity": to_inertial(a, a["velocity"])},
+        "velocity looks as if it were in the inertial frame",
+    ),
+    "axes of the velocity": (
+        lambda a: a | {"velocity": a["velocity"][:, [1, 0, 2]]},
+        r"velocity: its axes look exchanged: \(x, y, z\) should be \(y, x, z\)",
+    ),
+    "gravity down": (
+        lambda a: one_of(a, "vector_references", 0, np.negative),
+        "vector 0 and its reference look opposite",
+    ),
+    "without gravity": (
+        lambda a: one_of(
+            a, "vectors", 0, lambda b: b - np.einsum("kji,j->ki", true_rotations(a), GRAVITY)
+        ),
+        "vector 0 looks like an acceleration without gravity",
+    ),
+    "multiples of g": (
+        lambda a: one_of(a, "vectors", 0, lambda b: b / 9.81),
+        "vector 0 looks like multiples of g",
+    ),
+    "mirrored": (
+        lambda a: one_of(a, "vector_references", 1, lambda r: r[[1, 0, 2]] * [1, 1, -1]),
+        "the reference of vector 1 looks mirrored",
+    ),
+    "vectors exchanged": (
+        lambda a: a | {"vectors": a["vectors"][:, ::-1]},
+        "vector 0 and vector 1 look exchanged",
+    ),
+    "vector and reference": (
+        lambda a: one_of(a, "vectors", 1, lambda b: to_inertial(a, b)),
+        "vector 1 and its reference look exchanged",
+    ),
+    "axis of a vector": (
+        lambda a: one_of(a, "vectors", 1, lambda b: b * [1, 1, -1]),
+        "vector 1: the sign of its z axis looks wrong",
+    ),
+    "landmarks exchanged": (
+        lambda a: a | {"landmarks": a["landmarks"][:, [2, 1, 0]]},
+        "landmarks 0 and 2 look exchanged",
+    ),
+    "landmarks, inertial": (
+        lambda a: a | {"landmarks": to_inertial(a, a["landmarks"])},
+        "landmarks look as if they were measured in the inertial frame",
+    ),
+    "axes of a landmark": (
+        lambda a: one_of(a, "landmarks", 1, lambda y: y[:, [0, 2, 1]]),
+        r"landmark 1: its axes look exchanged: \(x, y, z\) should be \(x, z, y\)",
+    ),
+    "late gyroscope": (
+        lambda a: a | {"angular_velocity": late(a["angular_velocity"])},
+        "angular_velocity looks [45]0 ms late",
+    ),
+    "late landmark": (
+        lambda a: one_of(a, "landmarks", 0, late),
+        "landmark 0 looks 50 ms late",
+    ),
+}
+WITHOUT_TRUTH = ("degrees", "axis of the gyroscope", "axes of the velocity", "landmarks exchanged")
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named_and_nothing_else(name: str) -> None:
+    planted, words = MISTAKES[name]
+    found = check(Recording.from_arrays(**planted(flown()))).findings
+    assert len(found) == 1, found
+    assert re.search(words, found[0])
+
+
+@pytest.mark.parametrize("name", WITHOUT_TRUTH)
+def test_some_are_named_without_a_truth(name: str) -> None:
+    planted, words = MISTAKES[name]
+    given = planted(flown()) | {"truth_quaternion": None, "truth_position": None}
+    found = check(Recording.from_arrays(**given)).findings
+    assert len(found) == 1, found
+    assert re.search(words, found[0])
+
+
+def test_two_mistakes_are_named_one_after_the_other() -> None:
+    first, second = "axis of the gyroscope", "landmarks exchanged"
+    planted = MISTAKES[second][0](MISTAKES[first][0](flown()))
+    found = check(Recording.from_arrays(**planted)).findings
+    assert len(found) == 2, found
+    for name in (first, second):
+        assert any(re.search(MISTAKES[name][1], words) for words in found)
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_where_there_is_no_mistake_none_is_named(truth: bool) -> None:
+    given = flown() if truth else flown() | {"truth_quaternion": None, "truth_position": None}
+    found = check(Recording.from_arrays(**given))
+    assert found.findings == []
+    assert max(found.misfits.values()) < 0.1
+    assert found.unobservable == ""
+
+
+def test_noise_rate_and_bias_are_those_of_the_sensors() -> None:
+    sensors = {one.name: one for one in check(Recording.from_arrays(**flown())).sensors}
+    known = {"angular_velocity": 0.005, "velocity": 0.03, "vector 0": 0.02, "landmark 2": 0.03}
+    for name, noise in known.items():
+        assert sensors[name].noise == pytest.approx(noise, rel=0.15), name
+    assert sensors["angular_velocity"].bias == pytest.approx(np.sqrt(6) * 0.01, rel=0.1)
+    assert sensors["velocity"].bias == pytest.approx(np.sqrt(3) * 0.05, rel=0.1)
+    assert sensors["landmark 1"].rate == pytest.approx(20)
+    assert sensors["landmark 1"].gap == pytest.approx(0.05)
+    assert sensors["vector 1"].rate == pytest.approx(100)
+
+
+def test_raw_inertial_sensors_are_compared_too() -> None:
+    given = inertial_motion(rest=2, moving=20)
+    recording = posegsa.imu(**given)
+    assert check(recording).findings == []
+    turned = given | {"mag": given["mag"] * [1, -1, 1]}
+    (words,) = check(posegsa.imu(**turned)).findings
+    assert "magnetometer: the sign of its y axis looks wrong" in words
+
+
+def test_a_body_that_hardly_moves_says_nothing() -> None:
+    given = flown()
+    still = {
+        name: np.repeat(given[name][:1], COUNT, axis=0)
+        for name in ("vectors", "landmarks", "truth_quaternion", "truth_position")
+    }
+    zeros = {name: np.zeros((COUNT, 3)) for name in ("angular_velocity", "velocity")}
+    found = check(Recording.from_arrays(**given | still | zeros))
+    assert found.findings == []
+    assert not {"gyroscope and truth", "velocity and truth"} & set(found.misfits)
+
+
+def test_the_text_has_what_was_found() -> None:
+    planted = MISTAKES["degrees"][0](flown())
+    text = check(Recording.from_arrays(**planted)).text()
+    for words in ("look: angular_velocity", "noise by axis", "landmark 2", "fits over 100 times"):
+        assert words in text
+    alone = flown() | {"vectors": None, "vector_references": None, "landmarks": None}
+    alone |= {"landmark_references": None}
+    text = check(Recording.from_arrays(**alone)).text()
+    assert "can't be determined: found no vectors and no landmarks" in text
+
+
+@pytest.mark.parametrize("factor", [1000.0, 1e-5])
+def test_time_stamps_of_another_unit_are_refused(factor: float) -> None:
+    given = flown() | {"time": factor * flown()["time"]}
+    with pytest.raises(RecordingError, match=r"time: a median step of .* Set time_unit"):
+        Recording.from_arrays(**given)
+
+
+def test_something_else_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="recording"):
+        posegsa.check("flight.csv")  # type: ignore[arg-type]
+
+
+def test_the_figure_has_a_panel_for_each_sensor() -> None:
+    found = check(Recording.from_arrays(**flown()))
+    assert len(plot_check(found).axes) == len(found.sensors) == 7
