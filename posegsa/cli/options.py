@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from posegsa.search.configured_filters import OwnFilter
 
 RECORDING = (
-    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
-    "the folder of a EuRoC sequence"
+    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD, "
+    "the folder of a EuRoC sequence, or a bag of ROS 1 or 2, with its topics in FILE.toml beside it"
 )
 
 
