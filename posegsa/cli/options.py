@@ -7,7 +7,7 @@ arguments appear at once.
 import argparse
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -112,15 +112,27 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
     parser.add_argument("--edited", action="store_true", help=words)
 
 
-def result_of(options: argparse.Namespace) -> "Result":
-    """The tuned filter that RUN names: of a run's folder, or as configured."""
+def result_of(options: argparse.Namespace, recordings: "Sequence[Recording]" = ()) -> "Result":
+    """The tuned filter that RUN names: of a run's folder, or as configured.
+
+    Args:
+        options: With RUN.
+        recordings: Whose vectors and landmarks a filter as configured knows.
+
+    Raises:
+        ArgumentError: There are recordings for a run's folder, which has its sensors.
+    """
     from posegsa.configuring import configured
     from posegsa.saving.result_files import load
 
     if is_configuration(options.run):
         if options.edited:
             raise ArgumentError(f"--edited; allowed: with the folder of a run, not {options.run}")
-        return configured(options.run, filter=own_filter(options))
+        return configured(options.run, filter=own_filter(options), recordings=recordings)
+    if recordings:
+        raise ArgumentError(
+            f"--recording; allowed: with a configuration, not the run {options.run}"
+        )
     return load(options.run, filter=own_filter(options), edited=options.edited)
 
 
