@@ -131,13 +131,14 @@ def read_rosbag(
             raise RecordingError(f"{where}, for {one.quantity}: holds no message")
         kind = held[one.topic]
         stream = _stream(where, one, kind, messages[one.topic], stamps)
-        words = f"measured: {one.topic} ({_short(kind)})"
+        words = f"{one.topic} ({_short(kind)})"
         name = "truth" if one.quantity in TRUTH else one.quantity.replace("_", " ")
         if one.quantity in SEVERAL:
             streams.setdefault(one.quantity, []).append(stream)
-            sources[name] = f"{sources[name]}, {words}" if name in sources else words
+            before = f"{sources[name]}," if name in sources else "measured:"
+            sources[name] = f"{before} {words}"
         else:
-            streams[one.quantity], sources[name] = stream, words
+            streams[one.quantity], sources[name] = stream, f"measured: {words}"
     return streams, sources
 
 

@@ -79,7 +79,8 @@ def on_one_clock(
         columns[name], note = _at(ticks, stream, way, longest)
         if own:
             continue
-        notes.append(note)
+        if not np.array_equal(stream.time, ticks):
+            notes.append(note)
         if quantity in VELOCITIES:
             last = stream.time[-1] + (stream.step if way == "hold" else 0.0)
             used &= (ticks >= stream.time[0]) & (ticks <= last)
@@ -258,6 +259,8 @@ def _nearest(ticks: np.ndarray, stream: _Stream) -> tuple[np.ndarray, str]:
     used = len(np.unique(at[near]))
     most = float(away[near].max(initial=0.0))
     words = f"each at the nearest sample of the clock, up to {1e3 * most:.3g} ms away"
+    if most == 0:
+        words = "at samples of the clock"
     if beyond := len(stream.time) - len(near):
         words += f"; {beyond} outside it left out"
     if same := len(near) - used:
