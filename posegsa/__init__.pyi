@@ -63,6 +63,7 @@ from .recordings.imu import imu as imu
 from .recordings.recording import Recording as Recording
 from .recordings.running import run_filter as run_filter
 from .recordings.start import Start as Start
+from .recordings.tum import read_tum as read_tum
 from .recordings.tum import tum_text as tum_text
 from .replaying import replay as replay
 from .runtime import enable_fast_path as enable_fast_path

@@ -50,7 +50,7 @@ def configured(
             `FuzzyGain` of a controller that the experiment can have, or another of
             `posegsa.model.schedules`.
         filter: The user's own filter, where `filter.kind` is "own" (`tune`).
-        recordings: That judge it; it then knows their sensors.
+        recordings: Whose vectors and landmarks it then knows; those with a truth judge it.
 
     Raises:
         ArgumentError: The configuration has no numbers for its schedule; or another schedule.

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from posegsa.cli.options import add_run, result_of
+from posegsa.cli.options import RECORDING, add_run, read, result_of
 from posegsa.errors import PosegsaError
 from posegsa.export.formats import FORMATS, export
 
@@ -19,6 +19,8 @@ def add(commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run(parser)
+    words = f"for a configuration: the filter knows the vectors and landmarks of {RECORDING}"
+    parser.add_argument("--recording", metavar="FILE", help=words)
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -28,7 +30,8 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
-    text = export(result_of(options), options.format, options.name)
+    recordings = [] if options.recording is None else read([options.recording], None)
+    text = export(result_of(options, recordings), options.format, options.name)
     if options.out is None:
         sys.stdout.write(text)
         return 0

@@ -8,7 +8,7 @@ import argparse
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from posegsa.search.configured_filters import OwnFilter
 
 RECORDING = (
-    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD or "
-    "the folder of a EuRoC sequence"
+    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD, "
+    "the folder of a EuRoC sequence, or a bag of ROS 1 or 2, with its topics in FILE.toml beside it"
 )
 
 
@@ -113,15 +113,27 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
     parser.add_argument("--edited", action="store_true", help=words)
 
 
-def result_of(options: argparse.Namespace) -> "Result":
-    """The tuned filter that RUN names: of a run's folder, or as configured."""
+def result_of(options: argparse.Namespace, recordings: "Sequence[Recording]" = ()) -> "Result":
+    """The tuned filter that RUN names: of a run's folder, or as configured.
+
+    Args:
+        options: With RUN.
+        recordings: Whose vectors and landmarks a filter as configured knows.
+
+    Raises:
+        ArgumentError: There are recordings for a run's folder, which has its sensors.
+    """
     from posegsa.configuring import configured
     from posegsa.saving.result_files import load
 
     if is_configuration(options.run):
         if options.edited:
             raise ArgumentError(f"--edited; allowed: with the folder of a run, not {options.run}")
-        return configured(options.run, filter=own_filter(options))
+        return configured(options.run, filter=own_filter(options), recordings=recordings)
+    if recordings:
+        raise ArgumentError(
+            f"--recording; allowed: with a configuration, not the run {options.run}"
+        )
     return load(options.run, filter=own_filter(options), edited=options.edited)
 
 

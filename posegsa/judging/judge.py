@@ -169,12 +169,18 @@ def on_recordings(
     Args:
         result: The tuned filter.
         training: Recordings that it was tuned on; the filter knows their sensors.
-        held_out: Recordings that only judge; of a filter that was not searched, it knows theirs.
+        held_out: Recordings that only judge. A filter that was not searched knows their sensors,
+            and those without a truth do not judge it.
         simulated: Its costs on simulated scenarios that were tuned on beside recordings.
     """
     scores: tuple[list[RecordingScore], list[RecordingScore]] = ([], [])
     both = ((scores[0], training), (scores[1], held_out))
-    pairs = [(to, one) for to, recordings in both for one in recordings]
+    pairs = [
+        (to, one)
+        for to, recordings in both
+        for one in recordings
+        if one.truth is not None or result.search is not None
+    ]
     for to, one in steps.each("judging", pairs, lambda pair: pair[1].name):
         to.append(own_score(result, one))
     judged = OnRecordings(

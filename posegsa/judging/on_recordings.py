@@ -101,7 +101,7 @@ class OnRecordings:
         )
         parts = [
             self.table() if self.training or self.held_out else "",
-            "" if self.held_out else alone,
+            alone if self.training and not self.held_out else "",
             "" if self.simulated is None else self.simulated.text(simulated_share),
             self.origins(),
         ]

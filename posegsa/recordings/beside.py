@@ -1,4 +1,4 @@
-"""The TOML file beside a CSV file, with facts such as the positions of the landmarks.
+"""The TOML file beside a CSV file or a bag, with facts such as the positions of the landmarks.
 
 A CSV file contains measurements, not the known surroundings. These are in `flight.csv.toml` beside
 `flight.csv`, so that one path names the whole recording:
@@ -6,7 +6,8 @@ A CSV file contains measurements, not the known surroundings. These are in `flig
     vector_references = [[0, 0, 1], [1, 0, 0]]
     landmark_references = [[4, 0, 1], [0, 4, 1], [-4, 0, 2]]
 
-A table `columns` gives the names of the columns, as in `Recording.from_csv`.
+A table `columns` gives the names of the columns, as in `Recording.from_csv`; beside a bag, a table
+`topics` gives the topics, as in `Recording.from_rosbag`.
 """
 
 from collections.abc import Mapping
@@ -18,25 +19,35 @@ import numpy as np
 from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.recordings.table import COLUMNS
+from posegsa.words import counted
 
 TABLE_KEYS = "columns", "time_unit", "delimiter"
-"""Keys for reading the CSV file."""
+"""Keys for reading a CSV file."""
+BAG_KEYS = "topics", "stamps"
+"""Keys for reading a bag."""
 ARGUMENTS = (
     *("vector_references", "vector_weights"),
     *("landmark_references", "landmark_weights"),
     "start",
 )
 """Keys that are arguments of `Recording.from_arrays`."""
+STREAM_KEYS = "truth", "between"
+"""Keys of sensors with stamps of their own: a TUM file with the truth, by its path from the folder
+of the TOML file, and what to do between samples."""
 COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks")
 
 
 def path_beside(path: Path) -> Path:
-    """The path of the TOML file of a CSV file, whether it exists or not."""
+    """The path of the TOML file of a CSV file or a bag, whether it exists or not."""
     return path.with_name(f"{path.name}.toml")
 
 
-def read_beside(path: Path) -> dict[str, Any]:
-    """The contents of the TOML file beside a CSV file; empty if there is none.
+def read_beside(path: Path, keys: tuple[str, ...] = TABLE_KEYS) -> dict[str, Any]:
+    """The contents of the TOML file beside a CSV file or a bag; empty if there is none.
+
+    Args:
+        path: The file or the bag.
+        keys: `TABLE_KEYS` or `BAG_KEYS`.
 
     Raises:
         RecordingError: It cannot be read, or contains something that is not allowed.
@@ -48,30 +59,40 @@ def read_beside(path: Path) -> dict[str, Any]:
         found = read_toml(beside)
     except ConfigError as error:
         raise RecordingError(str(error)) from None
-    allowed = (*TABLE_KEYS, *ARGUMENTS)
+    allowed = (*keys, *ARGUMENTS, *STREAM_KEYS)
     for key in found:
         if key not in allowed:
             raise RecordingError(f"{beside}: {key!r}; allowed: {', '.join(allowed)}")
-    for key in ("time_unit", "delimiter"):
+    for key in ("time_unit", "delimiter", "stamps", "truth"):
         if key in found and not isinstance(found[key], str):
             raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a text")
+    for key in ("topics", "between"):
+        if key in found and not isinstance(found[key], dict):
+            raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a table, [{key}]")
+    if "truth" in found:
+        found["truth"] = beside.parent / found["truth"]
     if "columns" in found:
         _check_columns(found["columns"], beside)
     return found
 
 
 def check_references(path: Path, arguments: Mapping[str, Any]) -> None:
-    """Raise a RecordingError if vectors or landmarks of a CSV file have no references."""
+    """Raise a RecordingError if vectors or landmarks of a file have no references."""
     for kind, what, unit in (("vector", "point", ""), ("landmark", "are", ", in m")):
         measured = arguments.get(f"{kind}s")
         given = arguments.get(f"{kind}_references") is not None
-        if measured is None or given or np.ndim(measured) != 3:
+        if measured is None or given:
             continue
-        count = np.shape(measured)[1]
+        if isinstance(measured, list):
+            count = len(measured)  # streams
+        elif np.ndim(measured) == 3:
+            count = np.shape(measured)[1]
+        else:
+            continue
         example = ", ".join(["[x, y, z]"] * count)
         raise RecordingError(
-            f"{path}: has columns of {kind}s, {count} in all, and nothing says where they {what}; "
-            f"allowed: the line {kind}_references = [{example}] in {path_beside(path)} (inertial "
+            f"{path}: has {counted(count, kind)}, and nothing says where they {what}; allowed: the "
+            f"line {kind}_references = [{example}] in {path_beside(path)} (inertial "
             f"frame{unit}), or in Python {kind}_references="
         )
 

@@ -117,7 +117,7 @@ def bridged_samples(
     if not 0 <= longest <= LONGEST_STEP:
         raise RecordingError(f"longest_gap = {longest!r}; allowed: 0 to {LONGEST_STEP:g} s")
     notes = []
-    kept = _advancing(time)
+    kept = advancing(time)
     if dropped := int(np.count_nonzero(~kept)):
         k = int(np.argmin(kept))
         where = f"first at sample {k}, {time[k]:.9g} s after {time[k - 1]:.9g} s"
@@ -173,7 +173,7 @@ def known_everywhere(bridged: Bridged, values: np.ndarray, policy: Policy) -> np
     return spread
 
 
-def _advancing(time: np.ndarray) -> np.ndarray:
+def advancing(time: np.ndarray) -> np.ndarray:
     """Whether each stamp (K,) comes after all before it."""
     latest = np.maximum.accumulate(time)
     return np.concatenate([[True], time[1:] > latest[:-1]])

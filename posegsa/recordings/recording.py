@@ -15,17 +15,20 @@ from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
 from posegsa.recordings.archive import read_npz, write_npz
-from posegsa.recordings.beside import TABLE_KEYS, check_references, read_beside
+from posegsa.recordings.beside import BAG_KEYS, TABLE_KEYS, check_references, read_beside
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import LONGEST_GAP, Policy
+from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
-from posegsa.recordings.table import Columns, read_csv
+from posegsa.recordings.streams import Between, Stream, on_one_clock
+from posegsa.recordings.table import SENSORS, Columns, read_csv
+from posegsa.recordings.tum import read_tum, with_tum
 
 LANDMARK_OUTLIER = 7.0
 """Default of `landmark_outlier`: jumps of more than this many medians are outliers."""
@@ -232,6 +235,127 @@ class Recording:
         return recording
 
     @classmethod
+    def from_streams(
+        cls,
+        *,
+        angular_velocity: Stream,
+        velocity: Stream | None = None,
+        vectors: Sequence[Stream] = (),
+        landmarks: Sequence[Stream] = (),
+        truth_quaternion: Stream | None = None,
+        truth_position: Stream | None = None,
+        sensors: Mapping[str, Stream] | None = None,
+        clock: str | ArrayLike = "angular_velocity",
+        between: Mapping[str, Between] | None = None,
+        bridge: Policy = "refuse",
+        longest_gap: float = LONGEST_GAP,
+        notes: Sequence[str] = (),
+        **more: Any,
+    ) -> "Recording":
+        """A recording of sensors with time stamps of their own, put on one clock.
+
+        A stream is a pair of time stamps (N,), integers in ns or floats in s, and values. Each of
+        its samples goes to the nearest stamp of the clock; at the others the stream is missing.
+        Velocities are held: at each sample they have the last value, as a filter has it live.
+        `notes` say for each stream what was done, and how far its stamps are from the clock's.
+
+        Args:
+            angular_velocity: gyroscope, values (N, 3), body frame [rad/s].
+            velocity: linear velocity, (N, 3), body frame [m/s]; None for attitude only.
+            vectors: one stream for each vector, (N, 3), body frame.
+            landmarks: one stream for each landmark, (N, 3), body frame [m].
+            truth_quaternion: reference of R, (N, 4) as (w, x, y, z).
+            truth_position: reference of P, (N, 3), inertial frame [m]. `read_tum` reads both.
+            sensors: raw signals (N, 3), by name (`Recording.sensors`).
+            clock: whose stamps the recording has: the name of a stream, such as "landmarks[0]", or
+                stamps (K,).
+            between: for "velocity", "vectors", "landmarks", "truth" or another stream what it is
+                between its samples: "missing", "hold" or "interpolate", linearly between the sample
+                before and the one after, which a filter does not have live.
+            bridge: as in `from_arrays`; samples of any stream whose stamps go back are dropped too.
+            longest_gap: maximum time [s] that is bridged, held or interpolated.
+            notes: `Recording.notes`.
+            more: further arguments of `from_arrays`, such as references.
+
+        Raises:
+            RecordingError: a stream does not overlap with the clock, its stamps go back, or an
+                argument is not allowed; names the stream.
+            MeasurementError: as in `from_arrays`.
+        """
+        streams: dict[str, Any] = {
+            "angular_velocity": angular_velocity,
+            "velocity": velocity,
+            "vectors": vectors,
+            "landmarks": landmarks,
+            "truth_quaternion": truth_quaternion,
+            "truth_position": truth_position,
+        }
+        named = {name: a for name, a in streams.items() if a is not None and len(a)}
+        signals = dict(sensors or {})
+        how = {"bridge": bridge, "longest": longest_gap}
+        found = on_one_clock(named | signals, clock=clock, between=between, **how)
+        found["notes"] = (*notes, *found["notes"])
+        found["sensors"] = {name: found.pop(name) for name in signals}
+        return cls.from_arrays(**found, bridge=bridge, longest_gap=longest_gap, **more)
+
+    @classmethod
+    def from_rosbag(
+        cls,
+        path: str | Path,
+        topics: Topics | None = None,
+        *,
+        truth: str | Path | None = None,
+        stamps: Stamps | None = None,
+        **more: Any,
+    ) -> "Recording":
+        """A recording from a bag of ROS 1 or ROS 2 (`pip install "posegsa[ros]"`).
+
+        Topics have stamps of their own and are put on the gyroscope's clock as in `from_streams`.
+        A vector is divided by the length of its reference, and the reference too, so that
+        accelerations and magnetic fields have the same unit.
+
+        Args:
+            path: the bag: a .bag file, or the folder, .mcap or .db3 file of ROS 2.
+            topics: for each quantity its topic: {"angular_velocity": "/imu", "velocity": "/odom",
+                "vectors": ["/imu", "/mag"], "landmarks": ["/tag_0"], "truth": "/mocap"}; also
+                "accelerometer" and "magnetometer". `posegsa.recordings.rosbag` has their types and
+                frames. By default they are read from the TOML file beside the bag
+                (`posegsa.recordings.beside`); without one they are the only Imu and MagneticField.
+            truth: a TUM file with the truth, instead of a topic.
+            stamps: "header" (default), when it was measured, or "bag", when it came into the bag.
+            more: further arguments of `from_streams` and `from_arrays`, such as references,
+                weights, `between` and `bridge`.
+
+        Raises:
+            RecordingError: the bag cannot be read, a topic is missing or of another type, or
+                vectors or landmarks have no references; names it and what the bag has.
+            MeasurementError: as in `from_arrays`.
+        """
+        path = as_path(path)
+        given = {"topics": topics, "truth": truth, "stamps": stamps} | more
+        found: dict[str, Any] = {"name": path.stem} | read_beside(path, BAG_KEYS)
+        found |= {name: value for name, value in given.items() if value is not None}
+        reference = found.pop("truth", None)
+        streams, sources = read_rosbag(
+            path, found.pop("topics", None), found.pop("stamps", "header")
+        )
+        if reference is not None:
+            if "truth_position" in streams:
+                raise RecordingError(
+                    f"{path}: truth: a topic and {reference}; allowed: one of both"
+                )
+            streams |= read_tum(reference)
+            sources["truth"] = str(reference)
+        check_references(path, streams | found)
+        if "vectors" in streams:
+            known = found["vector_references"]
+            streams["vectors"], found["vector_references"] = of_unit_length(
+                streams["vectors"], known
+            )
+        signals = {name: streams.pop(name) for name in SENSORS if name in streams}
+        return cls.from_streams(**{"sources": sources, "sensors": signals} | streams | found)
+
+    @classmethod
     def from_csv(
         cls,
         path: str | Path,
@@ -239,6 +363,7 @@ class Recording:
         *,
         time_unit: str = "s",
         delimiter: str = ",",
+        truth: str | Path | None = None,
         **more: Any,
     ) -> "Recording":
         """A recording from a CSV file with one header line; an empty cell is NaN.
@@ -253,7 +378,9 @@ class Recording:
                 `posegsa.recordings.table.COLUMNS` that the CSV file has.
             time_unit: of the time stamps: "s", "ms", "us" or "ns"; integers keep all their digits.
             delimiter: between two cells.
-            more: further arguments of `from_arrays`, such as references, weights and `bridge`.
+            truth: a TUM file with the truth, by the clock of the CSV file (`from_streams`).
+            more: further arguments of `from_arrays`, such as references, weights and `bridge`;
+                also `between`, as in `from_streams`, for the TUM file: {"truth": "interpolate"}.
 
         Raises:
             RecordingError: the CSV or TOML file cannot be read, a column is missing, or vectors or
@@ -271,6 +398,12 @@ class Recording:
         found: dict[str, Any] = {"name": path.stem}
         found |= read_csv(path, columns, time_unit, delimiter) | beside | more
         check_references(path, found)
+        reference, between = truth or found.pop("truth", None), found.pop("between", None)
+        found.pop("truth", None)
+        if reference is not None:
+            found = with_tum(found, reference, between)
+        elif between is not None:
+            raise RecordingError(f"{path}: between; allowed: with truth, a TUM file")
         return cls.from_arrays(**found)
 
     @classmethod
@@ -346,7 +479,9 @@ class Recording:
 
     @classmethod
     def read(cls, path: str | Path, **more: Any) -> "Recording":
-        """A recording from any supported file or folder: .csv, .npz, BROAD .mat, EuRoC folder.
+        """A recording from any supported file or folder.
+
+        They are .csv, .npz, .mat of BROAD, the folder of a EuRoC sequence, and bags of ROS 1 and 2.
 
         Args:
             path: the file or folder.
@@ -356,11 +491,13 @@ class Recording:
             RecordingError: the kind is not supported, or it cannot be read.
         """
         path = as_path(path)
+        if is_bag(path):
+            return cls.from_rosbag(path, **more)
         if path.is_dir():
             return cls.from_euroc(path, **more)
         readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
         if path.suffix.lower() not in readers:
-            kinds = f"{', '.join(readers)} or the folder of a EuRoC sequence"
+            kinds = f"{', '.join(readers)}, a bag of ROS or the folder of a EuRoC sequence"
             what = "is not a recording" if path.exists() else "there is no such file or folder"
             raise RecordingError(f"{path}: {what}; allowed: {kinds}")
         return readers[path.suffix.lower()](path, **more)

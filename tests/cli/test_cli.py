@@ -19,8 +19,10 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
+import numpy as np
 import pytest
 from helpers.experiments import TINY
+from helpers.recordings import motion
 
 from posegsa import config
 from posegsa.cli.command import main, parser
@@ -258,6 +260,23 @@ def test_a_configuration_stands_for_its_own_filter(monkeypatch, capsys):
     assert [k for (k,) in found.values()] == pytest.approx(config.load("quick").tuned.numbers)
     assert main(["export", "quick", "--format", "json", "--edited"]) == 2
     assert "--edited; allowed: with the folder of a run, not quick" in capsys.readouterr().err
+
+
+def test_a_configuration_knows_the_sensors_of_a_recording(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
+    given = motion()
+    columns = [np.arange(400) / 100, given["angular_velocity"], given["velocity"]]
+    path = tmp_path / "flight.csv"  # without a truth
+    head = "time,wx,wy,wz,vx,vy,vz,v0_x,v0_y,v0_z"
+    rows = np.column_stack([*columns, given["vectors"][:, 0]])
+    np.savetxt(path, rows, delimiter=",", header=head, comments="")
+    path.with_name("flight.csv.toml").write_text("vector_references = [[0, 0.6, 0.8]]")
+    assert main(["export", "kalman", "--format", "c", "--recording", str(path)]) == 0
+    assert "{0, POSEGSA_C(0.6), POSEGSA_C(0.8)}" in capsys.readouterr().out
+    assert main(["export", str(tmp_path), "--format", "c", "--recording", str(path)]) == 2
+    assert f"--recording; allowed: with a configuration, not the run {tmp_path}" in (
+        capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

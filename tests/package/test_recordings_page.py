@@ -1,65 +1,75 @@
-"""docs/recordings.md: its ten lines run, and its tables are those of the benchmark."""
+"""docs/recordings.md: what it runs runs, and its tables are those of the benchmark."""
 
 import ast
 import json
 import re
+import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 import recordings as benchmark
-from helpers.recordings import LANDMARKS, motion
 
 import posegsa
+from posegsa.cli import main
 from posegsa.recordings.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent.parent
 TEXT = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
-TINY = """
-[filter]
-vector_bias = "off"
-cross_vector = false
-substeps = 1
-[parameters]
-also = []
-[search]
-optimiser = "random_search"
-agents = 8
-iterations = 2
-"""
+DATA = ROOT / "examples" / "data"
 
 
-def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+def test_the_ten_lines_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)[0]
     statements = ast.parse(code).body
     assert len(statements) <= 10
-    # Without the Kalman filter, which takes most of the compile time, and without the fast path.
-    left_out = "posegsa.enable_fast_path()", "print(posegsa.evaluate"
-    kept = [ast.unparse(one) for one in statements if not ast.unparse(one).startswith(left_out)]
-    assert len(kept) == len(statements) - 2
-    given = motion()
-    q = posegsa.tum_text(np.arange(400) / 100, given["truth_rotation"], given["truth_position"])
-    table = np.array([line.split() for line in q.splitlines()], float)
-    time, P, quaternion = table[:, :1], table[:, 1:4], np.roll(table[:, 4:], 1, axis=1)
-    columns = [
-        time,
-        given["angular_velocity"],
-        given["velocity"],
-        given["landmarks"].reshape(400, 9),
-    ]
-    names = "t gx gy gz vx vy vz ax ay az bx by bz cx cy cz qw qx qy qz x y z"
-    rows = np.concatenate([*columns, quaternion, P], axis=1)
-    np.savetxt(
-        tmp_path / "flight.csv", rows, delimiter=",", header=names.replace(" ", ","), comments=""
-    )
-    (tmp_path / "configs").mkdir()
-    (tmp_path / "configs" / "landmarks.toml").write_text(TINY)
-    text = "\n".join(kept).replace("[[4, 0, 1], [0, 4, 1], [-4, 0, 2]]", str(LANDMARKS.tolist()))
-    text = text.replace("window(0, 40)", "window(0, 2)").replace("window(40)", "window(2)")
-    monkeypatch.chdir(tmp_path)
+    # JAX has started already.
+    text = code.replace("posegsa.enable_fast_path()\n", "")
+    assert text != code
+    monkeypatch.chdir(ROOT)
     exec(text, found := {})  # the page's own text
-    assert isinstance(found["result"], posegsa.Result)
-    assert (tmp_path / "run" / "result.json").exists()
+    rmse = posegsa.recording_errors(found["replayed"].estimates, found["flight"]).rmse()["judged"]
+    told = f"errors of {rmse.total:.2f}° and {100 * rmse.position:.1f} cm"
+    assert told in TEXT
+    assert "0.4383711" in found["header"]  # a reference of the flight
+
+
+def test_its_commands_run_on_the_data_of_the_examples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages = TEXT, (ROOT / "README.md").read_text(encoding="utf-8")
+    found = {
+        " ".join(command.split("#")[0].split())
+        for page in pages
+        for command in re.findall(r"posegsa ((?:replay|export)\b[^`\n]*examples/data[^`\n]*)", page)
+    }
+    assert len(found) == 3
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)  # JAX has started
+    for command in found:
+        given = command.replace("filter.h", str(tmp_path / "filter.h")).split()
+        assert main(given) == 0, command
+    out = capsys.readouterr().out
+    imu = re.search(r"^broad +judged +\d+ +([\d.]+)", out, re.MULTILINE)
+    assert imu is not None
+    assert f"the second of {imu[1]}°" in TEXT
+    assert (tmp_path / "filter.h").exists()
+
+
+@pytest.mark.quick
+def test_the_filter_that_it_shows_is_the_one_of_the_examples() -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+    (shown,) = (block for block in blocks if "[filter]" in block)
+    assert tomllib.loads(shown) == tomllib.loads((DATA / "sensors.toml").read_text())
+
+
+@pytest.mark.quick
+def test_the_data_are_attributed() -> None:
+    words = (DATA / "README.md").read_text(encoding="utf-8")
+    for fact in ("BROAD", "Laidig", "Creative Commons Attribution", "licenses/by/4.0", "Changes"):
+        assert fact in words
+    assert {path.name for path in DATA.iterdir()} == {
+        *("README.md", "broad.npz", "eight.csv", "eight.csv.toml", "sensors.toml")
+    }
 
 
 @pytest.mark.quick

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.messages import assert_told
+from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
+from posegsa.errors import RecordingError
 
 pytestmark = pytest.mark.quick
 
@@ -27,6 +30,57 @@ def test_a_line_is_time_position_and_quaternion_scalar_last() -> None:
     read = Rotation.from_quat(numbers[:, 4:])
     np.testing.assert_allclose(read.as_matrix(), matrices[[0, 2]], atol=1e-9)
     assert posegsa.tum_text([0], matrices[:1]).split()[1:4] == ["0", "0", "0"]
+
+
+def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
+    R, P = Rotation.random(3, rng=0), np.arange(9.0).reshape(3, 3)
+    path = tmp_path / "a.tum"
+    path.write_text("# time x y z\n\n" + posegsa.tum_text([0, 0.5, 1], R.as_matrix(), P))
+    found = posegsa.read_tum(path)
+    np.testing.assert_array_equal(found["truth_position"][0], [0, 0.5, 1])
+    np.testing.assert_array_equal(found["truth_position"][1], P)
+    read = Rotation.from_quat(np.asarray(found["truth_quaternion"][1]), scalar_first=True)
+    np.testing.assert_allclose(read.as_matrix(), R.as_matrix(), atol=1e-9)
+
+
+def test_a_csv_file_has_its_truth_from_a_tum_file(tmp_path: Path) -> None:
+    given = motion()
+    time = 100 + np.arange(400) / 100
+    rows = np.column_stack([time, given["angular_velocity"], given["vectors"][:, 0]])
+    head = "time,wx,wy,wz,v0_x,v0_y,v0_z"
+    path = tmp_path / "a.csv"
+    np.savetxt(path, rows, delimiter=",", header=head, comments="")
+    truth = given["truth_rotation"][::4], given["truth_position"][::4]
+    (tmp_path / "a.tum").write_text(posegsa.tum_text(time[::4], *truth))
+    beside = tmp_path / "a.csv.toml"
+    beside.write_text('truth = "a.tum"\nvector_references = [[0, 0, 1]]')
+    recording = posegsa.Recording.read(path)
+    assert np.flatnonzero(recording.judged).tolist() == list(range(0, 400, 4))
+    assert_told(recording.describe(), "truth_quaternion", "100 samples", "25 Hz")
+    between = {"truth": "interpolate"}
+    recording = posegsa.Recording.from_csv(path, truth=tmp_path / "a.tum", between=between)
+    assert recording.judged.sum() == 397
+    assert recording.truth is not None
+    np.testing.assert_allclose(
+        recording.truth.rotation[:397], given["truth_rotation"][:397], atol=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "facts"),
+    [
+        ("1 2 3\n", ("line 1", "3", "qw")),
+        ("# head\n1 2 3 4 0 0 0 x\n", ("line 2", "x")),
+        ("1 2 3 4 0 0 0 2\n", ("line 1", "qx", "2")),
+        ("# nothing\n", ("no pose", "qw")),
+    ],
+)
+def test_a_file_that_is_none_is_refused(text: str, facts: tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / "a.tum"
+    path.write_text(text)
+    with pytest.raises(RecordingError) as caught:
+        posegsa.read_tum(path)
+    assert_told(str(caught.value), "a.tum", *facts)
 
 
 @pytest.mark.parametrize(("relation", "ours"), [("trans_part", "position"), ("angle_deg", "total")])
