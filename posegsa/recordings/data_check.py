@@ -1,5 +1,6 @@
 """A look at a recording before a filter runs on it: rates, gaps, noise, biases, mistakes."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -57,7 +58,44 @@ class DataCheck:
             parts.append("\n".join(f"  look: {words}" for words in self.findings))
         else:
             parts.append("No mistake was found: the sensors agree with each other and the truth.")
+            if settings := self.settings:
+                parts.append(f"These noises as a configuration:\n\n{settings}")
         return "\n\n".join(parts)
+
+    @property
+    def settings(self) -> str:
+        """The noises that were found as a [filter] table; "" for an attitude-only recording."""
+        if self.recording.attitude_only:
+            return ""
+        root, found = math.sqrt(self.recording.time_step), ["[filter]", 'kind = "kalman"']
+        for key, kind, bias, density in _SETTINGS:
+            own = [one for one in self.sensors if one.name.startswith(kind) and one.noise > 0]
+            if not own:
+                continue
+            noise = float(np.median([one.noise for one in own])) * (root if density else 1.0)
+            found.append(f"{key} = {noise:.2g}  # {_UNITS[key]}")
+            biases = [one.bias / math.sqrt(3) for one in own if one.bias is not None]
+            if bias and biases:
+                found.append(f"{bias} = {max(biases):.2g}  # {_UNITS[bias]}")
+        return "\n".join(found)
+
+
+_SETTINGS = (
+    ("angular_velocity", "angular_velocity", "initial_angular_bias", True),
+    ("velocity", "velocity", "initial_linear_bias", True),
+    ("vector", "vector", "initial_vector_bias", False),
+    ("landmark", "landmark", "", False),
+)
+"""Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
+_UNITS = {
+    "angular_velocity": "rad/sqrt(s)",
+    "velocity": "m/sqrt(s)",
+    "vector": "of each component",
+    "landmark": "m",
+    "initial_angular_bias": "rad/s",
+    "initial_linear_bias": "m/s",
+    "initial_vector_bias": "as large as it was",
+}
 
 
 def check(recording: Recording) -> DataCheck:

@@ -201,6 +201,18 @@ def test_noise_rate_and_bias_are_those_of_the_sensors() -> None:
     assert sensors["vector 1"].rate == pytest.approx(100)
 
 
+def test_the_noises_are_a_configuration(tmp_path) -> None:
+    path = tmp_path / "found.toml"
+    path.write_text(check(Recording.from_arrays(**flown())).settings)
+    filter: Any = posegsa.load_config(path).filter
+    assert filter.kind == "kalman"
+    assert filter.angular_velocity == pytest.approx(0.0005, rel=0.15)
+    assert filter.velocity == pytest.approx(0.003, rel=0.15)
+    assert filter.landmark == pytest.approx(0.03, rel=0.15)
+    assert filter.initial_linear_bias == pytest.approx(0.05, rel=0.15)
+    assert check(posegsa.imu(**inertial_motion())).settings == ""
+
+
 def test_raw_inertial_sensors_are_compared_too() -> None:
     given = inertial_motion(rest=2, moving=20)
     recording = posegsa.imu(**given)
