@@ -29,6 +29,8 @@ def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
 
 NOT_CUT = 0.99
 """Share of the gain asked for from which on it counts as used."""
+MATTERS = 1.02
+"""Ratio of errors below which filters count as equally good."""
 MOSTLY = 0.5
 """Share of samples above which a result warns that the gain limit sets the gain."""
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -101,11 +103,40 @@ class OnRecordings:
         )
         parts = [
             self.table() if self.training or self.held_out else "",
+            self.verdict(),
             alone if self.training and not self.held_out else "",
             "" if self.simulated is None else self.simulated.text(simulated_share),
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
+
+    def verdict(self) -> str:
+        """Which of the filters beside it does better on what was held out, the best first.
+
+        "" if there are none. Errors are means over the recordings; less than MATTERS apart they are
+        as good.
+        """
+        if not (self.held_out and self.baselines):
+            return ""
+        own = mean_errors(self.held_out)
+        better: list[tuple[float, str]] = []
+        for name, scores in self.baselines.items():
+            other = mean_errors(scores)
+            shares = {"attitude": other.total / own.total}
+            if own.position and other.position is not None:
+                shares["position"] = other.position / own.position
+            least = min(shares, key=shares.__getitem__)
+            if shares[least] < 1 / MATTERS:
+                parts = [f"{100 * share:.0f} % in {of}" for of, share in shares.items()]
+                better.append((shares[least], f"{name} ({' and '.join(parts)})"))
+        position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
+        head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
+        if not better:
+            return f"{head}No filter beside it errs less, in attitude or in position."
+        listed = ", ".join(words for _, words in sorted(better))
+        return (
+            f"{head}Smaller errors, as shares of these: {listed}. Take the one that matters to you."
+        )
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""

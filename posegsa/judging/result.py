@@ -45,6 +45,9 @@ from posegsa.words import counted, text_table
 TunedOn = Literal["scenarios", "recordings", "recordings and scenarios"]
 """What a search saw."""
 
+AT_END = 0.01
+"""Share of its box, by its scale, within which a number is at an end of it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FoundBy:
@@ -257,8 +260,26 @@ class Result:
             parts.append(f"Tuned{beside}: {tuned}")
         if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:
             parts.append(rules_text(self.controller.rules))
-        warned = [f"  warning: {warning}" for warning in self.warnings()]
-        return "\n".join(["\n\n".join(filter(None, parts)), *warned])
+        lines = [f"  note: {words}" for words in self.at_ends()]
+        lines += [f"  warning: {warning}" for warning in self.warnings()]
+        return "\n".join(["\n\n".join(filter(None, parts)), *lines])
+
+    def at_ends(self) -> list[str]:
+        """The tuned numbers beside a schedule's that are at an end of their box, in words."""
+        found, tuned = [], {} if self.search is None else self.also
+        for one in self.experiment.also:
+            if one.key not in tuned or one.lower == one.upper:
+                continue
+            ends = np.array([one.lower, tuned[one.key], one.upper])
+            low, value, high = np.log(ends) if one.scale == "logarithmic" else ends
+            share = (value - low) / (high - low)
+            if not AT_END <= share <= 1 - AT_END:
+                end = "lower" if share < AT_END else "upper"
+                found.append(
+                    f"{one.key} = {tuned[one.key]:.4g} is at the {end} end of its box, "
+                    f"{one.lower:g} to {one.upper:g}: widen it ([[parameters.also]]), or state it"
+                )
+        return found
 
     def _head(self) -> str:
         """How the filter was found."""
