@@ -8,7 +8,7 @@ import numpy as np
 
 from posegsa.arguments import check_type
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
-from posegsa.recordings.delays import delays, predicted
+from posegsa.recordings.delays import late_sensors, predicted
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.relations import FEWEST, Quantities, misfits, quantities
@@ -114,7 +114,7 @@ def check(recording: Recording) -> DataCheck:
     check_type("recording", recording, Recording)
     q = quantities(recording)
     found = [str(one) for one in mistakes(q)]
-    found += [str(one) for one in delays(q) if one.clear] if not found else []
+    found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
     return DataCheck(
         recording=recording,
         sensors=_sensors(recording, q),

@@ -53,6 +53,18 @@ class Delay(NamedTuple):
         return f"{self.sensor} looks {1000 * abs(self.delay):.0f} ms {word}, by the truth"
 
 
+def late_sensors(q: Quantities) -> list[str]:
+    """The sensors that are late or early, in words; one line if all are by the same time."""
+    every = delays(q)
+    clear = [one for one in every if one.clear]
+    if len(clear) > 2 and len(clear) == len(every):
+        shifts = [one.delay for one in clear]
+        middle = float(np.median(shifts))
+        if max(abs(shift - middle) for shift in shifts) < LATE / 2:
+            return [str(clear[0]._replace(sensor="each sensor", delay=middle))]
+    return [str(one) for one in clear]
+
+
 def delays(q: Quantities) -> list[Delay]:
     """The delays of all sensors that the truth says something about."""
     found = [_delay(one, q.time) for one in predicted(q)]

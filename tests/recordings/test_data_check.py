@@ -66,6 +66,9 @@ def to_inertial(a: Arguments, values: np.ndarray) -> np.ndarray:
     return np.einsum("kij,k...j->k...i", true_rotations(a), values)
 
 
+SENSORS = ("angular_velocity", "velocity", "vectors", "landmarks")
+
+
 def late(values: np.ndarray) -> np.ndarray:
     """Five samples, 50 ms."""
     return np.concatenate([np.repeat(values[:1], 5, axis=0), values[:-5]])
@@ -145,6 +148,10 @@ MISTAKES: dict[str, tuple[Callable[[Arguments], Arguments], str]] = {
     "late gyroscope": (
         lambda a: a | {"angular_velocity": late(a["angular_velocity"])},
         "angular_velocity looks [45]0 ms late",
+    ),
+    "everything late": (
+        lambda a: a | {name: late(a[name]) for name in SENSORS},
+        "each sensor looks 50 ms late",
     ),
     "late landmark": (
         lambda a: one_of(a, "landmarks", 0, late),
