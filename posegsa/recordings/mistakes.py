@@ -23,8 +23,9 @@ FITS = 0.35
 """Misfit that the relation that gains most may have at most under the hypothesis."""
 MANY = 100.0
 """Ratio that is not told more precisely."""
-SUSPICIOUS = 0.12
-"""Largest misfit up to which nothing is looked for."""
+SUSPICIOUS = 0.06
+"""Largest misfit with the truth up to which nothing is looked for; of others, whose noise is not
+averaged, twice that."""
 AS_GOOD = 0.85
 """Share of the largest gain from which on a simpler hypothesis is preferred."""
 GRAVITY = 9.81
@@ -76,7 +77,11 @@ def mistakes(q: Quantities) -> list[Mistake]:
 def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
     before = misfits(q)
     tried: list[tuple[float, float, float, Hypothesis]] = []
-    suspicious = [name for name, misfit in before.items() if misfit > SUSPICIOUS]
+    suspicious = [
+        name
+        for name, misfit in before.items()
+        if misfit > (SUSPICIOUS if "truth" in name else 2 * SUSPICIOUS)
+    ]
     for hypothesis in hypotheses(q):
         if not any(re.search(hypothesis.of, name) for name in suspicious):
             continue

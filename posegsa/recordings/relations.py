@@ -35,6 +35,8 @@ TURNED, MOVED = 0.03, 0.03
 """Median turn [rad] and displacement [m] of an interval below which relations are missing."""
 FEWEST = 20
 """Intervals, or measurements, that a relation needs."""
+AVERAGED = 20
+"""Measurements of a vector that are averaged in the inertial frame, where it is constant."""
 FINEST = 0.01
 """Smallest misfit: a better one is as good."""
 GRAVITY = 9.81
@@ -285,7 +287,13 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         return _median_length(seen - np.median(seen, axis=0)) / max(size, 1e-12)
     r = np.broadcast_to(vector.reference, vector.body.shape)[there]
     r = r * (size / max(_median_length(r), 1e-12))  # its length is another relation
-    return _median_length(seen - r) / max(size, 1e-12)
+    return _median_length(_averaged(seen - r)) / max(size, 1e-12)
+
+
+def _averaged(off: np.ndarray) -> np.ndarray:
+    """Means of differences (K, 3) over AVERAGED measurements, so that their noise cancels."""
+    first = np.arange(0, len(off), AVERAGED)
+    return np.add.reduceat(off, first, axis=0) / np.diff(np.append(first, len(off)))[:, None]
 
 
 def _length(_: Quantities, vector: Vector) -> float | None:
