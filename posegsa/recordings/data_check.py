@@ -154,7 +154,7 @@ def _there(recording: Recording, name: str) -> np.ndarray:
     """(K,) at which samples a sensor has a measurement."""
     kind, _, index = name.partition(" ")
     if kind in recording.sensors:
-        return np.isfinite(recording.sensors[kind]).all(axis=1)
+        return np.asarray(np.isfinite(recording.sensors[kind]).all(axis=1))
     if kind in ("vector", "landmark"):
         weights = np.asarray(getattr(recording.measurements, f"{kind}_weights"))
         return np.asarray(weights[:, int(index)] > 0)

@@ -116,7 +116,7 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     near = np.abs(time[at + widest] - time[at - widest] - 2 * widest * step) < step
     shifts = np.arange(-widest, widest + 1)
     rows = at[near][:, None] - shifts
-    there = np.isfinite(expected).all(axis=1)[rows].all(axis=1)
+    there = np.asarray(np.isfinite(expected).all(axis=1))[rows].all(axis=1)
     rows = rows[there]
     if len(rows) < FEWEST:
         return None
