@@ -37,13 +37,18 @@ from posegsa.search import memory
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.problem import TuningProblem, tuning_problem
-from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem, tuned_on_recordings
+from posegsa.search.recorded import (
+    DEGREES_PER_METRE,
+    default_experiment,
+    recorded_problem,
+    tuned_on_recordings,
+)
 from posegsa.search.run_search import run_search, search_batch, tell_search
 from posegsa.search.search_spaces import own_space
 from posegsa.words import toml
 
 Given = config.Experiment | str | Path | None
-"""An experiment or a TOML file; None for the recommended experiment."""
+"""An experiment or a TOML file; None for the default."""
 Recordings = Recording | Iterable[Recording]
 """One recording, or several."""
 
@@ -73,11 +78,13 @@ def tune(
     results.
 
     Args:
-        experiment: An experiment, or a TOML file; by default the recommended experiment, or that of
-            the run to resume. Its [filter] says what is tuned: the observer with a fuzzy, constant
-            or smooth gain, the Kalman filter, or a filter of the user's own. On recordings, its
-            filter, signal, fuzzy inference, boxes, `parameters.also`, objective and optimiser are
-            used, and the weights of its scenario's vectors and landmarks, in order.
+        experiment: An experiment, or a TOML file; by default that of the run to resume, the
+            recommended experiment, or on recordings a Kalman filter with the noises that they show
+            (without a body velocity the attitude filter, `imu`). Its [filter] says what is tuned:
+            the observer with a fuzzy, constant or smooth gain, the Kalman filter, or a filter of
+            the user's own. On recordings, its filter, signal, fuzzy inference, boxes,
+            `parameters.also`, objective and optimiser are used, and the weights of its scenario's
+            vectors and landmarks, in order.
         filter: The user's own filter (`filters.base.Filter`), where `filter.kind` is "own": its
             class, or any function that makes one of the numbers of [filter], given by name; or a
             filter, which then gets them by its `with_values`.
@@ -133,6 +140,8 @@ def tune(
         if resume is not None:
             folder = folder_to_resume(resume, out, overwrite)
             return _resume(folder, experiment, seed, iterations, recorded, filter, cost, drawn)
+        if experiment is None and recorded is not None:
+            experiment = default_experiment(recorded.training)
         chosen = _chosen(experiment, seed, iterations)
         task = _Task(chosen, _as_read(recorded, chosen), filter, cost)
         task.check()

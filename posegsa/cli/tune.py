@@ -25,6 +25,7 @@ from posegsa.cli.progress import Display
 from posegsa.errors import ArgumentError, PosegsaWarning
 
 if TYPE_CHECKING:
+    from posegsa.recordings.recording import Recording
     from posegsa.saving.checkpointing import CheckpointedRun
 
 OUT = "posegsa-run"
@@ -38,14 +39,13 @@ def add(commands) -> None:
         help="tune a filter and judge it on unseen scenarios or recordings",
         description="Tunes a filter and judges it on scenarios that it was not tuned on, or, with "
         "--recording, on recordings. Writes the result, tables, figures and report.html to a "
-        "folder; on recordings the result and tables. The filter is that of CONFIG: the observer "
-        "with a fuzzy gain, another one by --set filter.schedule=constant (or smooth) or --set "
-        "filter.kind=kalman, that for inertial sensors by the CONFIG imu, or your own with "
-        "--filter.",
+        "folder; on recordings the result and tables. The filter is that of CONFIG, such as "
+        "recommended, observer, kalman or imu, or your own with --filter.",
     )
     add_search_arguments(
         parser,
-        config="the recommended experiment, or that of the run to resume",
+        config="the recommended experiment, or that of the run to resume; with --recording a "
+        "Kalman filter with the noises that are found",
         setting="filter.substeps=4",
         out=f"folder for results and checkpoints (default: {OUT})",
         replaced="the run in the folder",
@@ -98,8 +98,11 @@ def run(options: argparse.Namespace) -> int:
     if options.figures and options.recording is not None:
         words = "without --recording, as a search on recordings draws none"
         raise ArgumentError(f"--figures; allowed: {words}")
-    experiment = _experiment(options)
-    recorded = _recordings(options, experiment.filter.kind)
+    found = _recordings(options)
+    experiment = _experiment(options, found.get("recordings"))
+    recorded: dict[str, Any] = {
+        name: in_frame(options, experiment.filter.kind, each) for name, each in found.items()
+    }
     for one in (each for several in recorded.values() for each in several):
         print(one.describe())
     out = OUT if options.out is None and options.resume is None else options.out
@@ -127,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _recordings(options: argparse.Namespace, kind: str) -> "dict[str, Any]":
+def _recordings(options: argparse.Namespace) -> "dict[str, list[Recording]]":
     """The recordings to tune on and those held out, as `tune` takes them; {} on scenarios."""
     if options.held_out_window is not None and options.held_out is None:
         raise ArgumentError("--held-out-window; allowed: with --held-out")
@@ -145,7 +148,18 @@ def _recordings(options: argparse.Namespace, kind: str) -> "dict[str, Any]":
     }
     for each in found.values():
         warn_of_mistakes(each)
-    return {name: in_frame(options, kind, each) for name, each in found.items()}
+    return found
+
+
+def _tell_noises(experiment: "config.Experiment") -> None:
+    """Say what filter was chosen for the recordings."""
+    kind = experiment.filter.kind
+    if kind == "imu":
+        print("Without CONFIG: imu, the attitude filter, as there is no body velocity.")
+        return
+    noises = experiment.filter.model_dump(exclude_defaults=True, exclude={"kind"})
+    found = ", ".join(f"{key} {value:.3g}" for key, value in noises.items() if value != "estimated")
+    print(f"Without CONFIG: a Kalman filter with the noises found in the recordings: {found}.")
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str, kind: str) -> str:
@@ -195,10 +209,17 @@ def _run_to_resume(options: argparse.Namespace) -> "CheckpointedRun":
         return newest_checkpoint(Path(options.resume))
 
 
-def _experiment(options: argparse.Namespace) -> "config.Experiment":
+def _experiment(
+    options: argparse.Namespace, recordings: "list[Recording] | None"
+) -> "config.Experiment":
     """The experiment to search: CONFIG, or that of the run to resume, with all settings."""
     if options.config is None and options.resume is not None:
         experiment = _run_to_resume(options).about.experiment
+    elif options.config is None and recordings is not None:
+        from posegsa.search.recorded import default_experiment
+
+        experiment = default_experiment(recordings)
+        _tell_noises(experiment)
     else:
         experiment = config.as_experiment(options.config)
     replaced = {"run.seed": options.seed, "search.iterations": options.iterations}

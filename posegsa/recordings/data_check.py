@@ -1,6 +1,7 @@
 """A look at a recording before a filter runs on it: rates, gaps, noise, biases, mistakes."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,17 +68,9 @@ class DataCheck:
         """The noises that were found as a [filter] table; "" for an attitude-only recording."""
         if self.recording.attitude_only:
             return ""
-        root, found = math.sqrt(self.recording.time_step), ["[filter]", 'kind = "kalman"']
-        for key, kind, bias, density in _SETTINGS:
-            own = [one for one in self.sensors if one.name.startswith(kind) and one.noise > 0]
-            if not own:
-                continue
-            noise = float(np.median([one.noise for one in own])) * (root if density else 1.0)
-            found.append(f"{key} = {noise:.2g}  # {_UNITS[key]}")
-            biases = [one.bias / math.sqrt(3) for one in own if one.bias is not None]
-            if bias and biases:
-                found.append(f"{bias} = {max(biases):.2g}  # {_UNITS[bias]}")
-        return "\n".join(found)
+        numbers = _noises(self.recording, self.sensors) | ASSUMED
+        lines = [f"{key} = {value:.2g}  # {_UNITS[key]}" for key, value in numbers.items()]
+        return "\n".join(["[filter]", 'kind = "kalman"', *lines])
 
 
 _SETTINGS = (
@@ -87,6 +80,16 @@ _SETTINGS = (
     ("landmark", "landmark", "", False),
 )
 """Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
+NONE = 1e-6
+"""A noise below which a sensor was simulated without: no filter should believe in that."""
+ASSUMED = {
+    "angular_walk": 2e-5,
+    "vector_walk": 1e-5,
+    "initial_attitude": 0.15,
+    "initial_position": 0.25,
+}
+"""What one recording does not tell: biases that hardly change within it, and a start from the means
+of the first sensors (`recordings.start`), which is off by less than this."""
 _UNITS = {
     "angular_velocity": "rad/sqrt(s)",
     "velocity": "m/sqrt(s)",
@@ -95,7 +98,45 @@ _UNITS = {
     "initial_angular_bias": "rad/s",
     "initial_linear_bias": "m/s",
     "initial_vector_bias": "as large as it was",
+    "angular_walk": "rad/s/sqrt(s), assumed: it hardly changes",
+    "vector_walk": "1/sqrt(s), assumed: it hardly changes",
+    "initial_attitude": "rad, assumed: a start from the sensors",
+    "initial_position": "m, assumed: a start from the sensors",
 }
+
+
+def found_noises(recordings: Sequence[Recording]) -> dict[str, float]:
+    """What recordings tell of their sensors, by key of a Kalman filter's settings.
+
+    Noises are medians over the recordings, and biases the largest. The walk of the velocity's bias
+    is left open, for a search.
+
+    Args:
+        recordings: With a body velocity; biases are found where there is a truth.
+    """
+    each = [_noises(one, _sensors(one, quantities(one))) for one in recordings]
+    keys = dict.fromkeys(key for noises in each for key in noises)
+    found = {key: [noises[key] for noises in each if key in noises] for key in keys}
+    combined = {
+        key: max(values) if key.startswith("initial") else float(np.median(values))
+        for key, values in found.items()
+    }
+    return combined | ASSUMED
+
+
+def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, float]:
+    """The noises and biases of sensors, by key of a Kalman filter's settings."""
+    root, found = math.sqrt(recording.time_step), {}
+    for key, kind, bias, density in _SETTINGS:
+        own = [one for one in sensors if one.name.startswith(kind) and one.noise > NONE]
+        if not own:
+            continue
+        noise = float(np.median([one.noise for one in own]))
+        found[key] = noise * (root if density else 1.0)
+        biases = [one.bias / math.sqrt(3) for one in own if one.bias is not None]
+        if bias and biases:  # one that did not show may be small, but is not 0
+            found[bias] = max(*biases, 0.1 * noise)
+    return found
 
 
 def check(recording: Recording) -> DataCheck:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import Measurements
@@ -13,6 +14,10 @@ FIRST = 0.1
 """Averaging time of measurements for a start in motion [s]."""
 REST = 1.0
 """Assumed time at rest if the recording does not state it [s]."""
+
+LIKE_A_DIRECTION = 2.0
+"""The error of a landmark [m] that counts as one of 1 rad in a vector's direction: usual sensors
+have some 0.1 m and 0.05 rad."""
 
 
 class Start(NamedTuple):
@@ -34,28 +39,55 @@ def with_numpy_arrays(arrays: Mapping[str, Any]) -> Measurements:
 def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None) -> Start:
     """The pose that fits the mean vectors and landmarks over some samples.
 
-    The attitude solves Wahba's problem for vectors and differences of landmarks, all normalised, by
+    The attitude solves Wahba's problem for the vectors' directions and the landmarks about their
+    centroid, a landmark off by LIKE_A_DIRECTION counting as a direction off by a radian, by
     singular value decomposition (F. L. Markley, "Attitude determination using vector
     observations and the singular value decomposition", 1988). With a single direction it is the
     smallest rotation that fits, which leaves the heading arbitrary. The position follows from the
-    landmarks; without any it is 0.
+    landmarks; without any it is 0. A body that moves sees each sample from elsewhere: its
+    measurements are carried to where the body was at the first of them, by its measured velocities.
 
     Args:
         measurements: of NumPy arrays.
-        samples: during which the body hardly turns.
+        samples: of which the means are taken.
         bias: (6,) of the velocities; None for their means, as at rest.
 
     Raises:
         RecordingError: neither a vector nor two landmarks are measured there.
     """
     m = with_numpy_arrays({k: np.asarray(a)[samples] for k, a in measurements._asdict().items()})
+    if bias is not None:
+        m = _carried_to_the_first(m, bias)
     u, v = _means(m.vectors, m.vector_references, m.vector_weights)
     y, p = _means(m.landmarks, m.landmark_references, m.landmark_weights)
-    R = _wahba(np.concatenate([u, y[1:] - y[:1]]), np.concatenate([v, p[1:] - p[:1]]))
+    body, inertial = _unit(u), _unit(v)
+    if len(p):
+        body, inertial = (
+            np.concatenate([directions, (places - places.mean(axis=0)) / LIKE_A_DIRECTION])
+            for directions, places in ((body, y), (inertial, p))
+        )
+    R = _wahba(body, inertial)
     position = np.mean(p - y @ R.T, axis=0) if len(p) else np.zeros(3)
     if bias is None:
         bias = np.concatenate([np.mean(a, axis=0) for a in (m.angular_velocity, m.velocity)])
     return Start(R, position, np.asarray(bias, np.float64))
+
+
+def _carried_to_the_first(m: Measurements, bias: ArrayLike) -> Measurements:
+    """Vectors and landmarks as the body at the first sample would have seen them."""
+    turn, way = Rotation.identity(), np.zeros(3)  # from the first sample to sample k
+    turns, ways = [], []
+    angular, linear = np.split(np.asarray(bias, np.float64), 2)
+    for dt, omega, v in zip(m.time_step, m.angular_velocity, m.velocity, strict=True):
+        turns.append(turn.as_matrix())
+        ways.append(way)
+        half = Rotation.from_rotvec(0.5 * dt * (omega - angular))
+        way = way + dt * (turn * half).apply(v - linear)
+        turn = turn * half * half
+    R, p = np.array(turns), np.array(ways)
+    vectors = np.einsum("kij,knj->kni", R, m.vectors)
+    landmarks = np.einsum("kij,knj->kni", R, m.landmarks) + p[:, None]
+    return m._replace(vectors=vectors, landmarks=landmarks)
 
 
 def _means(
@@ -70,20 +102,20 @@ def _means(
 
 
 def _wahba(body: np.ndarray, inertial: np.ndarray) -> np.ndarray:
-    """R (3, 3) that best maps directions (n, 3) of the body frame to those of the inertial one."""
-    u, v = (_unit(a) for a in (body, inertial))
-    usable = u.any(axis=1) & v.any(axis=1)
+    """R (3, 3) that best maps vectors (n, 3) of the body frame to those of the inertial one."""
+    usable = body.any(axis=1) & inertial.any(axis=1)
     if not usable.any():
         raise RecordingError(
             "start: no vector and no two landmarks are seen at the first samples; allowed: a pose "
             "to begin with, start = [rotation by rows, position] in FILE.csv.toml beside FILE.csv, "
             'or in Python Recording.read(FILE, start=(R, P)).save("a.npz")'
         )
-    u, v = u[usable], v[usable]
+    body, inertial = body[usable], inertial[usable]
+    u, v = _unit(body), _unit(inertial)
     apart = np.linalg.norm(np.cross(u[0], u), axis=1).max()
     if apart < 1e-3:
         return _smallest_rotation(u[0], v[0])
-    left, _, right = np.linalg.svd(v.T @ u)
+    left, _, right = np.linalg.svd(inertial.T @ body)
     flip = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
     return left @ flip @ right
 

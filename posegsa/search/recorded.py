@@ -24,6 +24,7 @@ from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import rotate, rows
+from posegsa.recordings.data_check import found_noises
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import as_seen, state_of
 from posegsa.recordings.start import with_numpy_arrays
@@ -39,6 +40,8 @@ DEGREES_PER_METRE = 100.0
 """Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
 LOWEST_GAIN = 1e-3
 """Lowest constant or smooth gain that is searched on recordings [1/s]: they are of any rate."""
+FEW = 10
+"""Iterations of the search where only one number is left to it."""
 _EYE = np.eye(3)
 
 
@@ -89,6 +92,19 @@ def recorded_problem(
     every = as_recordings(drawn, position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
     return problem._replace(scenario=one, scenarios=every, beside=beside)
+
+
+def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
+    """What is tuned on recordings where no configuration is given.
+
+    It is a Kalman filter with the noises that the recordings show (`found_noises`), so that little
+    is left to search; on recordings without a velocity the attitude filter.
+    """
+    if all(one.attitude_only for one in recordings):
+        return config.load("imu")
+    noises = found_noises([one for one in recordings if not one.attitude_only])
+    stated = {f"filter.{key}": float(f"{value:.3g}") for key, value in noises.items()}
+    return config.load("kalman").replace(**stated, **{"search.iterations": FEW})
 
 
 def tuned_on_recordings(

@@ -35,7 +35,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask
 from posegsa.saving.folder import CHECKPOINT_SUFFIX
 from posegsa.saving.resume import check_same_recordings
-from posegsa.search.recorded import recorded_problem
+from posegsa.search.recorded import default_experiment, recorded_problem
 from posegsa.search.run_search import Found, first_search
 from posegsa.search.search_spaces import rule_indices
 from posegsa.settings.plain import plain
@@ -374,3 +374,21 @@ def test_what_cannot_be_tuned_on_is_refused(recordings: list[Recording]) -> None
     blind = Recording.from_arrays(**bench(truth_rotation=None, truth_position=None))
     with pytest.raises(RecordingError, match="has no truth"):
         posegsa.tune(config.from_dict(TINY), recordings=blind)
+
+
+def test_without_a_configuration_the_noises_are_those_that_the_recordings_show() -> None:
+    given, rng = bench(400), np.random.default_rng(0)
+    for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
+        given[name] = given[name] + 0.1 * rng.standard_normal(given[name].shape)
+    recording = Recording.from_arrays(**given)
+    found = posegsa.tune(recordings=[recording], iterations=1, seed=3)
+    assert found.experiment.filter.kind == "kalman"
+    assert found.experiment.filter.landmark == pytest.approx(0.1, rel=0.2)
+    assert list(found.filter.also) == ["filter.linear_walk"]
+    stated = posegsa.tune(found.experiment, recordings=[recording])
+    assert stated.filter == found.filter
+
+
+def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:
+    inertial = posegsa.imu(gyr=np.zeros((200, 3)), acc=np.tile([0, 0, 9.81], (200, 1)), rate=100)
+    assert default_experiment([inertial]).filter.kind == "imu"

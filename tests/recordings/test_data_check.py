@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import posegsa
 from posegsa.errors import ArgumentError, RecordingError
 from posegsa.figures.check_figures import plot_check
-from posegsa.recordings.data_check import check
+from posegsa.recordings.data_check import check, found_noises
 from posegsa.recordings.recording import Recording
 
 COUNT, STEP = 1500, 0.01
@@ -23,9 +23,9 @@ Arguments = dict[str, Any]
 
 
 @cache
-def flown() -> Arguments:
+def flown(seed: int = 4) -> Arguments:
     """A tumbling flight by SciPy's rotations, with noise and biases."""
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed)
     t = STEP * np.arange(COUNT + 1)
     angles = np.stack([0.9 * np.sin(0.9 * t), 0.7 * np.sin(1.3 * t + 1), 0.8 * t], axis=1)
     turn = Rotation.from_euler("xyz", angles)
@@ -218,6 +218,15 @@ def test_the_noises_are_a_configuration(tmp_path) -> None:
     assert filter.landmark == pytest.approx(0.03, rel=0.15)
     assert filter.initial_linear_bias == pytest.approx(0.05, rel=0.15)
     assert check(posegsa.imu(**inertial_motion())).settings == ""
+
+
+def test_noises_of_several_recordings_are_medians_and_the_largest_biases() -> None:
+    one, other = (Recording.from_arrays(**flown(seed=seed)) for seed in (0, 1))
+    first, second, both = found_noises([one]), found_noises([other]), found_noises([one, other])
+    assert both["velocity"] == pytest.approx((first["velocity"] + second["velocity"]) / 2)
+    biases = first["initial_linear_bias"], second["initial_linear_bias"]
+    assert both["initial_linear_bias"] == max(biases)
+    assert "linear_walk" not in both, "it is left to the search"
 
 
 def test_raw_inertial_sensors_are_compared_too() -> None:

@@ -212,6 +212,7 @@ def test_a_start_at_rest_has_pose_and_bias(kept: str) -> None:
 def test_one_vector_alone_turns_the_start_as_little_as_it_can() -> None:
     given = motion(velocity=None, landmarks=None, landmark_references=None)
     given |= {"vectors": given["vectors"][:, :1], "vector_references": GRAVITY[None]}
+    given["angular_velocity"][:, 0] -= 0.02  # its bias, which would turn what is averaged
     R = Recording.from_arrays(**given).initial().rotation
     np.testing.assert_allclose(R @ given["vectors"][0, 0], GRAVITY, atol=1e-9)
     expected = Rotation.align_vectors(GRAVITY, given["vectors"][0, 0])[0]
@@ -220,6 +221,33 @@ def test_one_vector_alone_turns_the_start_as_little_as_it_can() -> None:
     R = Recording.from_arrays(**given).initial().rotation
     np.testing.assert_allclose(R @ [0, 0, -1], GRAVITY, atol=1e-9)
     assert np.linalg.det(R) == pytest.approx(1)
+
+
+def test_a_start_in_motion_is_where_the_body_was_at_the_first_sample() -> None:
+    given = motion()
+    given["angular_velocity"][:, 0] -= 0.02
+    moving = Recording.from_arrays(**given).window(2.0)
+    assert moving.truth is not None
+    start = moving.initial()
+    np.testing.assert_allclose(start.rotation, moving.truth.rotation[0], atol=1e-6)
+    np.testing.assert_allclose(start.position, moving.truth.position[0], atol=1e-3)
+
+
+def test_landmarks_far_apart_turn_the_start_more_than_vectors() -> None:
+    given = motion(velocity=None, landmarks=None, landmark_references=None)
+    wrong = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix()
+    far = np.array([[60.0, 0, 0], [0, 60, 0], [0, 0, 60], [-50, -50, 0]])
+    R, P = given["truth_rotation"], given["truth_position"]
+    given |= {
+        "velocity": motion()["velocity"],
+        "vectors": given["vectors"] @ wrong,
+        "landmarks": np.einsum("kji,knj->kni", R, far - P[:, None]),
+        "landmark_references": far,
+    }
+    start = Recording.from_arrays(**given).initial()
+    off = Rotation.from_matrix(start.rotation @ R[0].T).magnitude()
+    assert off < 0.003 < Rotation.from_matrix(wrong).magnitude()
+    assert np.linalg.norm(start.position - P[0]) < 0.1
 
 
 def test_a_start_needs_what_it_is_made_of() -> None:
