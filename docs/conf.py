@@ -85,7 +85,7 @@ def signature_of(app, what, name, thing, options, signature, returned):
 
 def before_napoleon(app, what, name, thing, options, lines):
     """Keep the text of an attribute: napoleon takes what is before a colon for its type."""
-    if what in {"attribute", "property"}:
+    if what == "attribute" or (what == "property" and "Raises:" not in lines):
         app.env.temp_data[name] = list(lines)
 
 
