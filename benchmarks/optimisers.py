@@ -10,9 +10,9 @@
 
 Every call adds missing results to a folder (`--folder`), so that a long comparison can be made in
 parts. `speed` measures the time of the optimisers' own steps. `write` writes the results of the
-folder to docs/optimisers.md, benchmarks/optimisers.json and two figures. `list` writes the page's
-list of optimisers from their classes. `--quick` makes everything small, uses another folder, and
-writes nothing.
+folder to docs/optimisers_results.md, benchmarks/optimisers.json and two figures. `list` writes the
+list of optimisers in docs/optimisers.md from their classes. `--quick` makes everything small, uses
+another folder, and writes nothing.
 """
 
 import argparse
@@ -71,7 +71,7 @@ SPENT = (
 VALIDATION_SCENARIOS = 64
 AGENTS, ITERATIONS = 50, 1000
 """Agents and iterations of a search on a test function, as in Rashedi's article."""
-PAGE = "docs/optimisers.md"
+PAGE, RESULTS = "docs/optimisers.md", "docs/optimisers_results.md"
 JSON, FIGURE, FUNCTION_FIGURE = (
     ROOT / "benchmarks" / name
     for name in ("optimisers.json", "optimisers.png", "optimisers_functions.png")
@@ -292,19 +292,19 @@ def write(options: argparse.Namespace) -> None:
     functions = [load_comparison(folder) for folder in folders if folder.exists()]
     functions = [found.only([n for n in ON_FUNCTIONS if n in found.repeats]) for found in functions]
     functions = [found for found in functions if all(found.repeats.values())]  # complete ones only
-    write_block("comparison", held.markdown(), PAGE)
+    write_block("comparison", held.markdown(), RESULTS)
     if (options.folder / "variants").exists():
         of_gsa = load_comparison(options.folder / "variants").only(VARIANTS)
-        write_block("variants", of_gsa.markdown(), PAGE)
-    write_block("functions", function_table(functions), PAGE)
+        write_block("variants", of_gsa.markdown(), RESULTS)
+    write_block("functions", function_table(functions), RESULTS)
     if (options.folder / "scenarios.json").exists():
-        write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), PAGE)
-    write_block("speed", speed_table(options.folder / "speed.json"), PAGE)
+        write_block("scenarios", scenarios_table(options.folder / "scenarios.json"), RESULTS)
+    write_block("speed", speed_table(options.folder / "speed.json"), RESULTS)
     data = {"recommended": summary(held), "functions": [summary(found) for found in functions]}
     JSON.write_text(json.dumps(data) + "\n", encoding="utf-8")
     FIGURE.write_bytes(png(plot_comparison(held)))
     FUNCTION_FIGURE.write_bytes(png(plot_comparison(*functions)))
-    print(f"Written: {PAGE}, {JSON}, {FIGURE}, {FUNCTION_FIGURE}")
+    print(f"Written: {RESULTS}, {JSON}, {FIGURE}, {FUNCTION_FIGURE}")
 
 
 def names(text: str) -> list[str]:

@@ -35,7 +35,7 @@ from posegsa.recordings.recording import LANDMARK_OUTLIER
 from posegsa.runtime import environment
 
 JSON = ROOT / "benchmarks" / "recordings.json"
-PAGE = "docs/recordings.md"
+PAGE = "docs/recordings_results.md"
 RATES = 200.0, 20.0
 """Rates of the landmarks [Hz]."""
 STARTS = (45.0, 1.0), (150.0, 5.0)

@@ -1,10 +1,15 @@
-"""Minimise your own function, a whole population at once, with any of the optimisers.
+"""Minimise your own function
+==========================
 
-python examples/minimise.py
+Any batched JAX function over a box, a whole population at once, by any of the optimisers. Here the
+place of an object is found from its distances to four known places. ::
+
+    python examples/minimise.py
 """
 
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 
 import posegsa
 
@@ -27,13 +32,18 @@ def main(iterations=100):
         "random search": posegsa.RandomSearch(agents=50, iterations=iterations),
     }
     found = {}
+    _, axes = plt.subplots()
     for name, optimiser in optimisers.items():
         search = posegsa.minimise(cost, box, optimiser, jax.random.key(0))
         found[name] = search
         x, y = search.best_position
         print(f"{name:24} {float(search.best_cost):.6f} at ({float(x):.4f}, {float(y):.4f})")
+        axes.semilogy(search.history.best, label=name)
+    axes.set(xlabel="iteration", ylabel="best cost so far")
+    axes.legend()
     return found
 
 
 if __name__ == "__main__":
     main()
+    plt.show()

@@ -1,18 +1,23 @@
-"""Run a tuned filter over your own arrays, with uneven steps and missing measurements.
+"""Filter your own arrays
+======================
 
-python examples/own_arrays.py RUN       # a folder that `posegsa tune --out RUN` has written
+A tuned filter over arrays with uneven steps and missing measurements. ::
+
+    python examples/own_arrays.py         # the filter of `observer`, as it comes
+    python examples/own_arrays.py RUN     # the one in a folder that `posegsa tune --out RUN` wrote
 """
 
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import posegsa
 
 
-def main(run, samples=2000):
-    result = posegsa.load(run)
+def main(run=None, samples=2000):
+    result = posegsa.load(run) if run else posegsa.configured("observer")
 
     # A body that rotates about an inclined axis and flies a circle. Read your own from a file.
     rng = np.random.default_rng(0)
@@ -50,9 +55,17 @@ def main(run, samples=2000):
     distance = np.linalg.norm(estimates.position - position, axis=1)
     for k in np.linspace(0, samples - 1, 9).astype(int):
         print(f"{time[k]:6.2f} s   {np.degrees(angle[k]):7.2f} deg   {distance[k]:6.3f} m")
+    _, axes = plt.subplots(2, sharex=True, layout="constrained")
+    axes[0].semilogy(time, np.degrees(angle))
+    axes[0].set_ylabel("attitude error [deg]")
+    axes[0].axvspan(time[samples // 3], time[samples // 2], alpha=0.2, label="no compass")
+    axes[0].legend()
+    axes[1].semilogy(time, distance)
+    axes[1].set(xlabel="time [s]", ylabel="position error [m]")
     return np.degrees(angle), distance
 
 
 if __name__ == "__main__":
     posegsa.enable_fast_path()
-    main(sys.argv[1] if len(sys.argv) == 2 else sys.exit(__doc__))
+    main(*sys.argv[1:])
+    plt.show()

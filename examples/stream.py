@@ -1,7 +1,11 @@
-"""Filter a stream of CSV lines, a hundred per second, and print a pose for each.
+"""Filter a stream
+===============
 
-    python examples/stream.py --make 30 > sensors.csv     # 30 s of made-up sensors
-    python examples/stream.py < sensors.csv               # or from a serial port, a socket, ...
+CSV lines, a hundred per second, and a pose for each. ::
+
+    python examples/stream.py                               # 20 s of made-up sensors, and a plot
+    python examples/stream.py --make 30 > sensors.csv       # writes them
+    python examples/stream.py - < sensors.csv               # or from a serial port, a socket, ...
 
 A line is time, gyroscope (3), velocity (3), accelerometer (3), compass (3), beacon (3), in the body
 frame and SI units. Empty fields were not measured, and there is no header line. The body hardly
@@ -12,6 +16,7 @@ import csv
 import sys
 
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -72,16 +77,46 @@ def made_lines(seconds):
         yield ",".join([f"{t:.3f}", *values]), (attitude, position)
 
 
+def written(time, pose, pose_filter):
+    """A line of the output."""
+    x, y, z = pose.position
+    roll, pitch, yaw = Rotation.from_matrix(pose.rotation).as_euler("xyz", degrees=True)
+    doubt = "" if pose_filter.observable else f"   {pose_filter.why_unobservable}"
+    return f"{time:.3f},{x:.3f},{y:.3f},{z:.3f},{roll:.2f},{pitch:.2f},{yaw:.2f}{doubt}"
+
+
+def tried(seconds=20):
+    """Filter made-up lines, print each hundredth pose, and plot the errors."""
+    lines, pose_filter, rows = list(made_lines(seconds)), made_filter(), []
+    found = poses((line for line, _ in lines), pose_filter)
+    for k, (time, pose) in enumerate(found, start=1):
+        attitude, position = lines[k][1]
+        angle = (attitude.inv() * Rotation.from_matrix(pose.rotation)).magnitude()
+        rows.append((time, np.degrees(angle), np.linalg.norm(pose.position - position)))
+        if k % 100 == 0:
+            print(written(time, pose, pose_filter))
+    time, degrees, metres = np.transpose(rows)
+    _, axes = plt.subplots(2, sharex=True, layout="constrained")
+    axes[0].plot(time, degrees)
+    axes[0].set_ylabel("attitude error [deg]")
+    axes[1].plot(time, metres)
+    axes[1].set(xlabel="time [s]", ylabel="position error [m]")
+    return degrees, metres
+
+
 def main():
-    if sys.argv[1:2] == ["--make"] and len(sys.argv) == 3:
-        print(*(line for line, _ in made_lines(float(sys.argv[2]))), sep="\n")
-        return
-    pose_filter = made_filter()
-    for time, pose in poses(sys.stdin, pose_filter):
-        x, y, z = pose.position
-        roll, pitch, yaw = Rotation.from_matrix(pose.rotation).as_euler("xyz", degrees=True)
-        doubt = "" if pose_filter.observable else f"   {pose_filter.why_unobservable}"
-        print(f"{time:.3f},{x:.3f},{y:.3f},{z:.3f},{roll:.2f},{pitch:.2f},{yaw:.2f}{doubt}")
+    match sys.argv[1:]:
+        case ["--make", seconds]:
+            print(*(line for line, _ in made_lines(float(seconds))), sep="\n")
+        case ["-"]:
+            pose_filter = made_filter()
+            for time, pose in poses(sys.stdin, pose_filter):
+                print(written(time, pose, pose_filter))
+        case []:
+            tried()
+            plt.show()
+        case _:
+            sys.exit(__doc__)
 
 
 if __name__ == "__main__":

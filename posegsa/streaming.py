@@ -42,6 +42,8 @@ class Pose(NamedTuple):
 class PoseFilter:
     """A filter for a stream of samples: each update takes one sample and returns the pose.
 
+    ::
+
         pose_filter = posegsa.PoseFilter(result, rotation=R, position=P)
         pose = pose_filter.update(time_step=0.01, angular_velocity=w, velocity=v, vectors=seen)
 

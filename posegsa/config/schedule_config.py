@@ -119,7 +119,7 @@ class GainConfig(Section):
     error_scale: Annotated[Positive, Tunable()] = 0.3
     """Divisor of e before it is clipped to [0, 1], in the unit of e."""
     rate: Rate = "per_sample"
-    """The controller's second input: |e_k - e_(k-1)|, or this divided by the time between."""
+    """The controller's second input: `|e_k - e_(k-1)|`, or this divided by the time between."""
     rate_scale: Annotated[NonNegative, Tunable()] = 1.0
     """Factor on the rate (no unit, or [s]) before it is clipped to [0, 1]."""
 

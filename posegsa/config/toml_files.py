@@ -45,8 +45,7 @@ def load(path: str | Path) -> Experiment:
     return _validated(data, f"{path} is not a valid experiment")
 
 
-load_config = load
-"""The name of `load` in the package `posegsa`."""
+load_config = load  # its name in the package `posegsa`
 
 
 def as_experiment(value: Experiment | str | Path | None) -> Experiment:

@@ -46,6 +46,7 @@ class Sensors(NamedTuple):
     vectors: int
     """Measured one by one; 0 if the samples hold only Wahba's sums."""
     landmarks: int
+    """Measured one by one."""
 
 
 def sensors_of(measurements: Measurements) -> Sensors:

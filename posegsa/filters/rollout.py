@@ -338,6 +338,8 @@ def step(
 ) -> tuple[Any, Record]:
     """Process one sample, for use on-line in your own JAX program.
 
+    ::
+
         state = filter.start(posegsa.initial_state(R, P), posegsa.Sensors(vectors=2, landmarks=1))
         state, record = posegsa.step(filter, state, measurements.at(k))
         filter.ready().estimate(state).rotation

@@ -219,7 +219,7 @@ class FuzzyController:
         sampled_rule: "sum" (MATLAB's) or "trapezoid".
         no_rule: gain where no rule fires, "hold" the last one or "midrange" of the output
             (MATLAB's).
-        reach: output terms i and j overlap only if |i - j| <= reach, if that is known. The exact
+        reach: output terms i and j overlap only if `|i - j| <= reach`, if known. The exact
             centroid then skips the other pairs, which makes it faster and changes no result.
         offset: added to the centroid [1/s], at least 0; 1 in the paper.
 

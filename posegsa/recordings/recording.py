@@ -439,7 +439,8 @@ class Recording:
 
         Args:
             folder: of the sequence, with mav0/imu0/data.csv and
-                mav0/state_groundtruth_estimate0/data.csv, or with *imu0.csv and *groundtruth.csv.
+                mav0/state_groundtruth_estimate0/data.csv, or with `*imu0.csv` and
+                `*groundtruth.csv`.
             landmarks: (m, 3) their positions in the frame of the reference [m].
             landmark_noise: standard deviation of each coordinate [m].
             landmark_rate: rate of their measurements [Hz], rounded to what the samples allow.

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import jax
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from helpers.experiments import tiny
@@ -24,6 +24,19 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 README = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.fixture(autouse=True)
+def unshown():
+    """Figures are drawn without a screen, and closed."""
+    plt.switch_backend("agg")
+    yield
+    plt.close("all")
+
+
+def lines_of(figure) -> int:
+    """How many lines all panels of a figure have."""
+    return sum(len(axes.lines) for axes in figure.axes)
+
+
 def example(name: str) -> dict:
     """What an example defines; nothing runs yet."""
     return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="example")
@@ -35,7 +48,7 @@ def test_the_readme_names_each_and_each_is_a_page():
     assert len(files) == 6
     for path in files:
         assert f"(examples/{path.name})" in README
-        assert len(path.read_text(encoding="utf-8").splitlines()) <= 110
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 130
 
 
 def test_tune_evaluate_and_export(tmp_path, monkeypatch, capsys):
@@ -89,11 +102,16 @@ def test_stream(monkeypatch, capsys):
     names["main"]()
     lines = capsys.readouterr().out
     assert lines.splitlines() == [line for line, _ in made[:5]]
-    monkeypatch.setattr(sys, "argv", ["stream.py"])
+    monkeypatch.setattr(sys, "argv", ["stream.py", "-"])
     monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
     names["main"]()
     rows = capsys.readouterr().out.splitlines()
     assert [row.split(",")[0] for row in rows] == ["0.010", "0.020", "0.030", "0.040"]
+    # Without arguments, both and a plot.
+    degrees, metres = names["tried"](3)
+    assert (degrees[-1] < 1) & (metres[-1] < 0.1)
+    assert lines_of(plt.gcf()) == 2
+    assert len(capsys.readouterr().out.splitlines()) == 2
 
 
 def test_minimise(capsys):
@@ -108,13 +126,10 @@ def test_minimise(capsys):
     assert best <= float(np.min(cost)) * (1 + 1e-5)
 
 
-def test_gamma_study(tmp_path, capsys):
-    mpl.use("agg")
-    costs = example("gamma_study")["main"](
-        tiny(), gammas=(2, 8), seeds=[0], out=tmp_path / "study.png"
-    )
+def test_gamma_study(capsys):
+    costs = example("gamma_study")["main"](tiny(), gammas=(2, 8), seeds=[0])
     assert {each.shape for each in costs.values()} == {(2, 1)}
-    assert (tmp_path / "study.png").stat().st_size > 5000
+    assert lines_of(plt.gcf()) == 2
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 

@@ -11,7 +11,10 @@ from optimisers import FILTER, FUNCTIONS, ON_FUNCTIONS, SPENT, VARIANTS, registe
 from posegsa.cli.command import parser
 
 ROOT = Path(__file__).parent.parent.parent
-TEXT = (ROOT / "docs" / "optimisers.md").read_text(encoding="utf-8")
+TEXT, RESULTS = (
+    (ROOT / "docs" / name).read_text(encoding="utf-8")
+    for name in ("optimisers.md", "optimisers_results.md")
+)
 
 
 def test_the_examples_run_and_find_what_they_say() -> None:
@@ -30,10 +33,10 @@ def test_the_list_is_that_of_the_registry() -> None:
 
 
 def test_commands_and_files_that_it_names() -> None:
-    for command in re.findall(r"`posegsa ((?:tune|compare) [^`]*)`", TEXT):
+    for command in re.findall(r"`posegsa ((?:tune|compare) [^`]*)`", TEXT + RESULTS):
         words = command.replace("[CONFIG]", "configs/paper.toml").split()
         parser().parse_args(words)
-    for path in re.findall(r"\]\(\.\./([\w./]+)\)", TEXT):
+    for path in re.findall(r"\]\(\.\./([\w./]+)\)", TEXT + RESULTS):
         assert (ROOT / path).exists(), path
 
 
@@ -48,6 +51,6 @@ def test_commands_and_files_that_it_names() -> None:
     ],
 )
 def test_the_results_are_there(block: str, named: Sequence[str]) -> None:
-    (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", TEXT, re.DOTALL)
+    (text,) = re.findall(rf"<!-- {block}: begin -->(.*?)<!-- {block}: end -->", RESULTS, re.DOTALL)
     for name in named:
         assert re.search(rf"\| {re.escape(name)}[ ,]", text), name
