@@ -10,7 +10,7 @@ DATA_FOLDER has the folders `flights`, with car_1.csv and so on, and `euroc`.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from readme import ROOT, write_block
@@ -28,35 +28,41 @@ SPLIT = 40.0
 Made = Callable[[Recording, Recording], Result]
 
 
-def filters(sensors: Path | None) -> dict[str, Made]:
-    """How each column's filter is made of a flight to tune on and one to judge on."""
-
-    def as_it_is(name: str | Path) -> Made:
-        return lambda _, judged: posegsa.configured(name, recordings=[judged])
-
-    def tuned(name: str | None) -> Made:
-        return lambda other, judged: posegsa.tune(name, recordings=[other], held_out=[judged])
-
-    found = {} if sensors is None else {"`sensors.toml`": as_it_is(sensors)}
-    return found | {
-        "`tune`": tuned(None),
-        "`kalman`": as_it_is("kalman"),
-        "`recommended`": as_it_is("recommended"),
-        "`tune kalman`": tuned("kalman"),
-        "`tune recommended`": tuned("recommended"),
-        "`tune landmarks`": tuned("landmarks"),
-    }
+def as_it_is(name: str | Path) -> Made:
+    """The filter of a configuration, not tuned."""
+    return lambda _, judged: posegsa.configured(name, recordings=[judged])
 
 
-def row(name: str, other: Recording, judged: Recording, sensors: Path | None) -> list[str]:
-    """Errors of all filters on one recording."""
-    cells = [name] if sensors is not None else [name, ""]
-    for made in filters(sensors).values():
+def tuned(name: str | None) -> Made:
+    """The filter of a configuration, or of none, tuned on the other flight."""
+    return lambda other, judged: posegsa.tune(name, recordings=[other], held_out=[judged])
+
+
+FILTERS: dict[str, Made] = {
+    "`tune`": tuned(None),
+    "`sensors.toml`": as_it_is(SENSORS),
+    "`kalman`": as_it_is("kalman"),
+    "`recommended`": as_it_is("recommended"),
+    "`tune kalman`": tuned("kalman"),
+    "`tune recommended`": tuned("recommended"),
+    "`tune landmarks`": tuned("landmarks"),
+}
+ON_EUROC = "`tune`", "`kalman`", "`tune kalman`"
+"""Filters that need no vectors, or know their sensors."""
+
+
+def row(name: str, other: Recording, judged: Recording, columns: Iterable[str]) -> list[str]:
+    """Errors of filters on one recording, each in its column."""
+    cells = [name]
+    for column, made in FILTERS.items():
+        if column not in columns:
+            cells.append("-")
+            continue
         on = made(other, judged).on_recordings
         assert on is not None
         errors = mean_errors(on.held_out)
         cells.append(f"{errors.total:.2f}, {100 * (errors.position or 0.0):.1f}")
-    print(" ".join(cells), flush=True)
+    print(" | ".join(cells), flush=True)
     return cells
 
 
@@ -66,11 +72,11 @@ def rows(data: Path) -> list[list[str]]:
     for kind in KINDS:
         pair = [Recording.read(data / "flights" / f"{kind}_{i}.csv") for i in (1, 2)]
         for judged, other in (pair, pair[::-1]):
-            found.append(row(judged.name, other, judged, SENSORS))
+            found.append(row(judged.name, other, judged, FILTERS))
     for rate in (200.0, 20.0):
         whole = Recording.from_euroc(data / "euroc", landmark_rate=rate)
         parts = whole.window(0, SPLIT), whole.window(SPLIT)
-        found.append(row(f"EuRoC, {rate:g} Hz", *parts, None))
+        found.append(row(f"EuRoC, {rate:g} Hz", *parts, ON_EUROC))
     return found
 
 
@@ -83,7 +89,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     options = parser.parse_args()
     posegsa.enable_fast_path()
-    heads = ["RMSE [deg], [cm]", *filters(SENSORS)]
+    heads = ["RMSE [deg], [cm]", *FILTERS]
     table = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows(options.data)]
     text = "\n".join(f"| {' | '.join(cells)} |" for cells in table)
     print(text)
