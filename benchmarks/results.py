@@ -1,6 +1,6 @@
-"""Results of tuning on unseen scenarios: the tables of the README and of docs/results.md.
+"""Results of tuning on unseen scenarios: the tables of docs/results.md.
 
-The README's table has the cost of each filter on each kind of scenario. The others are:
+The first table has the cost of each filter on each kind of scenario. The others are:
 
 1. The tuned filter and every baseline on held-out scenarios, for each kind of scenario.
 2. Scenarios as in the field: the tuned filter and each baseline, over seeds of the search.
@@ -124,7 +124,7 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
 
 
 def overview(kept: dict[str, dict[str, Any]]) -> str:
-    """The README's table: each filter on each kind of scenario."""
+    """The first table: each filter on each kind of scenario."""
     found = {case.title: kept[f"{name} 0"] for name, case in JUDGED.items() if f"{name} 0" in kept}
     first = next(iter(found.values()))
     lines = [f"| filter | {' | '.join(found)} |", f"| --- |{' --: |' * len(found)}"]
