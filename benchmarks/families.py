@@ -4,7 +4,7 @@ The recommended filter as it comes, with the numbers in its configuration; the o
 numbers of its own search on each family; the Kalman filter of `kalman.toml`, started from the
 sensors and not tuned; and the clairvoyant. Prints mean cost (99th percentile) of each family.
 
-    python benchmarks/families.py --write   # the table of docs/which_filter.md; ten minutes on two cores
+    python benchmarks/families.py --write   # docs/which_filter.md; ten minutes on two cores
 """
 
 import argparse
@@ -56,7 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="One filter on many families of scenarios.")
     parser.add_argument("--scenarios", type=int, default=1000)
     parser.add_argument("--set", type=int, default=11, help="which held-out scenarios")
-    parser.add_argument("--write", action="store_true", help="write the table into docs/which_filter.md")
+    parser.add_argument("--write", action="store_true", help="into docs/which_filter.md")
     options = parser.parse_args()
     posegsa.enable_fast_path()
     recommended, kalman = config.load("recommended"), config.load("kalman")
