@@ -109,6 +109,7 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
         print(judged.evaluation.table())
         long = found.experiment.run.endurance_scenarios
         print(f"\n{judged.endurance.table((judged.evaluation.own, judged.beside), long)}")
+        print(f"\n{judged.evaluation.verdict()}")
         for warning in found.warnings():
             print(f"  warning: {warning}")
         return found

@@ -43,6 +43,14 @@ CONTENDERS = (
 """Names of the filters that can be compared, in the order of the tables."""
 NOT_TUNED = "this filter"
 """The name of the filter that is judged, in place of the first of these, if no search found it."""
+ADVICE = {
+    CONSTANT: "`posegsa tune CONFIG --set filter.schedule=constant`",
+    SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
+    EKF: "`posegsa tune kalman --set filter.vector_bias=off`",
+    EKF_VECTORS: "`posegsa tune kalman`",
+    AS_CONFIGURED: "use the configuration itself, without a search",
+}
+"""How to get one of the filters beside a tuned one."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -213,6 +221,32 @@ class Evaluation:
             if not np.isnan(each.metrics.nees).all()
         }
         return _rows(CONSISTENCY, metrics, write) if metrics else []
+
+    @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
+    def verdict(self) -> str:
+        """How far the judged filter errs, and which filters beside it cost less, the lowest first.
+
+        A filter whose paired difference may be chance is not named. In the second window, in which
+        errors have settled.
+        """
+        metrics = self.contenders[self.own].metrics
+        degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)
+        head = (
+            f"On {counted(self.scenarios, 'unseen scenario')} the filter errs by {degrees:.3g} deg "
+            f"and {100 * metres:.3g} cm once it has settled."
+        )
+        others = {name: self.difference(name) for name in self.contenders if name != self.own}
+        lower = sorted((-each.mean, name) for name, each in others.items() if each.low > 0)
+        if not lower:
+            listed = ", ".join(others)
+            return f"{head} No filter beside it ({listed}) costs less by more than chance."
+        parts = [
+            f"{called(name)} by {-less:.3g} ({others[name].low:.3g} to {others[name].high:.3g})"
+            for less, name in lower
+        ]
+        advice = ADVICE.get(lower[0][1])
+        take = f" To take the first of them: {advice}." if advice else ""
+        return f"{head} Less cost: {', '.join(parts)}, with 95 % intervals.{take}"
 
     def table(self) -> str:
         """Both tables as text."""

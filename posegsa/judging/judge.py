@@ -9,9 +9,15 @@ import numpy as np
 
 from posegsa import steps
 from posegsa.config import ObserverConfig
+from posegsa.filters.base import sensors_of
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
-from posegsa.judging.description import Description, describe
+from posegsa.judging.description import (
+    Description,
+    configured_filter,
+    describe,
+    described_filter,
+)
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
@@ -23,16 +29,25 @@ from posegsa.judging.evaluation import (
 )
 from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
-from posegsa.judging.on_recordings import OnRecordings, RecordingScore, SimulatedScore, score
+from posegsa.judging.on_recordings import (
+    UNTUNED,
+    UNTUNED_IMU,
+    OnRecordings,
+    RecordingScore,
+    SimulatedScore,
+    score,
+)
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import trajectory_on
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import cost_name, costs_by_scenario
 from posegsa.search.problem import TuningProblem
+from posegsa.search.recorded import default_experiment
 from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
@@ -86,7 +101,25 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
     if recorded is None:
         return result
     simulated = None if problem.beside is None else _on_simulated(problem, tuned)
-    return on_recordings(result, recorded.training, recorded.held_out, simulated)
+    judged = on_recordings(result, recorded.training, recorded.held_out, simulated)
+    return _beside_what_was_not_searched(judged, recorded) if recorded.held_out else judged
+
+
+def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
+    """A result, beside the filter that its recordings give without a search."""
+    plain = default_experiment(recorded.training)
+    name = UNTUNED_IMU if plain.filter.kind == "imu" else UNTUNED
+    steps.begin("judging", about=name)
+    found = configured_filter(plain)
+    scores = []
+    with jax.enable_x64(plain.run.dtype == "float64"):
+        for one in recorded.held_out:
+            read = as_read_by(plain.filter.kind, one)
+            filter = described_filter(found, plain, None, sensors_of(read.measurements))
+            scores.append(score(read, run_filter(filter, read, state_of(read.initial()))))
+    assert result.on_recordings is not None
+    judged = replace(result.on_recordings, baselines={name: scores})
+    return replace(result, on_recordings=judged)
 
 
 def _stored(column: jax.Array) -> np.ndarray:

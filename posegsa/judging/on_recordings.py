@@ -9,10 +9,10 @@ from pydantic import AfterValidator, Field
 
 from posegsa.errors import RecordingError
 from posegsa.filters.rollout import Estimates
-from posegsa.judging.evaluation import CONSTANT
+from posegsa.judging.evaluation import CONSTANT, EKF
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on
-from posegsa.recordings.accuracy import AnyNumber, Rmse
+from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.recording import Recording
 from posegsa.words import text_table
@@ -31,6 +31,19 @@ NOT_CUT = 0.99
 """Share of the gain asked for from which on it counts as used."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
+UNTUNED = "Kalman filter with the noises found"
+"""The filter that stands beside every one that was tuned on recordings: it was not searched."""
+UNTUNED_IMU = "attitude filter as it comes"
+"""The same on recordings of inertial sensors."""
+ADVICE = {
+    UNTUNED: "`posegsa tune --recording` without CONFIG",
+    UNTUNED_IMU: "`posegsa replay imu`",
+    CONSTANT: "`--set filter.schedule=constant`",
+    EKF: "`posegsa tune kalman --recording`",
+}
+"""How to get one of the filters beside a tuned one."""
+DRAWS, FEWEST_BLOCKS = 2000, 4
+"""Draws of a bootstrap, and the blocks that a recording needs for one."""
 MOSTLY = 0.5
 """Share of samples above which a result warns that the gain limit sets the gain."""
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -52,6 +65,8 @@ class RecordingScore(NamedTuple):
     """Root mean squares by phase, "judged" first."""
     fingerprint: str
     """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
+    blocks: Blocks
+    """Mean squares of the judged errors in blocks of some seconds."""
     limited: Share | None = None
     """Share of the samples with a measurement in which the gain limit cut what the schedule asked
     for; None of a filter without a gain K."""
@@ -103,7 +118,6 @@ class OnRecordings:
         )
         parts = [
             self.table() if self.training or self.held_out else "",
-            self.verdict(),
             alone if self.training and not self.held_out else "",
             "" if self.simulated is None else self.simulated.text(simulated_share),
             self.origins(),
@@ -119,24 +133,22 @@ class OnRecordings:
         if not (self.held_out and self.baselines):
             return ""
         own = mean_errors(self.held_out)
-        better: list[tuple[float, str]] = []
+        better: list[tuple[float, str, str]] = []
         for name, scores in self.baselines.items():
-            other = mean_errors(scores)
-            shares = {"attitude": other.total / own.total}
-            if own.position and other.position is not None:
-                shares["position"] = other.position / own.position
-            least = min(shares, key=shares.__getitem__)
-            if shares[least] < 1 / MATTERS:
-                parts = [f"{100 * share:.0f} % in {of}" for of, share in shares.items()]
-                better.append((shares[least], f"{name} ({' and '.join(parts)})"))
+            found = shares(self.held_out, scores)
+            least = min(each.share for each in found.values())
+            if least < 1 / MATTERS:
+                parts = [f"{each} in {of}" for of, each in found.items()]
+                better.append((least, f"{name} ({', '.join(parts)})", ADVICE.get(name, "")))
         position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
         head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
+        beside = ", ".join(self.baselines)
         if not better:
-            return f"{head}No filter beside it errs less, in attitude or in position."
-        listed = ", ".join(words for _, words in sorted(better))
-        return (
-            f"{head}Smaller errors, as shares of these: {listed}. Take the one that matters to you."
-        )
+            return f"{head}No filter beside it ({beside}) errs less, in attitude or in position."
+        better.sort()
+        listed = "; ".join(words for _, words, _ in better)
+        advice = f" To take the first of them: {better[0][2]}." if better[0][2] else ""
+        return f"{head}Smaller errors, as shares of these with 95 % intervals: {listed}.{advice}"
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
@@ -189,6 +201,51 @@ class OnRecordings:
         return "\n".join(dict.fromkeys(lines))
 
 
+class ErrorShare(NamedTuple):
+    """An error as a share of another filter's, with a 95 % interval; NaN where it is too short."""
+
+    share: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        words = f"{100 * self.share:.0f} %"
+        if not (np.isfinite(self.low) and np.isfinite(self.high)):
+            return words
+        chance = ", maybe by chance," if self.low <= 1 <= self.high else ""
+        return f"{words} [{100 * self.low:.0f} to {100 * self.high:.0f}]{chance}"
+
+
+@np.errstate(all="ignore")  # a filter may diverge to any number
+def shares(own: Sequence[RecordingScore], other: Sequence[RecordingScore]) -> dict[str, ErrorShare]:
+    """Another filter's errors as shares of one's own, of attitude and position.
+
+    The interval is a bootstrap over blocks of some seconds, the same for both filters.
+    """
+    means = mean_errors(own), mean_errors(other)
+    found = {"attitude": _share(means[1].total / means[0].total, own, other, 0)}
+    if means[0].position and means[1].position is not None:
+        ratio = means[1].position / means[0].position
+        found["position"] = _share(ratio, own, other, 1)
+    return found
+
+
+def _share(
+    ratio: float, own: Sequence[RecordingScore], other: Sequence[RecordingScore], which: int
+) -> ErrorShare:
+    """A ratio with its interval, from the attitude's blocks (0) or the position's (1)."""
+    rng, sums = np.random.default_rng(0), np.zeros((2, DRAWS))
+    for pair in zip(own, other, strict=True):
+        squares = np.array([pair[0].blocks[which], pair[1].blocks[which]], np.float64)
+        count = squares.shape[1]
+        if count < FEWEST_BLOCKS:
+            return ErrorShare(ratio, np.nan, np.nan)
+        drawn = rng.integers(count, size=(DRAWS, count))
+        sums += np.sqrt(squares[:, drawn].mean(axis=2))
+    low, high = np.quantile(sums[1] / sums[0], (0.025, 0.975))
+    return ErrorShare(ratio, float(low), float(high))
+
+
 def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
     """A row for each phase of each recording, and the mean of what is judged of several."""
     rows = [row for one in scores for row in error_rows(one.name, one.errors.items())]
@@ -225,6 +282,7 @@ def score(recording: Recording, estimates: Estimates) -> RecordingScore:
         notes=list(recording.notes),
         errors=errors.rmse(),
         fingerprint=fingerprint(recording),
+        blocks=errors.blocks(),
         limited=_limited(recording, estimates),
     )
 

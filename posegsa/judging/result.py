@@ -260,6 +260,10 @@ class Result:
             parts.append(f"Tuned{beside}: {tuned}")
         if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:
             parts.append(rules_text(self.controller.rules))
+        if self.on_scenarios is not None:
+            parts.append(self.on_scenarios.evaluation.verdict())
+        if self.on_recordings is not None:
+            parts.append(self.on_recordings.verdict())
         lines = [f"  note: {words}" for words in self.at_ends()]
         lines += [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(filter(None, parts)), *lines])

@@ -365,9 +365,7 @@ class FuzzyController:
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
         axis = jnp.linspace(0.0, 1.0, resolution, dtype=self.output_terms.dtype)
-        # Row by row, because the sampled centroid needs all its points in memory for each input.
-        gains = jax.lax.map(lambda rate: self(axis, jnp.full_like(axis, rate)), axis)
-        return axis, axis, gains
+        return axis, axis, _compiled_surface(self, axis)
 
 
 @jax.jit
@@ -378,6 +376,13 @@ def _compiled_gain(
     gain = controller._gain(error, rate, last)
     unknown = jnp.isnan(jnp.asarray(error)) | jnp.isnan(jnp.asarray(rate))
     return jnp.where(unknown, jnp.asarray(jnp.nan, gain.dtype), gain)
+
+
+@jax.jit
+def _compiled_surface(controller: FuzzyController, axis: Array) -> Array:
+    """Gains (rate, error), compiled once for all controllers of a structure."""
+    # Row by row, because the sampled centroid needs all its points in memory for each input.
+    return jax.lax.map(lambda rate: controller(axis, jnp.full_like(axis, rate)), axis)
 
 
 def _is_concrete(a: object) -> bool:

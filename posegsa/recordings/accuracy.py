@@ -24,6 +24,8 @@ from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
 from posegsa.settings.arrays import Numbers
 
+BLOCK = 5.0
+"""Length of a block [s]."""
 AnyNumber = Annotated[float, Numbers(allow="any")]
 """A number that may be NaN, or infinite if a filter diverged."""
 
@@ -51,6 +53,18 @@ class Rmse(NamedTuple):
     """Number of samples."""
 
 
+class Blocks(NamedTuple):
+    """Mean square errors in blocks of what is judged of a recording, for intervals.
+
+    Errors of neighbouring samples are alike, those of blocks of some seconds hardly.
+    """
+
+    attitude: list[AnyNumber]
+    """Of each block [deg^2]."""
+    position: list[AnyNumber] | None
+    """[m^2]; None if the position is not judged."""
+
+
 class RecordingErrors(NamedTuple):
     """The errors of estimates over the K samples of a recording."""
 
@@ -76,6 +90,17 @@ class RecordingErrors(NamedTuple):
             for name, mask in self.masks.items()
             if name == "judged" or mask.any()
         }
+
+    def blocks(self) -> Blocks:
+        """Mean square errors in blocks of BLOCK seconds of the judged samples."""
+        judged = np.flatnonzero(self.masks["judged"])
+        length = max(1, int(BLOCK / np.median(np.diff(self.time))))
+        parts = np.array_split(judged, max(1, round(len(judged) / length)))
+        squares = [
+            None if errors is None else [rmse(errors[part]) ** 2 for part in parts]
+            for errors in (self.attitude.total, self.position)
+        ]
+        return Blocks(squares[0] or [], squares[1])
 
 
 def attitude_errors(estimated: ArrayLike, true: ArrayLike) -> AttitudeErrors:

@@ -98,11 +98,11 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
     """What is tuned on recordings where no configuration is given.
 
     It is a Kalman filter with the noises that the recordings show (`found_noises`), so that little
-    is left to search; on recordings without a velocity the attitude filter.
+    is left to search; on recordings of inertial sensors without a velocity the attitude filter.
     """
-    if all(one.attitude_only for one in recordings):
+    if all(one.attitude_only and "accelerometer" in one.sensors for one in recordings):
         return config.load("imu")
-    noises = found_noises([one for one in recordings if not one.attitude_only])
+    noises = found_noises(recordings)
     stated = {f"filter.{key}": float(f"{value:.3g}") for key, value in noises.items()}
     return config.load("kalman").replace(**stated, **{"search.iterations": FEW})
 

@@ -211,7 +211,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
 
     class Judged:
         on_scenarios = SimpleNamespace(
-            evaluation=SimpleNamespace(table=str, own="tuned filter"),
+            evaluation=SimpleNamespace(table=str, verdict=str, own="tuned filter"),
             endurance=SimpleNamespace(table=lambda *_: ""),
             beside="another",
         )

@@ -30,6 +30,7 @@ from posegsa.errors import (
 )
 from posegsa.export import export
 from posegsa.judging.judge import Recorded, judge
+from posegsa.judging.on_recordings import UNTUNED
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask
@@ -380,13 +381,16 @@ def test_without_a_configuration_the_noises_are_those_that_the_recordings_show()
     given, rng = bench(400), np.random.default_rng(0)
     for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
         given[name] = given[name] + 0.1 * rng.standard_normal(given[name].shape)
-    recording = Recording.from_arrays(**given)
-    found = posegsa.tune(recordings=[recording], iterations=1, seed=3)
+    whole = Recording.from_arrays(**given)
+    parts = whole.window(0, 2), whole.window(2)
+    found = posegsa.tune(recordings=parts[0], held_out=parts[1], iterations=1)
     assert found.experiment.filter.kind == "kalman"
     assert found.experiment.filter.landmark == pytest.approx(0.1, rel=0.2)
     assert list(found.filter.also) == ["filter.linear_walk"]
-    stated = posegsa.tune(found.experiment, recordings=[recording])
-    assert stated.filter == found.filter
+    # The summary ends with what is best on what was held out.
+    last = found.summary().split("Tuned: filter.linear_walk")[1]
+    assert "On what was held out the filter errs by" in last
+    assert UNTUNED in last
 
 
 def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from helpers.experiments import tiny
 from helpers.messages import assert_told
+from helpers.results import changed
+from helpers.results import evaluation as made_up
 from scipy import stats
 
 import posegsa
@@ -235,3 +237,25 @@ def test_the_table_holds_every_contender(evaluated):
     for name in BESIDE:
         assert heads.count(name) == (3 if name in sure else 2)
     assert_told(text.splitlines()[0], "Cost", "3 scenarios")
+
+
+def test_the_verdict_names_what_costs_less_the_lowest_first():
+    given = made_up((TUNED, CONSTANT, SMOOTH, EKF))
+    spread = np.linspace(-0.1, 0.1, given.scenarios)
+    for name, cost in ((TUNED, 5.0), (CONSTANT, 4.0), (SMOOTH, 3.0), (EKF, 6.0)):
+        given = changed(given, name, cost=cost + spread * (name != EKF))
+    given = changed(given, TUNED, rms_attitude=np.full(given.scenarios, 1.5))
+    given = changed(given, TUNED, rms_distance=np.full(given.scenarios, 0.125))
+    words = given.verdict()
+    assert f"On {given.scenarios} unseen scenarios the filter errs by 1.5 deg and 12.5 cm" in words
+    assert "Less cost: the smooth gain K(e) by 2 (2 to 2), the best constant gains by 1" in words
+    assert "filter.schedule=smooth" in words
+    assert "EKF" not in words
+
+
+def test_a_difference_that_may_be_chance_is_not_in_the_verdict():
+    given = made_up((TUNED, CONSTANT))
+    noise = np.resize([1.0, -1.0], given.scenarios)
+    own = given.contenders[TUNED].metrics.cost
+    given = changed(given, CONSTANT, cost=own - 0.01 + noise)
+    assert "No filter beside it (best constant gains) costs less" in given.verdict()

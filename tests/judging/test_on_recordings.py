@@ -1,39 +1,62 @@
 """What a result on recordings says in words."""
 
-from posegsa.judging.on_recordings import OnRecordings, RecordingScore
-from posegsa.recordings.accuracy import Rmse
+import numpy as np
+import pytest
+
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, shares
+from posegsa.recordings.accuracy import Blocks, Rmse
 
 
 def scores(total: float, position: float | None) -> list[RecordingScore]:
     """A filter on one recording, with these errors [deg, m]."""
     judged = Rmse(total=total, heading=total, inclination=0.0, position=position, samples=9)
-    return [RecordingScore("walk", 9, 0.9, position is None, {}, [], {"judged": judged}, "0" * 64)]
+    blocks = Blocks([total**2] * 3, None if position is None else [position**2] * 3)
+    about = ("walk", 9, 0.9, position is None, {}, [], {"judged": judged}, "0" * 64)
+    return [RecordingScore(*about, blocks=blocks)]
 
 
 def verdict(own: tuple[float, float | None], **others: tuple[float, float | None]) -> str:
     beside = {name.replace("_", " "): scores(*errors) for name, errors in others.items()}
     judged = OnRecordings(training=[], held_out=scores(*own), baselines=beside)
-    assert judged.verdict() in judged.text(0.0)
     return judged.verdict()
 
 
 def test_filters_that_err_less_are_named_the_best_first() -> None:
     words = verdict((0.31, 0.0287), invariant_EKF=(0.12, 0.014), VQF=(0.2, None), other=(0.4, 0.05))
     assert words.startswith("On what was held out the filter errs by 0.31 deg and 2.87 cm.")
-    assert "invariant EKF (39 % in attitude and 49 % in position), VQF (65 % in attitude)" in words
+    assert "invariant EKF (39 % in attitude, 49 % in position); VQF (65 % in attitude)" in words
     assert "other" not in words
 
 
 def test_one_that_is_better_in_position_alone_is_named_too() -> None:
-    assert "EKF (150 % in attitude and 50 % in position)" in verdict((0.2, 0.02), EKF=(0.3, 0.01))
+    assert "EKF (150 % in attitude, 50 % in position)" in verdict((0.2, 0.02), EKF=(0.3, 0.01))
 
 
 def test_where_none_is_better_it_says_so() -> None:
     words = verdict((0.2, None), VQF=(0.199, None), Madgwick=(0.5, None))
     assert words.endswith(
-        "errs by 0.2 deg. No filter beside it errs less, in attitude or in position."
+        "errs by 0.2 deg. No filter beside it (VQF, Madgwick) errs less, in attitude or in "
+        "position."
     )
 
 
 def test_without_other_filters_there_is_no_verdict() -> None:
     assert verdict((0.2, 0.1)) == ""
+
+
+def test_intervals_of_shares_are_those_of_paired_blocks() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.uniform(0.5, 1.5, 12)  # parts of the recording, for both filters
+
+    def filter(scale: float, noise: float) -> list[RecordingScore]:
+        squares = (scale * hard * (1 + noise * rng.standard_normal(12))) ** 2
+        (one,) = scores(float(np.sqrt(np.mean(squares))), None)
+        return [one._replace(blocks=Blocks(squares.tolist(), None))] * 2
+
+    (half,) = shares(filter(1.0, 0.0), filter(0.5, 0.0)).values()
+    assert half == pytest.approx((0.5, 0.5, 0.5)), "what is hard for both is no difference"
+    (alike,) = shares(filter(1.0, 0.5), filter(0.9, 0.5)).values()
+    assert alike.low < 1 < alike.high
+    assert "maybe by chance" in str(alike)
+    few = [one._replace(blocks=Blocks([1.0] * 3, None)) for one in filter(1.0, 0.0)]
+    assert np.isnan(shares(few, few)["attitude"].low)
