@@ -135,7 +135,7 @@ class PoseFilter:
         of_vectors, of_landmarks = _weights(filter)
         self._vectors = _Sensors("vector", vectors, vector_weights, of_vectors)
         self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
-        self._dtype = _dtype_of(filter)
+        self._dtype, self._kind = _dtype_of(filter), type(filter).__name__
         limits.VECTOR.checked("vector_references", vectors)
         limits.POSITION.checked("landmark_references", landmarks)
         start = self._state(rotation, position, bias)
@@ -214,6 +214,9 @@ class PoseFilter:
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt
         return self.pose
+
+    def __repr__(self) -> str:
+        return f"<PoseFilter of {self._kind} at {self._time:.6g} s>"
 
     @property
     def pose(self) -> Pose:

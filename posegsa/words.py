@@ -1,5 +1,6 @@
-"""Formatting of text output: counts with nouns, tables, values as TOML."""
+"""Formatting of text output: counts with nouns, similar names, tables, values as TOML."""
 
+import difflib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
@@ -8,6 +9,12 @@ from itertools import zip_longest
 def counted(number: int, noun: str, plural: str = "") -> str:
     """A count with its noun: "1 agent", "2 agents"."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def meant(given: str, allowed: Iterable[str]) -> str:
+    """The end of a message about an unknown name: "; did you mean NAME?", or ""."""
+    near = difflib.get_close_matches(given, list(allowed), 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def text_table(rows: Iterable[Sequence[str]]) -> str:

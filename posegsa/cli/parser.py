@@ -1,17 +1,19 @@
 """The parser of the command line and of each command. A command reports its own errors."""
 
 import argparse
-import difflib
+import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import IO, Any
+from typing import IO, Any, NoReturn
+
+from posegsa.words import meant
 
 
 class Parser(argparse.ArgumentParser):
     """An `argparse.ArgumentParser` whose errors show the usage of the command concerned.
 
-    The error about an unknown option suggests the most similar one. If the help can't be written,
-    this is an error too.
+    The error about an unknown option or choice suggests the most similar one. If the help can't be
+    written, this is an error too.
     """
 
     late_epilog: Callable[[], str] | None = None
@@ -28,10 +30,15 @@ class Parser(argparse.ArgumentParser):
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             option = next((one for one in unknown if one.startswith("-")), "")
-            near = difflib.get_close_matches(option.partition("=")[0], self._options(), 1)
-            meant = f"; did you mean {near[0]}?" if near else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+            similar = meant(option.partition("=")[0], self._options())
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{similar}")
         return found, unknown
+
+    def error(self, message: str) -> NoReturn:
+        """Show usage and message, with the choice that is most like one that there is not."""
+        if found := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            message += meant(found[1], re.findall(r"[\w-]+", found[2]))
+        super().error(message)
 
     def _options(self) -> list[str]:
         return [name for action in self._actions for name in action.option_strings]

@@ -1,4 +1,4 @@
-"""Changes of values, by their paths, in the data of an experiment or an attitude filter."""
+"""Changes of values, by their paths, in the data of an experiment."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -35,11 +35,11 @@ def with_values(
     parameters = data["parameters"]
     filter_ = data.get("filter")
     if isinstance(filter_, dict) and filter_.get("kind") != filter_before.get("kind"):
-        # Another filter: none of the first one's numbers mean anything for it.
+        # The numbers of one kind of filter mean nothing to another.
         _leave_named(data, "filter", named)
         _leave_named(data, "tuned", named)
         if not _named("parameters.also", named):
-            # Here all values are there, so that one does not see which of them a user has set.
+            # All values are present here, so it cannot be seen which ones the user set.
             also = ALSO_OF_KIND.get(str(filter_.get("kind")), ())
             parameters["also"] = [one.model_dump(mode="json") for one in also]
     elif isinstance(filter_, dict) and filter_.get("schedule") != filter_before.get("schedule"):

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from posegsa.arguments import refuse, several
+from posegsa.words import meant
 
 
 def chosen_figures(figures: Iterable[str] | None, known: Iterable[str]) -> list[str]:
@@ -17,5 +18,5 @@ def chosen_figures(figures: Iterable[str] | None, known: Iterable[str]) -> list[
     chosen = several("figures", figures, str, "names of figures")
     for name in chosen:
         if name not in names:
-            refuse(f"figures: {name!r}", ", ".join(names))
+            refuse(f"figures: {name!r}", f"{', '.join(names)}{meant(name, names)}")
     return list(dict.fromkeys(chosen))

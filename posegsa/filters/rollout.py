@@ -36,6 +36,7 @@ from posegsa.model.loops import scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import Vec3, clip_distance, dot, norm, rotate, rows, subtract
 from posegsa.model.signal import known_pose, pose_errors
+from posegsa.words import counted
 
 
 class Estimates(NamedTuple):
@@ -67,6 +68,9 @@ class Estimates(NamedTuple):
     """(N, 6, 6) covariance of the pose error xi = [theta; rho] (rad, m), body frame, with T =
     T_est exp(xi^); None for a filter without one. R_est Sigma_rho R_est^T is the position's in the
     inertial frame."""
+
+    def __repr__(self) -> str:
+        return f"<Estimates of {counted(jnp.shape(self.time)[-1], 'sample')}>"
 
 
 class ErrorTrack(NamedTuple):

@@ -171,6 +171,10 @@ class Evaluation:
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
     """By name, the filter that is judged first."""
 
+    def __repr__(self) -> str:
+        costs = ", ".join(f"{name} {self.cost(name).mean:.4g}" for name in self.contenders)
+        return f"<Evaluation on {counted(self.scenarios, 'scenario')}: {costs}; see table()>"
+
     @property
     def own(self) -> str:
         """The name of the filter that is judged."""

@@ -17,6 +17,15 @@ class Replay(NamedTuple):
     errors: RecordingErrors | None
     """None if the recording has no truth."""
 
+    def __repr__(self) -> str:
+        errors = "no truth"
+        if self.errors is not None:
+            judged = self.errors.rmse()["judged"]
+            errors = f"{judged.total:.3g} deg"
+            if judged.position is not None:
+                errors += f", {100 * judged.position:.3g} cm"
+        return f"<Replay of {self.recording.name}: {errors}>"
+
 
 def replayed_on(recording: Recording, estimates: Estimates) -> Replay:
     """A replay from a recording and the estimates at all its samples."""

@@ -13,7 +13,7 @@ from posegsa.recordings.delays import late_sensors, predicted
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.relations import FEWEST, Quantities, misfits, quantities
-from posegsa.words import text_table
+from posegsa.words import counted, text_table
 
 
 class SensorCheck(NamedTuple):
@@ -44,6 +44,10 @@ class DataCheck:
     """What is missing to determine the pose; "" if nothing is."""
     findings: list[str]
     """Mistakes and delays that the recording seems to have, in words; nothing is mended."""
+
+    def __repr__(self) -> str:
+        found = counted(len(self.findings), "mistake") if self.findings else "no mistake"
+        return f"<DataCheck of {self.recording.name}: {found} found; see text()>"
 
     def text(self) -> str:
         """All that was found, for a person."""

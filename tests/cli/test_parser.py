@@ -15,6 +15,8 @@ pytestmark = pytest.mark.quick
         (["tune", "quick", "another"], "posegsa tune: error: unrecognized arguments: another\n"),
         (["evaluate", "run", "other", "--scenraios", "3"], "did you mean --scenarios?"),
         (["--versoin", "configs"], "did you mean --version?"),
+        (["tun", "quick"], "did you mean tune?"),
+        (["export", "run", "--format", "jsn"], "did you mean json?"),
     ],
 )
 def test_a_command_says_what_it_does_not_know(arguments, said, capsys):
