@@ -25,20 +25,26 @@ class ResultFigure:
     title: str
     caption: str
     """How to read it."""
-    plot: Callable[[Any], Figure | None]
-    """Draws the part of a `Result` with the name of its argument (`_parts`); returns None if there
-    is nothing to show."""
+    plot: Callable[..., Figure | None]
+    """Draws the parts of a `Result` with the names of its arguments (`_parts`), all but the first
+    with a default; returns None if there is nothing to show."""
 
     def draw(self, result: Result) -> Figure | None:
         """The figure of a result; None if it has nothing to show."""
-        (shown,) = inspect.signature(self.plot).parameters
-        part = _parts(result).get(shown)
-        return None if part is None else self.plot(part)
+        shown, *more = inspect.signature(self.plot).parameters
+        parts = _parts(result)
+        if parts.get(shown) is None:
+            return None
+        return self.plot(parts[shown], **{name: parts[name] for name in more if name in parts})
 
     @property
     def alternative(self) -> str:
         """A description for readers who cannot see the figure."""
         return (self.plot.__doc__ or self.title).partition("\n")[0]
+
+
+WHAT = {"unknown": "velocities' noise", "belief": "a sensor's variance"}
+"""What the controllers of a Kalman filter multiply, by their roles."""
 
 
 def _parts(result: Result) -> dict[str, Any]:
@@ -48,8 +54,14 @@ def _parts(result: Result) -> dict[str, Any]:
     if judged is not None:
         parts |= {"evaluation": judged.evaluation, "trajectory": judged.trajectory}
     if result.filter.kind == "fuzzy":
-        parts |= {"controller": result.controller}
         parts |= {"trust": None if judged is None else judged.trust}
+    for role, controller in result.controllers.items():  # figures show the first one
+        section = result.tuned.filter
+        if role != "gain":
+            largest, of = getattr(section, f"{role}_largest"), WHAT[role]
+            base = f"{largest:.0f}" if largest >= 10 else f"{largest:.3g}"
+            parts.setdefault("output", f"$K$ [-]; {of} times ${base}^{{(K-1)/100}}$")
+        parts.setdefault("controller", controller)
     return parts
 
 

@@ -198,11 +198,13 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         ax.plot(angle, finite(cost), marker=_MARKERS[name], alpha=alpha, markersize=3, **points)
         label = f"{name} ({np.count_nonzero(bad)} infinite)" if bad.any() else name
         order = 4 if name == evaluation.own else 3  # above the points; the judged filter on top
-        ax.plot(*_running_median(angle, cost), label=label, linewidth=2, zorder=order, **look)
+        ax.plot(*_running_median(angle, cost), linewidth=2, zorder=order, **look)
         if bad.any():
             edge = ax.get_xaxis_transform()
             top = np.full(np.count_nonzero(bad), 0.99)
             ax.plot(angle[bad], top, marker="^", transform=edge, **points)
+        # In the legend with the marker of its scenarios.
+        ax.plot([], [], label=label, linewidth=2, marker=_MARKERS[name], markersize=5, **look)
     style.scale_costs(ax, "y", np.concatenate(shown))
     ax.set(xlabel="Attitude error at the start [deg]", ylabel="Cost [-]")
     ax.xaxis.set_major_locator(style.ticks(7, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 FIGURES: list[ResultFigure] = []
 
+GAIN = "Gain $K$ [1/s]"
 _RESOLUTION = 401  # points along each side of the control surface
 _SQUARE_ROOT = (
     lambda x: np.copysign(np.sqrt(np.abs(x)), x),
@@ -37,13 +38,17 @@ _SQUARE_ROOT = (
     FIGURES,
     name="control_surface",
     title="Control surface",
-    caption="The gain as a function of the error and its rate of change. Both axes are stretched "
+    caption="The output as a function of the error and its rate of change. Both axes are stretched "
     "towards 0, where a filter spends most of its time. No rule fires in hatched regions.",
 )
-def plot_surface(controller: FuzzyController) -> Figure:
+def plot_surface(controller: FuzzyController, output: str = GAIN) -> Figure:
     """Control surface: gain K [1/s] over the scaled error and rate, 0 to 1.
 
     Where no rule fires the surface is blank, and the legend states the gain.
+
+    Args:
+        controller: The controller.
+        output: What K is, with its unit; of a Kalman filter a factor on noises follows from it.
     """
     check_type("controller", controller, FuzzyController)
     figure, (ax,) = style.panels(1, 4.3)
@@ -57,12 +62,13 @@ def plot_surface(controller: FuzzyController) -> Figure:
         scale("function", functions=_SQUARE_ROOT)
     ax.set(xlim=(0, 1), ylim=(0, 1))
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
-    bar = style.colour_bar(figure, mesh, ax, "Gain $K$ [1/s]")
+    bar = style.colour_bar(figure, mesh, ax, output)
     if gain.count():
         _plot_contours(ax, axis, gain, bar)
     low, high = controller.output_range
-    middle = f"$K$ = {controller.offset + 0.5 * (low + high):g} 1/s"
-    meaning = "the last gain is held" if controller.no_rule == "hold" else middle
+    unit, last = (" 1/s", "gain") if output == GAIN else ("", "$K$")
+    middle = f"$K$ = {controller.offset + 0.5 * (low + high):g}{unit}"
+    meaning = f"the last {last} is held" if controller.no_rule == "hold" else middle
     _hatch(figure, ax, [ax.axvspan, ax.axhspan], controller, f"no rule fires: {meaning}")
     for side in (ax.xaxis, ax.yaxis):
         side.set_ticks((0, 0.01, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1))
@@ -129,11 +135,17 @@ def plot_input_terms(controller: FuzzyController) -> Figure:
     caption="The outputs of the rules. The gain is the offset plus the centroid of the union of "
     "these terms, each clipped at its firing strength.",
 )
-def plot_output_terms(controller: FuzzyController) -> Figure:
-    """Output terms VS to VL over the output k_op [1/s]; the gain is offset + centroid."""
+def plot_output_terms(controller: FuzzyController, output: str = GAIN) -> Figure:
+    """Output terms VS to VL over the output k_op [1/s]; the gain is offset + centroid.
+
+    Args:
+        controller: The controller.
+        output: What K is, as for `plot_surface`.
+    """
     check_type("controller", controller, FuzzyController)
     gain = f"$K = {controller.offset:g} + $ centroid"
-    label = rf"Output $k_\mathrm{{op}}$ [1/s];  gain {gain}"
+    unit, what = ("1/s", "gain ") if output == GAIN else ("-", "")
+    label = rf"Output $k_\mathrm{{op}}$ [{unit}];  {what}{gain}"
     figure, _ = _plot_terms(controller.output_terms, controller.output_range, label)
     return figure
 

@@ -142,6 +142,21 @@ class Result:
         return schedule.controller
 
     @property
+    def controllers(self) -> dict[str, FuzzyController]:
+        """The tuned fuzzy controllers by what they schedule.
+
+        "gain" of an observer; "unknown" and "belief" of a Kalman filter's noises (`NoiseGains`,
+        tied for vectors and landmarks).
+        """
+        schedule = self.candidate.schedule
+        found = {"gain": schedule}
+        if isinstance(schedule, NoiseGains):
+            found = {"unknown": schedule.unknown, "belief": schedule.vectors or schedule.landmarks}
+        return {
+            role: each.controller for role, each in found.items() if isinstance(each, FuzzyGain)
+        }
+
+    @property
     def known_sensors(self) -> KnownSensors:
         """What the filter knows of its sensors: of its recordings; of its scenario without any.
 

@@ -16,6 +16,7 @@ from helpers.results import history, trajectory
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import posegsa
 from posegsa.figures import schedule_figures, search
 from posegsa.figures import trajectory_figures as paths
 from posegsa.figures.result_figures import FIGURES as ALL
@@ -326,3 +327,20 @@ def test_short_runs_and_empty_values_are_drawn(samples, value):
     for plot in (paths.plot_euler, paths.plot_position, paths.plot_errors, paths.plot_gain):
         plot(run).draw_without_rendering()
     assert len(paths.plot_gain(run).axes) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "what"), [("recommended", "velocities' noise"), ("disturbed", "a sensor's variance")]
+)
+def test_the_controller_of_a_kalman_filter_is_drawn_with_what_it_multiplies(name, what):
+    result = posegsa.configured(name)
+    role = {"recommended": "unknown", "disturbed": "belief"}[name]
+    assert list(result.controllers) == [role]
+    drawn = posegsa.draw(result, ["control_surface", "input_terms", "output_terms"])
+    assert list(drawn) == ["control_surface", "input_terms", "output_terms"]
+    _, bar = drawn["control_surface"].axes
+    label = bar.get_ylabel()
+    largest = getattr(result.tuned.filter, f"{role}_largest")
+    assert what in label
+    assert f"{largest:.0f}^{{(K-1)/100}}" in label
+    assert "1/s" not in drawn["output_terms"].axes[0].get_xlabel()
