@@ -38,7 +38,7 @@ CONTENDERS = (
     "best open-loop gains",
     "invariant EKF",
     "invariant EKF, vector biases",
-    "as configured",
+    "before tuning",
 )
 """Names of the filters that can be compared, in the order of the tables."""
 NOT_TUNED = "this filter"
@@ -94,7 +94,7 @@ class Summary(NamedTuple):
 
 def called(name: str) -> str:
     """A contender's name within a sentence."""
-    words = {AS_CONFIGURED: "the filter as configured", NOT_TUNED: NOT_TUNED}
+    words = {AS_CONFIGURED: "the filter before tuning", NOT_TUNED: NOT_TUNED}
     return words.get(name, f"the {name}")
 
 

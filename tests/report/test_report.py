@@ -446,10 +446,10 @@ def test_a_kalman_filter_is_shown_beside_itself_as_configured():
     )
     found = page(given)
     assert not [words for words in (*NO_RULES, "gain K") if words in without_configuration(found)]
-    assert_told(found.text, "Held out: as configured", "the filter as configured", "Kalman filter")
-    assert_told(found.text, "Errors of the tuned filter and of the filter as configured by time")
-    assert_told(found.text, "worse than the filter as configured: attitude")
-    assert ["as configured", "Kalman filter"] in found.table("What each contender is")
+    assert_told(found.text, "Held out: before tuning", "the filter before tuning", "Kalman filter")
+    assert_told(found.text, "Errors of the tuned filter and of the filter before tuning by time")
+    assert_told(found.text, "worse than the filter before tuning: attitude")
+    assert ["before tuning", "Kalman filter"] in found.table("What each contender is")
     settings = {key: value for key, value, _ in found.table("Settings")[1:]}
     assert settings["filter.kind"] == '"kalman"'
 
