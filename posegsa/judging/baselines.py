@@ -124,9 +124,9 @@ class Baseline(NamedTuple):
 def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]:
     """The filters that can stand beside a tuned one, by name.
 
-    Those that follow from the tuned filter (its numbers before the tuning, its gains replayed, a random
-    search for it), gain schedules of the observer, and Kalman filters. The observer is that of the
-    experiment, or the default one where the experiment has another filter.
+    Those that follow from the tuned filter (its numbers before the tuning, its gains replayed, a
+    random search for it), gain schedules of the observer, and Kalman filters. The observer is that
+    of the experiment, or the default one where the experiment has another filter.
     """
     own = problem.experiment
     observer = observer_experiment(own)
