@@ -290,7 +290,7 @@ def test_warnings_are_shown_before_all_else():
     assert len(bad.warnings()) == 4
     for warning in bad.warnings():
         assert warning[1:] in found.text
-    assert found.text.index("SENSITIVE") < found.text.index("Held out: tuned filter")
+    assert found.text.index("SENSITIVE") < found.text.index("Held out, settled: tuned filter")
     assert any(a.get("class") == "warnings" for _, a in found.elements)
     assert_told(found.text, "Sensitive", "more than 1 %", "No rule fires", "20.0 %")
 
@@ -446,7 +446,8 @@ def test_a_kalman_filter_is_shown_beside_itself_as_configured():
     )
     found = page(given)
     assert not [words for words in (*NO_RULES, "gain K") if words in without_configuration(found)]
-    assert_told(found.text, "Held out: before tuning", "the filter before tuning", "Kalman filter")
+    assert_told(found.text, "Held out, settled: before tuning", "the filter before tuning")
+    assert_told(found.text, "Kalman filter")
     assert_told(found.text, "Errors of the tuned filter and of the filter before tuning by time")
     assert_told(found.text, "worse than the filter before tuning: attitude")
     assert ["before tuning", "Kalman filter"] in found.table("What each contender is")
@@ -462,7 +463,7 @@ def test_a_constant_gain_is_shown_beside_a_smooth_one():
     )
     found = page(given)
     assert not [words for words in NO_RULES if words in without_configuration(found)]
-    assert_told(found.text, "the gain K", "Held out: smooth gain K(e)", "training 42.00")
+    assert_told(found.text, "the gain K", "Held out, settled: smooth gain K(e)", "training 42.00")
 
 
 def test_it_says_what_the_filter_was_tuned_on():
@@ -509,8 +510,9 @@ def test_every_text_that_comes_from_data_is_escaped():
     given.contenders[evil] = contender(0, filter=FILTERS[CONSTANT]._replace(also={evil: 1.0}))
     found = page(result(evaluation=given, environment={evil: evil}, version=evil), {evil: PICTURE})
     assert not any(tag == "script" for tag, _ in found.elements)
-    # Version twice, name in three tables, a key of its filter, environment as key and as value.
-    assert found.text.count(evil) == 2 + 3 + 1 + 2
+    # Version twice, name in three tables and the verdict, a key of its filter, environment as key
+    # and as value.
+    assert found.text.count(evil) == 2 + 4 + 1 + 2
     template = templates().from_string('<p title="{{ evil }}">{{ evil }}</p>')
     assert Page(template.render(evil=evil)).elements == [("p", {"title": evil})]
 
