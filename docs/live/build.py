@@ -93,6 +93,7 @@ def world(experiments: dict[str, posegsa.Experiment]) -> dict:
 
 
 def run(*command: str | Path) -> None:
+    """Runs a program in the folder of what is built."""
     subprocess.run([str(each) for each in command], cwd=BUILD, check=True)
 
 
@@ -110,10 +111,9 @@ def bundle() -> tuple[str, str]:
     run("npm", "install", "--no-package-lock", "--no-audit", "--no-fund", "--loglevel=error")
     binaries = ", ".join(f"{name}: {name}_" for name in FILTERS)
     imports = "\n".join(f'import {name}_ from "./{name}/filter.wasm";' for name in FILTERS)
-    built = (
-        f'import world from "./world.json";\n{imports}\nexport const binaries = {{ {binaries} }};\n'
-    )
-    (BUILD / "built.js").write_text(built + "export { world };\n", encoding="utf-8")
+    built = f"{imports}\nexport const binaries = {{ {binaries} }};\n"
+    built += 'export { default as world } from "./world.json";\n'
+    (BUILD / "built.js").write_text(built, encoding="utf-8")
     for source in (*HERE.glob("*.js"), *HERE.glob("*.css")):  # beside node_modules
         shutil.copy(source, BUILD)
     run(
@@ -141,6 +141,7 @@ def licences() -> str:
 
 
 def main() -> None:
+    """Builds the page."""
     experiments = write_headers(BUILD)
     text = json.dumps(world(experiments))
     (BUILD / "world.json").write_text(text, encoding="utf-8")

@@ -5,8 +5,8 @@ import { Run } from "./run.js";
 const mean = (values) => values.reduce((sum, each) => sum + each, 0) / values.length;
 
 /** Errors of each filter [deg, m]: settled, after a turn by 150 degrees, and settled again. */
-function turned(world, filters) {
-  const run = new Run(world, filters, 1);
+function turned(page) {
+  const { run, filters } = page;
   const now = () =>
     filters.map((filter) => {
       const [angle, distance] = filter.errors(run.flight.truth);
@@ -18,7 +18,12 @@ function turned(world, filters) {
   };
   run.step(1800);
   const before = settled();
-  run.startAt(150, 5);
+  for (const [id, value] of Object.entries({ turn: 150, move: 5 })) {
+    const slider = document.getElementById(id);
+    slider.value = value;
+    slider.dispatchEvent(new Event("input"));
+  }
+  document.getElementById("start").click();
   const after = now();
   run.step(1800);
   const again = settled();
@@ -27,7 +32,16 @@ function turned(world, filters) {
   );
 }
 
-/** Every number that goes into the filters and comes out, base64 of doubles. */
+/** What the page says of each filter when it is selected: a row of the table. */
+function selected(page) {
+  return [...document.querySelectorAll("input[name=filter]")].map((radio) => {
+    radio.click();
+    page.frame(0.02);
+    return document.querySelector("tr.selected").innerText;
+  });
+}
+
+/** Every number that goes into the filters, and each tenth time all that come out, base64 of doubles. */
 function samples(world, filters, count) {
   const run = new Run(world, filters, 2);
   run.startAt(150, 5);
@@ -45,7 +59,7 @@ function samples(world, filters, count) {
     run.step(1);
     filters.forEach((filter, i) => {
       traces[i].input.push(...filter.measurement);
-      traces[i].output.push(...filter.output);
+      if (k % 10 === 9) traces[i].output.push(...filter.output);
     });
   }
   const base64 = (numbers) => {
@@ -68,11 +82,12 @@ function samples(world, filters, count) {
   );
 }
 
-export function report(world, filters) {
-  const text = JSON.stringify({ turned: turned(world, filters), samples: samples(world, filters, 3000) });
+export function report(page, world) {
+  const found = { turned: turned(page), selected: selected(page) };
+  found.samples = samples(world, page.filters, 3000);
   const element = document.createElement("script");
   element.type = "application/json";
   element.id = "report";
-  element.textContent = text;
+  element.textContent = JSON.stringify(found);
   document.body.append(element);
 }

@@ -93,11 +93,10 @@ function velocities(a, b, dt) {
   return { angular: w.map((each) => each / dt), linear: v.map((each) => each / dt) };
 }
 
-const EVEN = [1, 1, 1].map((each) => each / Math.sqrt(3));
 const PAUSE = 3; // s, between two bursts
 
 /**
- * The flight with its sensors. `added` holds what is added to the biases, `sensors` whether each is
+ * The flight with its sensors. `added` holds what each axis' bias gets more, `sensors` whether each is
  * "measured", "cut" or "disturbed"; both may be changed at any time.
  */
 export class Flight {
@@ -141,7 +140,7 @@ export class Flight {
     const toBody = conjugate(truth.attitude);
     const sensed = (value, { bias, noise }, more) =>
       value.map((each, i) => each + bias[i] + noise * this.noise.normal() + more[i]);
-    const extra = (size) => EVEN.map((each) => size * each);
+    const extra = (size) => [size, size, size];
     const sample = {
       angular: sensed(angular, world.angularVelocity, extra(this.added.angular)),
       linear: sensed(linear, world.velocity, extra(this.added.linear)),

@@ -223,13 +223,10 @@ class Page {
 
 async function main() {
   const filters = await loadFilters(world, binaries);
-  if (location.hash === "#test") {
-    report(world, filters);
-    return;
-  }
   const page = new Page(filters);
   page.open(location.hash.slice(1));
-  page.animate();
+  if (location.hash === "#test") report(page, world);
+  else page.animate();
 }
 
 main().catch((error) => {

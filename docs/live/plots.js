@@ -53,7 +53,7 @@ class Plot {
         legend: { show: false },
         cursor: { sync: { key: "time" }, drag: { x: false, y: false }, points: { show: false } },
         scales: { x: { time: false, range: () => this.span }, y: { distr: 3, range: () => range } },
-        padding: [8, 12, 0, 0],
+        padding: [8, 20, 0, 0],
         axes: [
           { ...axis, size: 26, values: (_, all) => all.map((value) => `${value} s`) },
           { ...axis, size: 52, splits: () => decades(range), values: (_, all) => all.map(power) },

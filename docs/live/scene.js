@@ -100,11 +100,11 @@ export class View {
     this.canvas = canvas;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
     this.scene = new Scene();
-    this.camera = new PerspectiveCamera(40, 1, 0.1, 200);
+    this.camera = new PerspectiveCamera(36, 1, 0.1, 200);
     this.camera.up.copy(UP);
-    this.camera.position.set(-4.2, -10.2, 6.6);
+    this.camera.position.set(-4, -10, 6.6);
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.target.set(0, 0, 1.1);
+    this.controls.target.set(0, 0, 1.3);
     this.controls.enablePan = false;
     this.controls.minDistance = 2;
     this.controls.maxDistance = 40;
@@ -232,7 +232,8 @@ export class View {
       this.renderer.setPixelRatio(ratio);
       this.renderer.setSize(clientWidth, clientHeight, false);
       this.camera.aspect = clientWidth / clientHeight;
-      this.camera.fov = this.camera.aspect < 1.2 ? 52 : 40;
+      const wide = Math.atan(0.5 / this.camera.aspect); // the figure fits into a narrow view too
+      this.camera.fov = Math.max(36, (360 / Math.PI) * wide);
       this.camera.updateProjectionMatrix();
     }
     this.controls.update();
