@@ -1,8 +1,10 @@
 """The documentation site: `sphinx-build -W --keep-going -b html docs docs/_build`."""
 
+import shutil
 import sys
 import warnings
 from html import escape
+from pathlib import Path
 
 import ziamath
 from docutils import nodes
@@ -26,7 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "gallery/*.py", "gallery/**/*.md5"]
+exclude_patterns = ["_build", "gallery/*.py", "gallery/**/*.md5", "live"]
 default_role = "code"  # of docstrings
 html_theme = "furo"
 html_title = f"posegsa {release}"
@@ -103,12 +105,21 @@ def after_napoleon(app, what, name, thing, options, lines):
             lines[last] += f" Default: ``{default!r}``."
 
 
+def copy_live_page(app, exception):
+    """The page that docs/live/build.py has built, as it is."""
+    if exception is None and app.builder.format == "html":
+        folder = Path(app.outdir) / "live"
+        folder.mkdir(exist_ok=True)
+        shutil.copy(Path(app.srcdir) / "live" / "index.html", folder)
+
+
 def setup(app):
     """Add the renderer of equations, and what autodoc and the gallery have no settings for."""
     app.connect("autodoc-process-signature", signature_of)
     app.connect("autodoc-process-docstring", before_napoleon, priority=400)
     app.connect("autodoc-process-docstring", after_napoleon, priority=600)
     app.connect("builder-inited", headers_are_rst, priority=100)
+    app.connect("build-finished", copy_live_page)
     app.add_html_math_renderer("drawn", (drawn_equation, None), (drawn_equation, None))
 
 
