@@ -78,7 +78,8 @@ class Page {
     $("true-start").onclick = () => this.start(0, 0);
     const keys = { p: "pause", r: "reset", t: "start", s: "true-start" };
     document.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey || event.target.id === "seed") return;
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.target.matches("select, input[type=number]")) return;
       if (keys[event.key]) $(keys[event.key]).click();
       const number = Number(event.key) - 1;
       if (this.filters[number]) this.select(number);

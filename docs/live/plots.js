@@ -6,7 +6,6 @@ const SHOWN = 30; // s
 
 /** What is plotted of each kind of schedule: title, range and the names of its lines. */
 const SCHEDULES = {
-  "": { title: "This filter schedules nothing", range: [0.1, 10], names: [] },
   gain: { title: "Gain [1/s]", range: [1, 100], names: ["gain"] },
   unknown: { title: "Factor on the noise that it assumes", range: [1, 3000], names: ["factor"] },
   belief: {
@@ -103,21 +102,23 @@ export class Plots {
         ...(hasSigma ? [history.map((row) => row.filters[selected][sigma])] : []),
       ]);
     };
-    const { title, range, names } = SCHEDULES[kind];
-    const inColour = (i) => (names.length === 1 ? colour : colours.schedule[i]);
+    const scheduled = (element) => {
+      const { title, range, names } = SCHEDULES[kind];
+      const lines = names.map((name, i) => ({
+        name,
+        colour: names.length === 1 ? colour : colours.schedule[i],
+      }));
+      const series = lines.map((line) => ({ stroke: line.colour, width: 2 }));
+      return new Plot(element, title, lines, range, series, colours, (history) =>
+        lines.map((_, i) => history.map((row) => row.filters[selected].scheduled[i])),
+      );
+    };
     this.all = [
       errors(elements[0], "Attitude error [deg]", [0.1, 180], "attitudeError", "attitudeSigma"),
       errors(elements[1], "Position error [m]", [0.01, 20], "positionError", "positionSigma"),
-      new Plot(
-        elements[2],
-        title,
-        names.map((name, i) => ({ name, colour: inColour(i) })),
-        range,
-        names.map((_, i) => ({ stroke: inColour(i), width: 2 })),
-        colours,
-        (history) => names.map((_, i) => history.map((row) => row.filters[selected].scheduled[i])),
-      ),
     ];
+    elements[2].replaceChildren();
+    if (kind in SCHEDULES) this.all.push(scheduled(elements[2]));
     for (const each of this.all) each.onCursor = onCursor;
   }
 

@@ -11,7 +11,7 @@ export class Run {
     this.flight = new Flight(world, seed);
     this.starts = new Random(seed + 0x20000);
     this.history = [];
-    this.restarts = []; // times [s]
+    this.started = 0; // how often
     this.startAt(0, 0);
   }
 
@@ -24,7 +24,7 @@ export class Run {
       position: plus(position, this.starts.direction(), distance),
     };
     for (const filter of this.filters) filter.start(start);
-    if (this.flight.samples > 0) this.restarts.push(this.flight.time);
+    this.started += 1;
     this.record();
   }
 
@@ -43,6 +43,7 @@ export class Run {
     const positive = (value) => (Number.isFinite(value) ? Math.max(value, 1e-9) : null);
     this.history.push({
       time,
+      started: this.started,
       position: truth.position,
       filters: this.filters.map((filter) => {
         const [angle, distance] = filter.errors(truth);
@@ -60,7 +61,6 @@ export class Run {
       }),
     });
     while (this.history[0].time < time - KEPT) this.history.shift();
-    this.restarts = this.restarts.filter((each) => each >= this.history[0].time);
   }
 }
 

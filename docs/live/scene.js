@@ -195,8 +195,7 @@ export class View {
     place(this.estimate, { attitude, position });
     for (const each of [this.ghost, this.cloud, this.mesh, this.trail.material]) each.color.set(colour);
     setTrail(this.trueTrail, run.history.map((row) => row.position));
-    const since = run.restarts.at(-1) ?? 0; // a restart is a jump
-    const own = run.history.filter((row) => row.time >= since);
+    const own = run.history.filter((row) => row.started === run.started); // a start is a jump
     setTrail(this.trail, own.map((row) => row.filters[selected].position));
 
     const { covariance } = filter;
