@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from posegsa.arguments import check_type
+from posegsa.errors import RecordingError
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
+from posegsa.recordings.accuracy import attitude_errors
 from posegsa.recordings.delays import late_sensors, predicted
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.recording import Recording
@@ -72,7 +74,7 @@ class DataCheck:
         """The noises that were found as a [filter] table; "" for an attitude-only recording."""
         if self.recording.attitude_only:
             return ""
-        numbers = _noises(self.recording, self.sensors) | ASSUMED
+        numbers = _noises(self.recording, self.sensors) | WALKS | _start(self.recording)
         lines = [f"{key} = {value:.2g}  # {_UNITS[key]}" for key, value in numbers.items()]
         return "\n".join(["[filter]", 'kind = "kalman"', *lines])
 
@@ -86,14 +88,11 @@ _SETTINGS = (
 """Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
 NONE = 1e-6
 """A noise below which a sensor was simulated without: no filter should believe in that."""
-ASSUMED = {
-    "angular_walk": 2e-5,
-    "vector_walk": 1e-5,
-    "initial_attitude": 0.15,
-    "initial_position": 0.25,
-}
-"""What one recording does not tell: biases that hardly change within it, and a start from the means
-of the first sensors (`recordings.start`), which is off by less than this."""
+WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
+"""What one recording does not tell: the biases are assumed to hardly change within it."""
+START = {"initial_attitude": 0.15, "initial_position": 0.25}
+"""Deviations of a start from the means of the first sensors, which is off by less where these show
+the pose [rad], [m]."""
 _UNITS = {
     "angular_velocity": "rad/sqrt(s)",
     "velocity": "m/sqrt(s)",
@@ -104,28 +103,49 @@ _UNITS = {
     "initial_vector_bias": "as large as it was",
     "angular_walk": "rad/s/sqrt(s), assumed: it hardly changes",
     "vector_walk": "1/sqrt(s), assumed: it hardly changes",
-    "initial_attitude": "rad, assumed: a start from the sensors",
-    "initial_position": "m, assumed: a start from the sensors",
+    "initial_attitude": "rad, or how far off its start was",
+    "initial_position": "m, or how far off its start was",
 }
 
 
 def found_noises(recordings: Sequence[Recording]) -> dict[str, float]:
     """What recordings tell of their sensors, by key of a Kalman filter's settings.
 
-    Noises are medians over the recordings, and biases the largest. The walk of the velocity's bias
-    is left open, for a search.
+    Noises are medians over the recordings, biases and errors of the start the largest. The walk of
+    the velocity's bias is left open, for a search.
 
     Args:
         recordings: With a body velocity; biases are found where there is a truth.
     """
-    each = [_noises(one, _sensors(one, quantities(one))) for one in recordings]
+    each = [_noises(one, _sensors(one, quantities(one))) | _start(one) for one in recordings]
     keys = dict.fromkeys(key for noises in each for key in noises)
     found = {key: [noises[key] for noises in each if key in noises] for key in keys}
     combined = {
         key: max(values) if key.startswith("initial") else float(np.median(values))
         for key, values in found.items()
     }
-    return combined | ASSUMED
+    return combined | WALKS
+
+
+def _start(recording: Recording) -> dict[str, float]:
+    """Deviations of the pose at the start: START, or its error if that is larger.
+
+    A start is far off if it was given so, or if nothing is seen at first that shows the pose.
+    """
+    truth = recording.truth
+    if truth is None:
+        return START
+    try:
+        start = recording.initial()
+    except RecordingError:  # nothing is seen at first; whoever runs a filter is told
+        return START
+    angle = np.radians(attitude_errors(start.rotation[None], truth.rotation[:1]).total[0])
+    errors = {"initial_attitude": float(angle)}
+    if truth.position is not None:
+        distance = np.linalg.norm(start.position - truth.position[0])
+        errors["initial_position"] = float(distance)
+    known = {key: error for key, error in errors.items() if np.isfinite(error)}
+    return {key: max(least, known.get(key, least)) for key, least in START.items()}
 
 
 def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, float]:

@@ -229,6 +229,19 @@ def test_noises_of_several_recordings_are_medians_and_the_largest_biases() -> No
     assert "linear_walk" not in both, "it is left to the search"
 
 
+def test_a_start_that_is_off_has_deviations_as_large() -> None:
+    usual = found_noises([Recording.from_arrays(**flown())])
+    assert (usual["initial_attitude"], usual["initial_position"]) == (0.15, 0.25)
+    off = found_noises([Recording.from_arrays(**flown()).off(90, 4.0)])
+    assert off["initial_attitude"] == pytest.approx(np.pi / 2, rel=1e-3)
+    assert off["initial_position"] == pytest.approx(4.0, rel=1e-3)
+    unseen = flown()
+    unseen["landmarks"][:200] = np.nan  # so that the start knows no position
+    distance = np.linalg.norm(unseen["truth_position"][0])
+    found = found_noises([Recording.from_arrays(**unseen)])
+    assert found["initial_position"] == pytest.approx(distance, rel=1e-3)
+
+
 def test_raw_inertial_sensors_are_compared_too() -> None:
     given = inertial_motion(rest=2, moving=20)
     recording = posegsa.imu(**given)
