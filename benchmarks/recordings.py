@@ -26,10 +26,10 @@ import numpy as np
 from readme import ROOT, write_block
 
 import posegsa
-from posegsa.cli.progress import Display
 from posegsa.judging.evaluation import EKF
 from posegsa.judging.on_recordings import mean_errors
 from posegsa.judging.result import Result
+from posegsa.progress import Display
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.recording import LANDMARK_OUTLIER
 from posegsa.runtime import environment

@@ -23,11 +23,11 @@ from tqdm import tqdm
 
 import posegsa
 from posegsa import config
-from posegsa.cli.progress import Display
 from posegsa.evaluating import evaluate
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
+from posegsa.progress import Display
 
 
 class Case(NamedTuple):

@@ -19,6 +19,7 @@ from posegsa.judging.description import check_kind, kind_of, title_of
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
 from posegsa.optimisers.registry import USUAL
+from posegsa.progress import shown
 from posegsa.runtime import environment
 from posegsa.saving.comparison_files import continued, write_comparison, write_searches
 from posegsa.saving.folder import locked_folder
@@ -151,7 +152,7 @@ def compare(
     # A run in that folder is safe: its files have other names.
     place = nullcontext() if out is None else locked_folder(out, overwrite=True)
     in_dtype = jax.enable_x64(one.run.dtype == "float64")
-    with steps.listening(progress), place as folder, in_dtype:
+    with shown(progress), place as folder, in_dtype:
         steps.begin("preparing")
         subject = _filter(one) if function is None else _function(function)
         comparison = OptimiserComparison(

@@ -17,14 +17,24 @@ from posegsa.arguments import (
 )
 from posegsa.defaults import SCENARIOS
 from posegsa.judging.baselines import baselines, batch_for
+from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import Description, candidate_of
-from posegsa.judging.evaluation import CONTENDERS, contender, evaluation, own_name
+from posegsa.judging.evaluation import (
+    CLAIRVOYANT,
+    CONTENDERS,
+    UNTUNED,
+    contender,
+    evaluation,
+    own_name,
+)
 from posegsa.judging.judge import on_scenarios
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.other_filters import OTHER_FILTERS, installed
 from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
 from posegsa.judging.result import Result
+from posegsa.judging.untuned import always_starts
+from posegsa.progress import shown
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
@@ -95,7 +105,7 @@ def evaluate(
         given = {"scenarios": scenarios != SCENARIOS, "seed": seed is not None}
         for name in (name for name, stated in given.items() if stated):
             refuse(f"{name} with recordings", "recordings, training and others")
-        with steps.listening(progress):
+        with shown(progress):
             return _on_recordings(result, recordings, training, others, cost)
     if training != () or others is not None:
         refuse("training, others without recordings", "both, or neither")
@@ -104,7 +114,7 @@ def evaluate(
         check_whole("seed", seed, 0, MAX_INTEGER)
     experiment = result.experiment
     memory.check([experiment], held_out=scenarios)
-    with steps.listening(progress), jax.enable_x64(experiment.run.dtype == "float64"):
+    with shown(progress), jax.enable_x64(experiment.run.dtype == "float64"):
         steps.begin("preparing")
         drawn = experiment.replace(**{"objective.simulated_share": 0.0})
         problem = tuning_problem(drawn, cost, result.own)
@@ -119,11 +129,15 @@ def evaluate(
         held_out = scenario_batch(drawn, one, unseen, problem.training.filter)
         contenders = {}
         for name, (own, description) in steps.each("judging", list(found.items()), itemgetter(0)):
-            same = own.filter == drawn.filter
-            batch = held_out if same else batch_for(held_out, own, one, unseen)
+            same = (own.filter, own.scenario) == (drawn.filter, drawn.scenario)
+            batch = held_out if same else batch_for(held_out, drawn, own, one, unseen)
+            if name == UNTUNED and not always_starts(batch):
+                continue
             tracks = error_tracks(candidate_of(description, own), batch)
             contenders[name] = contender(tracks, batch, description, cost)
-        evaluated = evaluation(contenders, held_out, seed)
+        steps.begin("judging", about=CLAIRVOYANT)
+        reference = clairvoyant_costs(drawn, unseen) if cost is None else None
+        evaluated = evaluation(contenders, held_out, seed, reference)
         return replace(result, on_scenarios=replace(judged, evaluation=evaluated))
 
 

@@ -51,6 +51,11 @@ def listening(listener: Listener | None) -> Iterator[None]:
         _PRESENT.reset(before)
 
 
+def heard() -> bool:
+    """Whether anything listens to the steps of this thread."""
+    return _LISTENER.get() is not None
+
+
 def tell(step: Step) -> None:
     """Report a step; it is the current one from now on."""
     _PRESENT.set(step)

@@ -17,6 +17,7 @@ from posegsa.defaults import TOGETHER
 from posegsa.errors import MemoryLimitError
 from posegsa.judging.description import check_kind, describe
 from posegsa.judging.sweep_runs import SEED, Sweep, SweepRun, Values, run_name, with_values
+from posegsa.progress import shown
 from posegsa.runtime import environment
 from posegsa.saving.folder import as_path
 from posegsa.saving.interrupt import resumable
@@ -96,7 +97,7 @@ def sweep(
     check_kind(base, "sweep")
     mine = _part(_planned(base, vary, seeds), shard)
     if out is None:
-        with steps.listening(progress):
+        with shown(progress):
             return Sweep(tuple(in_order(_made(base, mine, together))))
 
     folder = as_path("out", out)
@@ -109,7 +110,7 @@ def sweep(
         done = f"{before + len(made)} of {len(mine)} runs are in {folder}"
         return f"interrupted; {done}, the same command goes on from there"
 
-    with steps.listening(progress), resumable(how):
+    with shown(progress), resumable(how):
         for run in _made(base, missing, together, before):
             write_sweep_run(folder, run)
             made.append(run)

@@ -13,6 +13,7 @@ from posegsa.arguments import check_callable, check_number, refuse, several
 from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError, SaveError
 from posegsa.judging.judge import Recorded, judge
 from posegsa.judging.result import Result, TuneBatch
+from posegsa.progress import shown
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
@@ -136,7 +137,7 @@ def tune(
         refuse("figures with recordings", "none, as a search on recordings draws none")
     if recorded is not None and cost is not None:
         refuse("recordings with cost", "one of them")
-    with steps.listening(progress):
+    with shown(progress):
         if resume is not None:
             folder = folder_to_resume(resume, out, overwrite)
             return _resume(folder, experiment, seed, iterations, recorded, filter, cost, drawn)
@@ -265,7 +266,7 @@ def tune_batch(
     check_callable("progress", progress)
     many = _all_chosen(experiments, seeds)
     memory.check(many)
-    with steps.listening(progress), jax.enable_x64(many[0].run.dtype == "float64"):
+    with shown(progress), jax.enable_x64(many[0].run.dtype == "float64"):
         problems = [tuning_problem(one) for one in steps.each("preparing", many)]
         steps.begin("compiling")
         found = search_batch(problems, tell_search)

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 
 from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parser import Parser
-from posegsa.cli.progress import say
 from posegsa.config import shipped
 from posegsa.errors import (
     PosegsaError,
@@ -24,6 +23,7 @@ from posegsa.errors import (
     SaveError,
     SearchInterrupted,
 )
+from posegsa.progress import say
 from posegsa.saving import interrupt
 from posegsa.version import VERSION
 

@@ -4,8 +4,8 @@ import argparse
 
 from posegsa import config
 from posegsa.cli.options import add_count, add_figures, add_search_arguments
-from posegsa.cli.progress import Display
 from posegsa.defaults import EVALUATIONS, REPEATS
+from posegsa.progress import Display
 from posegsa.saving.interrupt import resumable
 
 

@@ -18,9 +18,9 @@ from posegsa.cli.options import (
     whole_number,
     window,
 )
-from posegsa.cli.progress import Display
 from posegsa.defaults import SCENARIOS
 from posegsa.errors import ArgumentError
+from posegsa.progress import Display
 from posegsa.saving.interrupt import resumable
 
 if TYPE_CHECKING:

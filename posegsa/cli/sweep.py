@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 from posegsa import config
 from posegsa.cli.options import add_count, add_search_arguments
-from posegsa.cli.progress import Display
 from posegsa.defaults import TOGETHER
 from posegsa.errors import ArgumentError
+from posegsa.progress import Display
 
 if TYPE_CHECKING:
     from posegsa.judging.sweep_runs import Sweep

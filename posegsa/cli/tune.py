@@ -21,8 +21,8 @@ from posegsa.cli.options import (
     warn_of_mistakes,
     window,
 )
-from posegsa.cli.progress import Display
 from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.progress import Display
 
 if TYPE_CHECKING:
     from posegsa.recordings.recording import Recording

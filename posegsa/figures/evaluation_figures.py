@@ -12,6 +12,7 @@ from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style, finite
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
+    CLAIRVOYANT,
     CONSTANT,
     CONTENDERS,
     EKF_VECTORS,
@@ -19,6 +20,7 @@ from posegsa.judging.evaluation import (
     SMOOTH,
     SWITCH,
     TUNED,
+    UNTUNED,
     Evaluation,
 )
 from posegsa.judging.metrics import Bands, Metrics
@@ -33,7 +35,7 @@ ANGLE_SPREAD = 1.0
 """Minimum range of initial angles for a figure over them [deg]."""
 
 _STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
-_STYLES[NOT_TUNED] = _STYLES[TUNED]
+_STYLES |= {NOT_TUNED: _STYLES[TUNED], CLAIRVOYANT: {"color": "0.6", "linestyle": "-"}}
 """Colour and line style of each contender, the same in all figures."""
 _MARKERS = {
     TUNED: "o",
@@ -43,6 +45,7 @@ _MARKERS = {
     SWITCH: "D",
     SMOOTH: "v",
     EKF_VECTORS: "P",
+    UNTUNED: "X",
 }
 """The contenders that are drawn as curves, with their markers; more would hide each other."""
 _BANDS = (TUNED, NOT_TUNED, CONSTANT, AS_CONFIGURED)
@@ -75,7 +78,8 @@ def plot_costs(evaluation: Evaluation) -> Figure:
 
     Infinite costs are counted beside the name and left out of all but the mean.
     """
-    names = list(evaluation.contenders)
+    found = evaluation.costs
+    names = list(found)
     others = [name for name in names if name != evaluation.own]
     rows = (len(names), len(others) + 0.4)
     ratios = rows if others else rows[:1]
@@ -84,7 +88,7 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     )
     drawn, notes = [], {}
     for row, name in enumerate(names):
-        costs = _metrics(evaluation, name).cost
+        costs = found[name]
         drawn.append(costs[np.isfinite(costs)])
         if bad := len(costs) - len(drawn[-1]):
             notes[name] = f"\n({bad} of {len(costs)} infinite)"
@@ -189,7 +193,8 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         return None
     figure, (ax,) = style.panels(1, 3.8)
     shown = []
-    for name in _drawn(evaluation):
+    # Not of a filter that starts from the sensors: its angle at the start is another.
+    for name in (each for each in _drawn(evaluation) if each != UNTUNED):
         angle, cost = _metrics(evaluation, name).initial_angle, _metrics(evaluation, name).cost
         look, bad = _STYLES[name], ~np.isfinite(cost)
         shown.append(cost[~bad])

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import jax
 
 from posegsa.arguments import check_type
-from posegsa.figures import evaluation_figures, schedule_figures, search, trajectory_figures
+from posegsa.figures import (
+    evaluation_figures,
+    schedule_figures,
+    search,
+    style,
+    trajectory_figures,
+)
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.judging.result import Result
 
@@ -24,7 +31,18 @@ FIGURES = (
 NAMES = tuple(each.name for each in FIGURES)
 
 
-def draw(result: Result, figures: Iterable[str] | None = None) -> dict[str, Figure]:
+class Figures(dict[str, "Figure"]):
+    """Figures by name. A notebook shows them."""
+
+    def _repr_html_(self) -> str:
+        pictures = (b64encode(style.png(figure)).decode("ascii") for figure in self.values())
+        return "".join(
+            f'<img style="max-width: 100%" alt="{name}" src="data:image/png;base64,{png}">'
+            for name, png in zip(self, pictures, strict=True)
+        )
+
+
+def draw(result: Result, figures: Iterable[str] | None = None) -> Figures:
     """The figures of a result by name, without those that have nothing to show.
 
     Args:
@@ -38,4 +56,4 @@ def draw(result: Result, figures: Iterable[str] | None = None) -> dict[str, Figu
     names = chosen_figures(figures, NAMES)
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         drawn = {each.name: each.draw(result) for each in FIGURES if each.name in names}
-    return {name: figure for name, figure in drawn.items() if figure is not None}
+    return Figures({name: figure for name, figure in drawn.items() if figure is not None})

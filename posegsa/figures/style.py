@@ -50,6 +50,7 @@ CURVES: tuple[Style, ...] = (
     {"color": "0.45", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
     {"color": ORANGE, "linestyle": "-"},
     {"color": BROWN, "linestyle": (0, (2, 2))},
+    {"color": BLACK, "linestyle": "-"},
     {"color": VERMILION, "linestyle": (0, (1, 2))},
 )
 """Distinguishable curves, the clearest first."""

@@ -16,7 +16,7 @@ from jax import Array
 from posegsa import config
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
-from posegsa.judging.description import Description, candidate_of, describe
+from posegsa.judging.description import Description, candidate_of, configured_filter, describe
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
@@ -27,9 +27,11 @@ from posegsa.judging.evaluation import (
     REPLAYED,
     SMOOTH,
     SWITCH,
+    UNTUNED,
 )
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
+from posegsa.judging.untuned import untuned_kalman
 from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, KnotGain
 from posegsa.optimisers import Optimiser
@@ -162,6 +164,7 @@ def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]
         REPLAYED: replay,
         RANDOM: random,
         **{name: partial(kalman, name) for name in (EKF, EKF_VECTORS)},
+        UNTUNED: lambda: configured_filter(experiments[UNTUNED]),
     }
     return {name: Baseline(one, searches[name]) for name, one in experiments.items()}
 
@@ -183,7 +186,7 @@ def experiments_beside(
     found[RANDOM] = experiment
     for name in (EKF, EKF_VECTORS):
         found[name] = kalman_experiment(experiment, vector_biases=name == EKF_VECTORS)
-    return found
+    return found | {UNTUNED: untuned_kalman(experiment)}
 
 
 def observer_experiment(experiment: config.Experiment) -> config.Experiment:
@@ -198,20 +201,29 @@ def variant_of(problem: TuningProblem, experiment: config.Experiment) -> TuningP
     assert problem.scenario is not None
     run = experiment.run
     training_of = training_keys(run.seed, run.training_scenarios)
-    training = batch_for(problem.training, experiment, problem.scenario, training_of)
+    training = batch_for(
+        problem.training, problem.experiment, experiment, problem.scenario, training_of
+    )
     space = search_space(experiment)
     return problem._replace(experiment=experiment, training=training, space=space, own=None)
 
 
 def batch_for(
-    batch: ScenarioBatch, experiment: config.Experiment, one: Scenario, scenario_keys: Array
+    batch: ScenarioBatch,
+    before: config.Experiment,
+    experiment: config.Experiment,
+    one: Scenario,
+    scenario_keys: Array,
 ) -> ScenarioBatch:
-    """Scenarios of a batch for the filter of another experiment.
+    """Scenarios of a batch, which are those of the experiment `before`, for another experiment.
 
-    A Kalman filter reads the samples that were made for another, or for an observer that learns the
-    vectors' biases. For any other filter they are drawn again, by their keys.
+    Only filter and start may differ. A Kalman filter reads the samples that were made for another,
+    or for an observer that learns the vectors' biases. For any other filter, and for another start,
+    they are drawn again, by their keys.
     """
     filter, own = filter_of(experiment), batch.filter
+    if experiment.scenario.start != before.scenario.start:
+        return scenario_batch(experiment, one, scenario_keys, filter)
     one_by_one = isinstance(own, Observer) and own.settings.vector_bias is not None
     if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(own, KalmanFilter)):
         return batch._replace(filter=filter)

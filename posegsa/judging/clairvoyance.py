@@ -1,8 +1,6 @@
 """What the clairvoyant costs: the reference beside filters on the same drawn scenarios."""
 
-import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,6 +17,7 @@ from posegsa.filters.base import samples_of
 from posegsa.filters.clairvoyant import Clairvoyant, with_events
 from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.rollout import simulate_cost
+from posegsa.judging.untuned import bias_spread
 from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import initial_state
 from posegsa.model.events import events_of
@@ -68,35 +67,18 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
 
 def _prior(experiment: config.Experiment) -> Clairvoyant:
     """The clairvoyant with the spread of an experiment's biases; each scenario sets the rest."""
-    c, f, dtype = experiment.scenario, experiment.family, np.dtype(experiment.run.dtype)
-    scale = 1.0
-    if not isinstance(f.bias_scale, str):
-        low, high = f.bias_scale
-        scale = math.sqrt((low * low + low * high + high * high) / 3)
-    angular, linear = (
-        scale * (_rms(fixed) if isinstance(drawn, str) else drawn)
-        for drawn, fixed in (
-            (f.angular_velocity_bias, c.angular_velocity_bias),
-            (f.velocity_bias, c.velocity_bias),
-        )
-    )
-    fixed = [component for vector in c.vectors for component in vector.bias]
+    dtype, spread = np.dtype(experiment.run.dtype), bias_spread(experiment)
     numbers = dict.fromkeys(KalmanNoise._fields, 0.0) | {
         "vector": 1.0,
         "landmark": 1.0,
         "initial_attitude": NEAR,
         "initial_position": NEAR,
-        "initial_angular_bias": angular,
-        "initial_linear_bias": linear,
-        "initial_vector_bias": _rms(fixed) if isinstance(f.vector_bias, str) else f.vector_bias,
+        "initial_angular_bias": spread.angular,
+        "initial_linear_bias": spread.linear,
+        "initial_vector_bias": spread.vector,
     }
     arrays = {name: jax.device_put(dtype.type(number)) for name, number in numbers.items()}
     return Clairvoyant(KalmanNoise(**arrays))
-
-
-def _rms(values: Sequence[float]) -> float:
-    """Root mean square of numbers; 0 of none."""
-    return math.sqrt(sum(value * value for value in values) / max(1, len(values)))
 
 
 @partial(jax.jit, static_argnames="start")

@@ -27,6 +27,7 @@ CONTENDERS = (
     OPEN_LOOP,
     EKF,
     EKF_VECTORS,
+    UNTUNED,
     AS_CONFIGURED,
 ) = (
     "tuned filter",
@@ -38,9 +39,12 @@ CONTENDERS = (
     "best open-loop gains",
     "invariant EKF",
     "invariant EKF, vector biases",
+    "untuned Kalman filter from sensors",
     "before tuning",
 )
 """Names of the filters that can be compared, in the order of the tables."""
+CLAIRVOYANT = "clairvoyant"
+"""The name of the reference below all filters, which is told what no filter can know."""
 NOT_TUNED = "this filter"
 """The name of the filter that is judged, in place of the first of these, if no search found it."""
 ADVICE = {
@@ -48,6 +52,7 @@ ADVICE = {
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
     EKF: "`posegsa tune kalman --set filter.vector_bias=off`",
     EKF_VECTORS: "`posegsa tune kalman`",
+    UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
 }
 """How to get one of the filters beside a tuned one."""
@@ -170,6 +175,8 @@ class Evaluation:
     """(n,) times of the bands [s]."""
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
     """By name, the filter that is judged first."""
+    clairvoyant: Annotated[np.ndarray, Numbers("scenarios", allow="infinite")] | None = None
+    """(S,) cost of the clairvoyant (`filters.clairvoyant`); None with a user's own cost."""
 
     def __repr__(self) -> str:
         costs = ", ".join(f"{name} {self.cost(name).mean:.4g}" for name in self.contenders)
@@ -185,25 +192,33 @@ class Evaluation:
         """S, the number of scenarios."""
         return len(self.contenders[self.own].metrics.cost)
 
+    @property
+    def costs(self) -> dict[str, np.ndarray]:
+        """(S,) cost on each scenario, of each contender and at last of the clairvoyant."""
+        found = {name: each.metrics.cost for name, each in self.contenders.items()}
+        return found if self.clairvoyant is None else found | {CLAIRVOYANT: self.clairvoyant}
+
     def cost(self, name: str) -> Interval:
-        """Mean cost of a contender."""
-        return interval(self.contenders[name].metrics.cost)
+        """Mean cost of a contender, or of the clairvoyant."""
+        return interval(self.costs[name])
 
     def difference(self, name: str) -> Interval:
         """Paired cost difference, own minus contender; below 0 the judged filter is better."""
-        own = self.contenders[self.own].metrics.cost
+        costs = self.costs
         with np.errstate(invalid="ignore"):
-            return interval(own - self.contenders[name].metrics.cost)
+            return interval(costs[self.own] - costs[name])
 
     def summary(self, name: str) -> Summary:
-        """Statistics of a contender's costs."""
-        metrics = self.contenders[name].metrics
+        """Statistics of a contender's costs, or of the clairvoyant's."""
+        costs = self.costs[name]
+        run = self.contenders.get(name)
+        diverged = ~np.isfinite(costs) if run is None else run.metrics.diverged
         return Summary(
             cost=self.cost(name),
-            median=float(np.median(metrics.cost)),
-            p95=float(np.quantile(metrics.cost, 0.95, method="higher")),
-            worst=float(np.max(metrics.cost)),
-            diverged=float(np.mean(metrics.diverged)),
+            median=float(np.median(costs)),
+            p95=float(np.quantile(costs, 0.95, method="higher")),
+            worst=float(np.max(costs)),
+            diverged=float(np.mean(diverged)),
             own_minus_this=None if name == self.own else self.difference(name),
         )
 
@@ -213,7 +228,7 @@ class Evaluation:
         Args:
             write: Formats a number, like the built-in `format`.
         """
-        summaries = {name: self.summary(name) for name in self.contenders}
+        summaries = {name: self.summary(name) for name in self.costs}
         metrics = {name: each.metrics for name, each in self.contenders.items()}
         return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
 
@@ -239,6 +254,11 @@ class Evaluation:
             f"On {counted(self.scenarios, 'unseen scenario')} the filter errs by {degrees:.3g} deg "
             f"and {100 * metres:.3g} cm once it has settled."
         )
+        if self.clairvoyant is not None:
+            head += (
+                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which is told what "
+                f"no filter can know, has {self.cost(CLAIRVOYANT).mean:.4g}."
+            )
         others = {name: self.difference(name) for name in self.contenders if name != self.own}
         lower = sorted((-each.mean, name) for name, each in others.items() if each.low > 0)
         if not lower:
@@ -259,12 +279,14 @@ class Evaluation:
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
         if rows := self.consistency():
             parts += [text_table(rows), CONSISTENCY_WORDS]
-        waited = self.contenders[self.own].metrics.waited
-        if np.any(waited > 0):
-            parts.append(
-                f"The sensors fixed a pose to start from after {np.median(waited):.3g} s (median), "
-                f"{np.max(waited):.3g} s at most; before that nothing counts."
-            )
+        waits = {name: each.metrics.waited for name, each in self.contenders.items()}
+        for name in (self.own, UNTUNED):
+            if name in waits and np.any(waits[name] > 0):
+                parts.append(
+                    f"For {called(name)} the sensors fixed a pose to start from after "
+                    f"{np.median(waits[name]):.3g} s (median), {np.max(waits[name]):.3g} s at "
+                    "most; before that nothing counts."
+                )
         return "\n\n".join(parts)
 
 
@@ -301,8 +323,16 @@ def band_samples(time: np.ndarray) -> np.ndarray:
 
 
 def evaluation(
-    contenders: dict[str, Contender], held_out: ScenarioBatch, seed: int | None = None
+    contenders: dict[str, Contender],
+    held_out: ScenarioBatch,
+    seed: int | None = None,
+    clairvoyant: np.ndarray | None = None,
 ) -> Evaluation:
     """The comparison of contenders that ran on the same held-out scenarios."""
     time = np.asarray(held_out.samples.time[0], np.float64)
-    return Evaluation(seed=seed, time=time[band_samples(time)], contenders=contenders)
+    return Evaluation(
+        seed=seed,
+        time=time[band_samples(time)],
+        contenders=contenders,
+        clairvoyant=clairvoyant,
+    )

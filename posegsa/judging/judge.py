@@ -1,5 +1,6 @@
 """Turn what a search found into a result: judge it on what it has not seen, and check it."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,11 +10,14 @@ import numpy as np
 
 from posegsa import steps
 from posegsa.config import ObserverConfig
+from posegsa.errors import PosegsaWarning
 from posegsa.filters.base import sensors_of
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
+from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import (
     Description,
+    candidate_of,
     configured_filter,
     describe,
     described_filter,
@@ -23,6 +27,8 @@ from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
     SMOOTH,
+    UNTUNED,
+    Contender,
     contender,
     evaluation,
     own_name,
@@ -30,8 +36,8 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.on_recordings import (
-    UNTUNED,
-    UNTUNED_IMU,
+    IMU_AS_IT_COMES,
+    NOISES_FOUND,
     OnRecordings,
     RecordingScore,
     SimulatedScore,
@@ -40,18 +46,28 @@ from posegsa.judging.on_recordings import (
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import trajectory_on
+from posegsa.judging.untuned import always_starts, untuned_kalman
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
+from posegsa.search.keys import held_out_keys
 from posegsa.search.population import cost_name, costs_by_scenario
 from posegsa.search.problem import TuningProblem
 from posegsa.search.recorded import default_experiment
 from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
-_PARTS = ("the filter beside it", "unseen scenarios", "one run", "long after", "trust")
+_PARTS = (
+    "the filter beside it",
+    "unseen scenarios",
+    "references",
+    "one run",
+    "long after",
+    "trust",
+)
 
 
 class Recorded(NamedTuple):
@@ -108,7 +124,7 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
 def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
     """A result, beside the filter that its recordings give without a search."""
     plain = default_experiment(recorded.training)
-    name = UNTUNED_IMU if plain.filter.kind == "imu" else UNTUNED
+    name = IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND
     steps.begin("judging", about=name)
     found = configured_filter(plain)
     scores = []
@@ -156,6 +172,9 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
         )
         for name, each in tracks.items()
     }
+    _begin("references")
+    contenders |= _untuned(problem)
+    clairvoyant = clairvoyant_costs(experiment) if problem.cost is None else None
     _begin("one run")
     trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out one
     _begin("long after")
@@ -163,7 +182,7 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
     _begin("trust")
     return OnScenarios(
         training=training,
-        evaluation=evaluation(contenders, problem.held_out),
+        evaluation=evaluation(contenders, problem.held_out, clairvoyant=clairvoyant),
         endurance=long_after,
         trust=trust.check(problem, tuned, tracks[own], trajectory),
         trajectory=trajectory,
@@ -185,6 +204,22 @@ def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, i
         return CONSTANT, search_baseline(problem, "constant"), evaluations
     # The gain alone is found on a grid. With further tuned numbers it needs a search of its own.
     return CONSTANT, best_constant(problem), CONSTANT_GAINS
+
+
+def _untuned(problem: TuningProblem) -> dict[str, Contender]:
+    """The untuned Kalman filter on the held-out scenarios, by name; none where it cannot start."""
+    own, one = problem.experiment, problem.scenario
+    assert one is not None
+    plain = untuned_kalman(own)
+    keys = held_out_keys(own.run.seed, own.run.held_out_scenarios)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
+        batch = scenario_batch(plain, one, keys)
+    if not always_starts(batch):
+        return {}
+    found = configured_filter(plain)
+    tracks = error_tracks(candidate_of(found, plain), batch)
+    return {UNTUNED: contender(tracks, batch, found, problem.cost)}
 
 
 def _begin(part: str) -> None:

@@ -31,13 +31,13 @@ NOT_CUT = 0.99
 """Share of the gain asked for from which on it counts as used."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
-UNTUNED = "Kalman filter with the noises found"
+NOISES_FOUND = "Kalman filter with the noises found"
 """The filter that stands beside every one that was tuned on recordings: it was not searched."""
-UNTUNED_IMU = "attitude filter as it comes"
+IMU_AS_IT_COMES = "attitude filter as it comes"
 """The same on recordings of inertial sensors."""
 ADVICE = {
-    UNTUNED: "`posegsa tune --recording` without CONFIG",
-    UNTUNED_IMU: "`posegsa replay imu`",
+    NOISES_FOUND: "`posegsa tune --recording` without CONFIG",
+    IMU_AS_IT_COMES: "`posegsa replay imu`",
     CONSTANT: "`--set filter.schedule=constant`",
     EKF: "`posegsa tune kalman --recording`",
 }

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from posegsa.judging.endurance import Endurance
-from posegsa.judging.evaluation import Evaluation, called
+from posegsa.judging.evaluation import CLAIRVOYANT, UNTUNED, Evaluation, called
 from posegsa.judging.trajectory import Trajectory
 from posegsa.judging.trust import Trust
 from posegsa.settings.arrays import Numbers
@@ -23,7 +23,8 @@ class OnScenarios:
     """(S,) cost on each training scenario, infinite where a run diverged: of the tuned filter, and
     of the one filter that always stands beside it."""
     evaluation: Evaluation
-    """Both filters (after `evaluate`, all baselines) on held-out scenarios."""
+    """Both filters, an untuned Kalman filter (after `evaluate`, all baselines) and the clairvoyant
+    on held-out scenarios."""
     endurance: Endurance
     """Both filters long after the time that they were tuned for."""
     trust: Trust
@@ -52,6 +53,12 @@ class OnScenarios:
             costs = (np.mean(training), np.mean(found.metrics.cost), np.max(found.metrics.cost))
             bad = np.count_nonzero(found.metrics.diverged)
             rows.append([label, *(f"{c:.4g}" for c in costs), f"diverged on {bad}" if bad else ""])
+        costs = self.evaluation.costs
+        rows += [
+            [name, "", f"{np.mean(costs[name]):.4g}", f"{np.max(costs[name]):.4g}", ""]
+            for name in (UNTUNED, CLAIRVOYANT)
+            if name in costs
+        ]
         parts = [
             text_table(rows),
             "On one unseen scenario, second half: attitude error "

@@ -30,7 +30,7 @@ from posegsa.saving.records import from_json, to_csv, to_json
 from posegsa.search.configured_filters import OwnFilter
 from posegsa.settings.fields import MAX_SAMPLES
 
-SCHEMA = 7
+SCHEMA = 8
 """Version of the format of result.json."""
 
 SUMMARY, TABLE, REPORT = "summary.txt", "evaluation.txt", "report.html"

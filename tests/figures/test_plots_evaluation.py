@@ -22,12 +22,13 @@ from posegsa.judging.evaluation import (
     RANDOM,
     SWITCH,
     TUNED,
+    UNTUNED,
 )
 from posegsa.judging.metrics import Bands
 
 pytestmark = pytest.mark.quick
 
-CURVES = (TUNED, CONSTANT, SWITCH, EKF_VECTORS)
+CURVES = (TUNED, CONSTANT, SWITCH, EKF_VECTORS, UNTUNED)
 """The contenders that are drawn over time."""
 SPREAD = evaluation(initial_angle=ANGLES)
 FIGURES = {
@@ -166,7 +167,7 @@ def test_angles_mark_infinite_costs_at_their_angle():
     given = changed(SPREAD, TUNED, cost=cost)
     figure = plots.plot_angles(given)
     figure.draw_without_rendering()
-    assert legend(figure) == [f"{TUNED} (9 infinite)", *CURVES[1:]]
+    assert legend(figure) == [f"{TUNED} (9 infinite)", *CURVES[1:-1]]
     points, median, marked = lines(figure.axes[0])[:3]
     np.testing.assert_array_equal(np.isnan(points[1]), np.isinf(cost))
     assert np.isnan(median[1][-1]), "where most costs are infinite the line ends"

@@ -121,7 +121,10 @@ def not_numbers(result: posegsa.Result) -> list[str]:
                 continue
             seen[f"{name}: {field}"] = values if field == "cost" else values[good]
         if good.any():
-            seen |= {f"{name}: band of {key}": a for key, a in found.bands._asdict().items()}
+            bands = found.bands._asdict()
+            if found.filter.kind == "kalman":
+                del bands["gain"]  # it has none
+            seen |= {f"{name}: band of {key}": a for key, a in bands.items()}
     if np.isfinite(contenders[TUNED].metrics.cost[0]):
         known = vars(judged.trajectory).items()
         seen |= {f"trajectory.{key}": a for key, a in known if not key.endswith("_sigma")}

@@ -21,6 +21,7 @@ from posegsa.judging.evaluation import (
     SMOOTH,
     SWITCH,
     TUNED,
+    UNTUNED,
     Contender,
     Evaluation,
 )
@@ -57,6 +58,7 @@ FILTERS = {
     OPEN_LOOP: description("open loop", **KNOTS),
     EKF: Description("kalman", {}, {k: v for k, v in NOISES.items() if k not in OF_BIASES}, 400),
     EKF_VECTORS: Description("kalman", {}, NOISES, 400),
+    UNTUNED: Description("kalman", {}, {}, 0),
     AS_CONFIGURED: Description("kalman", {}, {}, 0),
 }
 OF_THE_OBSERVER = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)

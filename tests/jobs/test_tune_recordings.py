@@ -30,7 +30,7 @@ from posegsa.errors import (
 )
 from posegsa.export import export
 from posegsa.judging.judge import Recorded, judge
-from posegsa.judging.on_recordings import UNTUNED
+from posegsa.judging.on_recordings import NOISES_FOUND
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask
@@ -390,7 +390,7 @@ def test_without_a_configuration_the_noises_are_those_that_the_recordings_show()
     # The summary ends with what is best on what was held out.
     last = found.summary().split("Tuned: filter.linear_walk")[1]
     assert "On what was held out the filter errs by" in last
-    assert UNTUNED in last
+    assert NOISES_FOUND in last
 
 
 def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:

@@ -285,7 +285,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         (lambda f: (f / "result.json").write_text("[]"), "allowed: an object"),
         (
             lambda f: (f / "result.json").write_text('{"schema": 1, "version": "0.1"}'),
-            "schema = 1,.*'0.1'.*schema 7",
+            "schema = 1,.*'0.1'.*schema 8",
         ),
         (lambda f: (f / "result.json").write_text("[" * 10**6), "not JSON"),
         (lambda f: (f / "result.json").write_bytes(b"\xff"), "not UTF-8"),

@@ -30,6 +30,7 @@ from posegsa.judging.evaluation import (
     REPLAYED,
     SMOOTH,
     TUNED,
+    UNTUNED,
 )
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.schedules import (
@@ -96,8 +97,8 @@ def test_each_other_filter_can_stand_beside_a_tuned_one(problem, kind) -> None:
     of_its_own = {name: kinds[name] for name in (AS_CONFIGURED, REPLAYED, RANDOM) if name in kinds}
     assert set(of_its_own.values()) == {own.experiment.filter.kind}
     kalman = {name for name, each in kinds.items() if each == "kalman"} - set(of_its_own)
-    assert kalman == {EKF, EKF_VECTORS}
-    for name in kalman:
+    assert kalman == {EKF, EKF_VECTORS, UNTUNED}
+    for name in kalman - {UNTUNED}:
         learns = found[name].experiment.filter.vector_bias == "estimated"
         assert learns == (name == EKF_VECTORS)
 

@@ -21,6 +21,7 @@ from posegsa.evaluating import evaluate
 from posegsa.judging import tuned_kalman
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
+    CLAIRVOYANT,
     CONSTANT,
     CONTENDERS,
     EKF,
@@ -29,6 +30,7 @@ from posegsa.judging.evaluation import (
     REPLAYED,
     SMOOTH,
     TUNED,
+    UNTUNED,
     Evaluation,
     interval,
 )
@@ -70,14 +72,15 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     _, result, told = evaluated
     contenders = result.on_scenarios.evaluation.contenders
     assert tuple(contenders) == BESIDE
-    assert set(about("searching", told)) == {*BESIDE} - {TUNED, CONSTANT}, "`tune` found those"
-    assert about("judging", told) == [*BESIDE]
-    starts = [c.metrics.initial_angle for c in contenders.values()]
+    found_by_tune = {TUNED, CONSTANT, UNTUNED}
+    assert set(about("searching", told)) == {*BESIDE} - found_by_tune
+    assert about("judging", told) == [*BESIDE, CLAIRVOYANT]
+    starts = [c.metrics.initial_angle for n, c in contenders.items() if n != UNTUNED]
     assert all(len(s) == 3 for s in starts)
     for start in starts:
         np.testing.assert_allclose(start, starts[0], atol=1e-3)
     for name, contender in contenders.items():
-        assert (contender.filter.kind == "kalman") == (name in (EKF, EKF_VECTORS))
+        assert (contender.filter.kind == "kalman") == (name in (EKF, EKF_VECTORS, UNTUNED))
         assert np.isfinite(contender.metrics.cost).all()
 
 
@@ -86,7 +89,7 @@ def test_what_was_found_is_not_searched_again(evaluated):
     told: list[Step] = []
     again = evaluate(result, scenarios=3, progress=told.append)
     assert {step.name for step in told} == {"preparing", "judging"}
-    assert about("judging", told) == [*BESIDE]
+    assert about("judging", told) == [*BESIDE, CLAIRVOYANT]
     for name, contender in again.on_scenarios.evaluation.contenders.items():
         before = result.on_scenarios.evaluation.contenders[name]
         assert contender.filter == before.filter
@@ -233,7 +236,7 @@ def test_too_few_scenarios_are_refused(evaluated):
 def test_the_table_holds_every_contender(evaluated):
     text = evaluated[1].on_scenarios.evaluation.table()
     heads = [line[: len(max(BESIDE, key=len))].strip() for line in text.splitlines()]
-    sure = (EKF, EKF_VECTORS)
+    sure = (EKF, EKF_VECTORS, UNTUNED)
     for name in BESIDE:
         assert heads.count(name) == (3 if name in sure else 2)
     assert_told(text.splitlines()[0], "Cost", "3 scenarios")
@@ -251,6 +254,18 @@ def test_the_verdict_names_what_costs_less_the_lowest_first():
     assert "Less cost: the smooth gain K(e) by 2 (2 to 2), the best constant gains by 1" in words
     assert "filter.schedule=smooth" in words
     assert "EKF" not in words
+
+
+def test_the_clairvoyant_stands_below_the_costs_and_in_the_verdict():
+    given = made_up((TUNED, CONSTANT))
+    assert "clairvoyant" not in given.table() + given.verdict()
+    told = replace(given, clairvoyant=np.full(given.scenarios, 1.25))
+    costs, behaviour = told.tables()
+    assert [row[0] for row in costs[1:]] == [TUNED, CONSTANT, CLAIRVOYANT]
+    assert costs[-1][1:2] == ["1.25"]
+    assert [row[0] for row in behaviour[1:]] == [TUNED, CONSTANT], "nothing else is kept of it"
+    assert "the clairvoyant, which is told what no filter can know, has 1.25" in told.verdict()
+    assert from_json(Evaluation, to_json(told, SCHEMA), SCHEMA, FILE).costs[CLAIRVOYANT][0] == 1.25
 
 
 def test_a_difference_that_may_be_chance_is_not_in_the_verdict():

@@ -10,7 +10,7 @@ import posegsa
 pytestmark = pytest.mark.quick
 
 LAYERS = (
-    "errors arguments words defaults version compiled_programs runtime steps settings"
+    "errors arguments words defaults version compiled_programs runtime steps progress settings"
     " | optimisers model | filters | exchange config | recordings | search | judging | figures"
     " | report export | saving"
     " | configuring | tuning evaluating replaying comparing sweeping streaming"

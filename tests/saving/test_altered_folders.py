@@ -459,7 +459,7 @@ def test_a_folder_of_an_earlier_version_is_told_apart(tmp_path):
         folder = tmp_path / name
         folder.mkdir()
         (folder / name).write_text('{"schema": 4, "version": "0.8.0"}', encoding="utf-8")
-    said = r"schema = 4, .*0\.8\.0.*reads schema 7.*run it again"
+    said = r"schema = 4, .*0\.8\.0.*reads schema 8.*run it again"
     with pytest.raises(RunFolderError, match=said):
         posegsa.load(tmp_path / "result.json")
     with pytest.raises(RunFolderError, match=r"recorded\.json: .*before 0\.9.*run it again"):

@@ -2,12 +2,13 @@
 
 import io
 import math
+import sys
+import types
 
 import pytest
 
-from posegsa import steps
-from posegsa.cli import progress
-from posegsa.cli.progress import Display, span
+from posegsa import progress, steps
+from posegsa.progress import Display, span
 from posegsa.steps import Step
 
 pytestmark = pytest.mark.quick
@@ -188,3 +189,26 @@ def test_the_cost_of_a_part_is_shown_beside_its_name_and_not_as_that_of_all():
 )
 def test_times_are_said_as_people_say_them(seconds, words):
     assert span(seconds) == words
+
+
+def notebook(monkeypatch, name: str) -> None:
+    """As if this process ran under the IPython shell of a name."""
+    shell = types.SimpleNamespace(get_ipython=type(name, (), {}))
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+
+
+@pytest.mark.parametrize("shell", ["ZMQInteractiveShell", "TerminalInteractiveShell"])
+def test_a_job_without_a_listener_shows_its_steps_in_a_notebook_alone(monkeypatch, capsys, shell):
+    notebook(monkeypatch, shell)
+    with progress.shown(None):
+        steps.begin("judging", 1, 5, "trust")
+    assert ("1/5, trust" in capsys.readouterr().err) == (shell == "ZMQInteractiveShell")
+
+
+def test_a_listener_in_a_notebook_takes_the_place_of_what_is_shown(monkeypatch, capsys):
+    notebook(monkeypatch, "ZMQInteractiveShell")
+    told = []
+    with progress.shown(told.append), progress.shown(None):
+        steps.begin("judging")
+    assert [step.name for step in told] == ["judging"]
+    assert capsys.readouterr().err == ""

@@ -3,6 +3,8 @@
 On a terminal the last line shows the current step: how much is done, and the remaining time.
 In a file, or on a terminal that can't redraw a line (TERM=dumb), a new line is written from time to
 time. There are no colours (NO_COLOR).
+
+The command shows it, and so do jobs in a Jupyter notebook, unless they are given a listener.
 """
 
 import io
@@ -12,7 +14,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from typing import Self, TextIO
 
 from posegsa import steps
@@ -54,7 +56,8 @@ class Display:
         given = sys.stderr if stream is None else stream
         self.stream = io.StringIO() if given is None else given  # standard error may be closed
         self.quiet, self.after_search, self.clock = quiet, after_search, clock
-        self.drawn = self.stream.isatty() and os.environ.get("TERM") != "dumb"
+        redraws = self.stream.isatty() and os.environ.get("TERM") != "dumb"
+        self.drawn = redraws or (stream is None and in_notebook())
         self.present: Step | None = None
         """The current step."""
         self.started_any = False
@@ -166,6 +169,19 @@ class Display:
         if self._width:
             self.stream.write("\r" + " " * self._width + "\r")
             self._width = 0
+
+
+def shown(listener: steps.Listener | None) -> AbstractContextManager[object]:
+    """A context that reports the steps of a job: to a listener, or in a notebook to its reader."""
+    if listener is None and in_notebook() and not steps.heard():
+        return Display()
+    return steps.listening(listener)
+
+
+def in_notebook() -> bool:
+    """Whether this process is the kernel of a Jupyter notebook."""
+    shell = sys.modules.get("IPython")
+    return shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell"
 
 
 _SHOWN: list[Display] = []

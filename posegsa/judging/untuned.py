@@ -1,0 +1,88 @@
+"""The untuned Kalman filter beside a tuned filter: noises and start as its sensors have them.
+
+It is what a user has without a search: standard deviations as a data sheet states them, and the
+first pose that the sensors show.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from posegsa import config
+from posegsa.search.population import ScenarioBatch
+
+LEAST = 1e-3
+"""Smallest standard deviation of a sensor and of a bias that it believes, in their units."""
+
+
+class BiasSpread(NamedTuple):
+    """Root mean squares over scenarios of each component of the biases."""
+
+    angular: float
+    """Of the angular velocity [rad/s]."""
+    linear: float
+    """Of the velocity [m/s]."""
+    vector: float
+    """Of the vectors, in their unit."""
+
+
+def bias_spread(experiment: config.Experiment) -> BiasSpread:
+    """How large the biases in an experiment's scenarios are."""
+    c, f, scale = experiment.scenario, experiment.family, 1.0
+    if not isinstance(f.bias_scale, str):
+        low, high = f.bias_scale
+        scale = math.sqrt((low * low + low * high + high * high) / 3)
+    angular, linear = (
+        scale * (_rms(fixed) if isinstance(drawn, str) else drawn)
+        for drawn, fixed in (
+            (f.angular_velocity_bias, c.angular_velocity_bias),
+            (f.velocity_bias, c.velocity_bias),
+        )
+    )
+    fixed = [component for vector in c.vectors for component in vector.bias]
+    vector = _rms(fixed) if isinstance(f.vector_bias, str) else f.vector_bias
+    return BiasSpread(angular, linear, vector)
+
+
+def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
+    """An experiment with the untuned Kalman filter in place of its own.
+
+    Its noises are those that the scenario's sensors have before a family changes them. Its pose
+    starts with wide deviations, so that the first sample gives it its covariance.
+    """
+    c, spread = experiment.scenario, bias_spread(experiment)
+    root = math.sqrt(c.sampling_time)
+    numbers = {
+        "angular_velocity": c.angular_velocity_noise * root,
+        "velocity": c.velocity_noise * root,
+        "vector": _rms([vector.noise for vector in c.vectors]),
+        "landmark": _rms([landmark.noise for landmark in c.landmarks]),
+        "initial_attitude": 1.0,
+        "initial_position": 3.0,
+        "initial_angular_bias": spread.angular,
+        "initial_linear_bias": spread.linear,
+        "initial_vector_bias": spread.vector,
+    }
+    least = {"angular_velocity": LEAST * root, "velocity": LEAST * root}
+    noises = {name: max(value, least.get(name, LEAST)) for name, value in numbers.items()}
+    data = experiment.model_dump(mode="json")
+    data["scenario"]["start"] = "sensors"
+    data["filter"] = {"kind": "kalman"} | noises
+    data["parameters"]["also"] = [one.model_dump(mode="json") for one in config.KALMAN_ALSO]
+    del data["tuned"]
+    return config.from_dict(data)
+
+
+def always_starts(batch: ScenarioBatch) -> bool:
+    """Whether the sensors fix a pose in every scenario of a batch."""
+    if batch.begin is None:
+        return True
+    time = np.asarray(batch.samples.time)
+    return bool(np.all(np.asarray(batch.begin) <= time[:, -1]))
+
+
+def _rms(values: Sequence[float]) -> float:
+    """Root mean square of numbers; 0 of none."""
+    return math.sqrt(sum(value * value for value in values) / max(1, len(values)))

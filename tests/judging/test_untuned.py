@@ -1,0 +1,59 @@
+"""The untuned Kalman filter beside a tuned one."""
+
+import numpy as np
+import pytest
+from helpers.experiments import tiny
+
+import posegsa
+from posegsa import config
+from posegsa.judging.description import Description
+from posegsa.judging.evaluation import UNTUNED
+from posegsa.judging.untuned import LEAST, bias_spread, untuned_kalman
+
+pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+def noisy(**changes: object) -> config.Experiment:
+    return tiny().replace(**{f"scenario.{name}": value for name, value in changes.items()})
+
+
+@pytest.mark.quick
+def test_its_noises_are_densities_of_the_scenario_s_own_sensors() -> None:
+    vectors = [{"direction": [1.0, 0, 0], "noise": 0.3}, {"direction": [0, 0, 1.0], "noise": 0.4}]
+    plain = untuned_kalman(
+        noisy(sampling_time=0.0025, angular_velocity_noise=0.5, velocity_noise=0.0, vectors=vectors)
+    )
+    assert plain.filter.kind == "kalman"
+    assert plain.filter.angular_velocity == pytest.approx(0.5 * 0.05)
+    assert plain.filter.velocity == pytest.approx(LEAST * 0.05), "of a perfect sensor, not 0"
+    assert plain.filter.vector == pytest.approx(np.sqrt((0.09 + 0.16) / 2))
+    assert plain.scenario.start == "sensors"
+
+
+@pytest.mark.quick
+def test_the_spread_of_biases_is_what_the_family_draws() -> None:
+    fixed = noisy(angular_velocity_bias=[3.0, 0.0, 4.0])
+    assert bias_spread(fixed).angular == pytest.approx(5 / np.sqrt(3))
+    drawn = fixed.replace(**{"family.angular_velocity_bias": 0.25, "family.bias_scale": "off"})
+    assert bias_spread(drawn).angular == 0.25
+    scaled = fixed.replace(**{"family.bias_scale": [0.0, 3.0]})
+    assert bias_spread(scaled).angular == pytest.approx(5 / np.sqrt(3) * np.sqrt(3))
+
+
+def test_it_stands_in_a_result_from_the_first_tune_on_with_the_clairvoyant() -> None:
+    result = posegsa.tune(tiny())
+    assert result.on_scenarios is not None
+    judged = result.on_scenarios.evaluation
+    assert judged.contenders[UNTUNED].filter == Description("kalman", {}, {}, 0)
+    assert judged.clairvoyant is not None
+    assert judged.clairvoyant.shape == (judged.scenarios,)
+    assert np.all(judged.contenders[UNTUNED].metrics.initial_angle < 90), "it starts from sensors"
+    assert UNTUNED in result.summary()
+
+
+def test_where_no_sample_fixes_a_pose_it_is_left_out() -> None:
+    """It would cost nothing there, since nothing counts before its start."""
+    vectors = [{"direction": [1.0, 0.0, 0.0]}, {"direction": [0.0, 0.0, 1.0], "begin": 99.0}]
+    result = posegsa.tune(noisy(vectors=vectors))
+    assert result.on_scenarios is not None
+    assert UNTUNED not in result.on_scenarios.evaluation.contenders
