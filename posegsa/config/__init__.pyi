@@ -43,3 +43,4 @@ from .toml_files import override as override
 from .toml_files import to_toml as to_toml
 from .toml_files import values_of as values_of
 from .toml_files import with_tuned as with_tuned
+from .tunable import number_at as number_at

@@ -113,6 +113,9 @@ class ObjectiveConfig(Section):
     simulated_share: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     """Only for tuning on recordings: the weight of simulated scenarios in the objective, no unit. 0
     simulates none; 0.5 weighs both groups equally, whatever their sizes."""
+    least_gain: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    """Only on recordings, for a filter without a schedule: a search that lowers the cost by less
+    than this share of it leaves the numbers as they are configured, no unit."""
 
 
 class TunedConfig(Section):

@@ -92,6 +92,9 @@ class ObserverConfig(Section):
             yield Violation("length", 'allowed: 1.0, because law = "printed"', self.length)
 
 
+Scales = Annotated[tuple[Positive, ...], Field(max_length=64)]
+
+
 class KalmanConfig(Section):
     """[filter]: the invariant extended Kalman filter.
 
@@ -118,6 +121,10 @@ class KalmanConfig(Section):
     """Noise of each component of a vector, in its unit."""
     landmark: Annotated[Positive, Tunable()] = 0.1
     """Noise of each coordinate of a landmark [m]."""
+    vector_scales: Scales = ()
+    """Noise of each vector, in order, as a multiple of `vector`; 1 for those not listed."""
+    landmark_scales: Scales = ()
+    """The same of landmarks and `landmark`."""
     initial_attitude: Annotated[Positive, Tunable()] = 1.0
     """Initial attitude error about each axis [rad]."""
     initial_position: Annotated[Positive, Tunable()] = 3.0
@@ -128,6 +135,12 @@ class KalmanConfig(Section):
     """Initial error of each component of the velocity's bias [m/s]."""
     initial_vector_bias: Annotated[Positive, _OF_VECTOR_BIAS] = 0.1
     """Initial error of each component of the vectors' biases, in their unit."""
+    angular_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
+    """How many time steps the angular velocity is extrapolated: 0 if it is the mean over the step
+    after its time stamp, 0.5 if it was measured at the stamp, 1 if it is the mean over the step
+    before; a delay of L seconds adds L over the time step."""
+    linear_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
+    """The same of the linear velocity."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
     """How often the measurements of a sample are linearised."""
     moves_covariance: Flag = False

@@ -114,6 +114,13 @@ def with_numbers(data: dict[str, Any], values: Mapping[str, float]) -> dict[str,
     return data
 
 
+def number_at(section: Any, key: str) -> float:
+    """The number of a key in an experiment."""
+    for name in key.split("."):
+        section = section[int(name)] if name.isdigit() else getattr(section, name)
+    return float(section)
+
+
 def also_conflicts(
     places: Places, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
 ) -> Iterator[Violation]:

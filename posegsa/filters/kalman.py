@@ -84,6 +84,7 @@ from posegsa.filters.covariance import (
     next_vector_first,
     transported,
 )
+from posegsa.filters.leads import LEAD_KEYS, LastSample, Leads, extrapolated, no_sample
 from posegsa.filters.measurement_model import (
     apart,
     each_vector,
@@ -178,6 +179,8 @@ class KalmanState(NamedTuple):
     """Sigma of 12 states, or 12 + 3 n with the biases of n vectors."""
     memory: KalmanMemory = KalmanMemory()
     """Of the schedules of its noises."""
+    last: LastSample | tuple[()] = ()
+    """The last velocities; () for a filter that does not extrapolate them."""
 
     @property
     def covariance_matrix(self) -> Array:
@@ -203,28 +206,40 @@ class KalmanFilter:
     last time found (an iterated extended Kalman filter)."""
     moves_covariance: bool = field(default=False, metadata={"static": True})
     """Whether the covariance is moved to the coordinates of the new estimate after an update."""
+    leads: Leads | None = None
+    """How far the measured velocities are extrapolated; None leaves them as they are."""
+    vector_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
+    """Noise of each vector, in order, as a multiple of `noise.vector`; 1 for further ones."""
+    landmark_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
+    """The same of landmarks and `noise.landmark`."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same filter with some numbers replaced.
 
         Args:
             values: By their names in `KalmanNoise`; those of a signal as "unknown_smoothing" or
-                "belief_smoothing", with the names in `NoiseSignal`.
+                "belief_smoothing", with the names in `NoiseSignal`; "angular_lead", "linear_lead".
 
         Raises:
             ArgumentError: There is no number with this name.
         """
-        known = (*KalmanNoise._fields, *(SIGNAL_KEYS if self.signals else ()))
+        of_signals, of_leads = (
+            keys if there else ()
+            for keys, there in ((SIGNAL_KEYS, self.signals), (LEAD_KEYS, self.leads))
+        )
+        known = (*KalmanNoise._fields, *of_signals, *of_leads)
         if wrong := [key for key in values if key not in known]:
             refuse(f"{wrong[0]}: not a number of this filter", ", ".join(known))
-        noise, signals = (
-            {key: value for key, value in values.items() if (key in SIGNAL_KEYS) == of_signals}
-            for of_signals in (False, True)
+        noise, signals, leads = (
+            {key: values[key] for key in keys if key in values}
+            for keys in (KalmanNoise._fields, of_signals, of_leads)
         )
+        ahead = {key.removesuffix("_lead"): value for key, value in leads.items()}
         return replace(
             self,
             noise=self.noise._replace(**noise),
             signals=self.signals and self.signals.with_values(signals),
+            leads=self.leads and self.leads._replace(**ahead),
         )
 
     def prepare(self, measurements: Measurements) -> Sample:
@@ -266,13 +281,20 @@ class KalmanFilter:
                 for one, count in zip(beliefs, sensors, strict=True)
             ),
         )
-        return KalmanState(estimate, covariance, memory)
+        last = () if self.leads is None else no_sample(like)
+        return KalmanState(estimate, covariance, memory, last)
 
     def ready(self) -> "ReadyKalmanFilter":
         """The filter with its schedules prepared (slopes and overlaps of the terms)."""
         schedule = self.schedule.prepare()
         return ReadyKalmanFilter(
-            self.noise, schedule, self.signals, self.iterations, self.moves_covariance
+            self.noise,
+            schedule,
+            self.signals,
+            self.iterations,
+            self.moves_covariance,
+            self.leads,
+            (self.vector_scales, self.landmark_scales),
         )
 
 
@@ -284,9 +306,17 @@ class ReadyKalmanFilter(NamedTuple):
     signals: NoiseSignals | None
     iterations: int
     moves_covariance: bool
+    leads: Leads | None
+    scales: tuple[tuple[float, ...], tuple[float, ...]]
+    """Of vectors and of landmarks."""
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update by vectors and landmarks, then propagation by the velocities."""
+        if self.leads is not None and state.last:
+            ahead, last = extrapolated(now.sample, state.last, self.leads)
+            now, state = now._replace(sample=ahead), state._replace(last=last)
+        if any(self.scales):
+            now = now._replace(sample=_scaled(now.sample, *self.scales))
         sample, noise, record = now.sample, self.noise, Record()
         if self.signals is not None:
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
@@ -359,6 +389,17 @@ class ReadyKalmanFilter(NamedTuple):
             memories.append(before)
             weights.append(given)
         return weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
+
+
+def _scaled(sample: Sample, vectors: Sequence[float], landmarks: Sequence[float]) -> Sample:
+    """A sample whose sensors have these multiples of their noise, 1 for further ones."""
+
+    def weights(sensors: Sequence[Any], scales: Sequence[float]) -> list[Array]:
+        each = [*scales, *(1.0,) * len(sensors)]
+        return [one.factor / (s * s) for one, s in zip(sensors, each, strict=False)]
+
+    seen = weights(each_vector(sample), vectors), weights(sample.landmarks, landmarks)
+    return weighted(sample, *seen)
 
 
 AS_MEASURED = VectorSettings(

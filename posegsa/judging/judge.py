@@ -1,14 +1,16 @@
 """Turn what a search found into a result: judge it on what it has not seen, and check it."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from posegsa import steps
+from posegsa import config, steps
 from posegsa.config import ObserverConfig
 from posegsa.errors import PosegsaWarning
 from posegsa.filters.base import sensors_of
@@ -37,6 +39,7 @@ from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.on_recordings import (
     IMU_AS_IT_COMES,
+    KALMAN_AS_IT_COMES,
     NOISES_FOUND,
     OnRecordings,
     RecordingScore,
@@ -54,10 +57,11 @@ from posegsa.runtime import environment
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
-from posegsa.search.population import cost_name, costs_by_scenario
+from posegsa.search.population import cost_name, costs_by_scenario, over_scenarios
 from posegsa.search.problem import TuningProblem
 from posegsa.search.recorded import default_experiment
 from posegsa.search.run_search import Found
+from posegsa.settings.fields import Section
 from posegsa.version import VERSION
 
 _PARTS = (
@@ -88,7 +92,8 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
         recorded: The recordings that it was tuned on, if it was, and those held out.
     """
     search = found.search
-    tuned = problem.space.candidate(search.best_position)
+    configured = _configured_if_gained_little(problem, float(search.best_cost))
+    tuned = configured or problem.space.candidate(search.best_position)
     if recorded is None:
         tuned_on, own_cost, weight = "scenarios", cost_name(problem.cost), 0.0
     else:
@@ -121,21 +126,53 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
     return _beside_what_was_not_searched(judged, recorded) if recorded.held_out else judged
 
 
+def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Candidate | None:
+    """The candidate with the configured numbers, where the search gains less than it must."""
+    experiment, training = problem.experiment, problem.training
+    least, keys = experiment.objective.least_gain, problem.space.keys
+    if not least or training.recorded is None or len(keys) != problem.space.box.lower.size:
+        return None  # a schedule has no numbers before a search
+    values = (jnp.asarray(config.number_at(experiment, key), training.dtype) for key in keys)
+    configured = Candidate(None, tuple(values), keys)
+    costs = costs_by_scenario(jax.tree.map(lambda a: a[None], configured), training)
+    before = float(over_scenarios(costs, experiment.objective)[0])
+    return configured if best_cost > (1 - least) * before else None
+
+
 def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
-    """A result, beside the filter that its recordings give without a search."""
+    """A result, beside the filters that a user has without a search.
+
+    They are what the recordings give, and the Kalman filter as it comes. One that is the result's
+    own filter is left out.
+    """
     plain = default_experiment(recorded.training)
-    name = IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND
-    steps.begin("judging", about=name)
-    found = configured_filter(plain)
-    scores = []
-    with jax.enable_x64(plain.run.dtype == "float64"):
-        for one in recorded.held_out:
-            read = as_read_by(plain.filter.kind, one)
-            filter = described_filter(found, plain, None, sensors_of(read.measurements))
-            scores.append(score(read, run_filter(filter, read, state_of(read.initial()))))
+    beside = {IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND: plain}
+    if plain.filter.kind == "kalman":
+        beside[KALMAN_AS_IT_COMES] = config.load("kalman")
+    baselines = {}
+    for name, experiment in beside.items():
+        if _same_numbers(result.tuned.filter, experiment.filter):
+            continue
+        steps.begin("judging", about=name)
+        found, scores = configured_filter(experiment), []
+        with jax.enable_x64(experiment.run.dtype == "float64"):
+            for one in recorded.held_out:
+                read = as_read_by(experiment.filter.kind, one)
+                filter = described_filter(found, experiment, None, sensors_of(read.measurements))
+                scores.append(score(read, run_filter(filter, read, state_of(read.initial()))))
+        baselines[name] = scores
     assert result.on_recordings is not None
-    judged = replace(result.on_recordings, baselines={name: scores})
+    judged = replace(result.on_recordings, baselines=baselines)
     return replace(result, on_recordings=judged)
+
+
+def _same_numbers(one: Section, other: Section) -> bool:
+    """Whether two sections agree, but for rounding to single precision."""
+    a, b = one.model_dump(), other.model_dump()
+    return a.keys() == b.keys() and all(
+        math.isclose(value, b[key], rel_tol=1e-6) if isinstance(value, float) else value == b[key]
+        for key, value in a.items()
+    )
 
 
 def _stored(column: jax.Array) -> np.ndarray:

@@ -33,10 +33,13 @@ MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
 NOISES_FOUND = "Kalman filter with the noises found"
 """The filter that stands beside every one that was tuned on recordings: it was not searched."""
+KALMAN_AS_IT_COMES = "Kalman filter as it comes"
+"""The filter of `kalman.toml` beside it."""
 IMU_AS_IT_COMES = "attitude filter as it comes"
 """The same on recordings of inertial sensors."""
 ADVICE = {
-    NOISES_FOUND: "`posegsa tune --recording` without CONFIG",
+    NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
+    KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
     IMU_AS_IT_COMES: "`posegsa replay imu`",
     CONSTANT: "`--set filter.schedule=constant`",
     EKF: "`posegsa tune kalman --recording`",
@@ -144,11 +147,14 @@ class OnRecordings:
         head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
         beside = ", ".join(self.baselines)
         if not better:
-            return f"{head}No filter beside it ({beside}) errs less, in attitude or in position."
+            return (
+                f"{head}No filter beside it ({beside}) errs less, in attitude or in position: take "
+                "it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`."
+            )
         better.sort()
         listed = "; ".join(words for _, words, _ in better)
         advice = f" To take the first of them: {better[0][2]}." if better[0][2] else ""
-        return f"{head}Smaller errors, as shares of these with 95 % intervals: {listed}.{advice}"
+        return f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{advice}"
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""

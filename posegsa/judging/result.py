@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from pydantic import Field
 
 from posegsa.arguments import check_type, refuse
-from posegsa.config import PARAMETERS, SEARCHED, Experiment
+from posegsa.config import PARAMETERS, SEARCHED, Experiment, number_at
 from posegsa.errors import PosegsaWarning
 from posegsa.filters.base import Filter, Sensors, sensors_of
 from posegsa.filters.noise_schedules import NoiseGains
@@ -279,7 +279,8 @@ class Result:
             parts.append(self.on_scenarios.evaluation.verdict())
         if self.on_recordings is not None:
             parts.append(self.on_recordings.verdict())
-        lines = [f"  note: {words}" for words in self.at_ends()]
+        kept = self._kept()
+        lines = [f"  note: {words}" for words in ([kept] if kept else self.at_ends())]
         lines += [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(filter(None, parts)), *lines])
 
@@ -299,6 +300,19 @@ class Result:
                     f"{one.lower:g} to {one.upper:g}: widen it ([[parameters.also]]), or state it"
                 )
         return found
+
+    def _kept(self) -> str:
+        """That the search gained too little to change anything, in words; "" if it did not."""
+        least, numbers = self.experiment.objective.least_gain, self.also
+        if self.search is None or not (least and numbers):
+            return ""
+        before = [number_at(self.experiment, key) for key in numbers]
+        if not np.allclose(list(numbers.values()), before, rtol=1e-6, atol=0.0):
+            return ""
+        return (
+            f"the search gained less than {100 * least:.3g} % of the cost: the numbers stay as "
+            "they were before it"
+        )
 
     def _head(self) -> str:
         """How the filter was found."""

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from posegsa import config
 from posegsa.filters.kalman import KalmanNoise
+from posegsa.filters.leads import LEAD_KEYS
 from posegsa.judging.description import Description, describe
 from posegsa.optimisers import DifferentialEvolution, runner, start
 from posegsa.optimisers.search_box import to_unit
@@ -22,6 +23,10 @@ MIN_IMPROVEMENT = 0.01
 """Relative improvement of the cost between two checks, below which the search stops."""
 
 
+_KEPT = (*KalmanNoise._fields, *LEAD_KEYS, "vector_scales", "landmark_scales")
+"""What a plain Kalman filter has of another."""
+
+
 def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> config.Experiment:
     """An experiment with a plain Kalman filter in place of its own; all its noises are tuned.
 
@@ -29,7 +34,7 @@ def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> 
     """
     data = experiment.model_dump(mode="json")
     own = data["filter"] if experiment.filter.kind == "kalman" else {}
-    noises = {name: own[name] for name in KalmanNoise._fields if name in own}
+    noises = {name: own[name] for name in _KEPT if name in own}
     biases = "estimated" if vector_biases else "off"
     data["filter"] = {"kind": "kalman", "vector_bias": biases} | noises
     data["parameters"]["also"] = [one.model_dump(mode="json") for one in config.KALMAN_ALSO]

@@ -13,6 +13,7 @@ from posegsa.model.observability import why_attitude_unobservable, why_unobserva
 from posegsa.recordings.accuracy import attitude_errors
 from posegsa.recordings.delays import late_sensors, predicted
 from posegsa.recordings.mistakes import mistakes
+from posegsa.recordings.noises import neighbours, noise_of, velocity_noises
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.relations import FEWEST, Quantities, misfits, quantities
 from posegsa.words import counted, text_table
@@ -28,7 +29,8 @@ class SensorCheck(NamedTuple):
     gap: float
     """Longest time without one [s]."""
     noise: float
-    """Standard deviation of each component's white noise, in its unit, by neighbouring samples."""
+    """Standard deviation of each component's noise in a sample, in its unit, if it is taken for
+    white (`recordings.noises`); without a truth what differs between neighbouring samples."""
     bias: float | None
     """Length of the mean difference from what the truth predicts, in its unit; None without one."""
 
@@ -74,8 +76,10 @@ class DataCheck:
         """The noises that were found as a [filter] table; "" for an attitude-only recording."""
         if self.recording.attitude_only:
             return ""
-        numbers = _noises(self.recording, self.sensors) | WALKS | _start(self.recording)
+        numbers = WALKS | _noises(self.recording, self.sensors) | _start(self.recording)
         lines = [f"{key} = {value:.2g}  # {_UNITS[key]}" for key, value in numbers.items()]
+        for key, scales in _scales([self.sensors]).items():
+            lines.append(f"{key} = [{', '.join(f'{x:.3g}' for x in scales)}]  # one by one")
         return "\n".join(["[filter]", 'kind = "kalman"', *lines])
 
 
@@ -86,10 +90,14 @@ _SETTINGS = (
     ("landmark", "landmark", "", False),
 )
 """Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
+_PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
+"""How the keys of a velocity's walk and lead begin."""
 NONE = 1e-6
 """A noise below which a sensor was simulated without: no filter should believe in that."""
+DIFFER = 2.0
+"""Ratio of the noises of two vectors, or two landmarks, from which on each has its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
-"""What one recording does not tell: the biases are assumed to hardly change within it."""
+"""Where a recording shows no walk, the biases are assumed to hardly change within it."""
 START = {"initial_attitude": 0.15, "initial_position": 0.25}
 """Deviations of a start from the means of the first sensors, which is off by less where these show
 the pose [rad], [m]."""
@@ -101,30 +109,51 @@ _UNITS = {
     "initial_angular_bias": "rad/s",
     "initial_linear_bias": "m/s",
     "initial_vector_bias": "as large as it was",
-    "angular_walk": "rad/s/sqrt(s), assumed: it hardly changes",
-    "vector_walk": "1/sqrt(s), assumed: it hardly changes",
+    "angular_walk": "rad/s/sqrt(s), of its bias",
+    "linear_walk": "m/s/sqrt(s), of its bias",
+    "angular_lead": "steps: 0.5 if measured at its stamp, 0 if the mean over the step after it",
+    "linear_lead": "steps",
+    "vector_walk": "1/sqrt(s), assumed: the bias hardly changes",
     "initial_attitude": "rad, or how far off its start was",
     "initial_position": "m, or how far off its start was",
 }
 
 
-def found_noises(recordings: Sequence[Recording]) -> dict[str, float]:
+def found_noises(recordings: Sequence[Recording]) -> dict[str, float | tuple[float, ...]]:
     """What recordings tell of their sensors, by key of a Kalman filter's settings.
 
-    Noises are medians over the recordings, biases and errors of the start the largest. The walk of
-    the velocity's bias is left open, for a search.
+    Noises, walks and leads are medians over the recordings, biases and errors of the start the
+    largest. The walk of the velocity's bias is best left to a search.
 
     Args:
         recordings: With a body velocity; biases are found where there is a truth.
     """
-    each = [_noises(one, _sensors(one, quantities(one))) | _start(one) for one in recordings]
+    sensors = [_sensors(one, quantities(one)) for one in recordings]
+    pairs = list(zip(recordings, sensors, strict=True))
+    each = [_noises(one, found) | _start(one) for one, found in pairs]
     keys = dict.fromkeys(key for noises in each for key in noises)
     found = {key: [noises[key] for noises in each if key in noises] for key in keys}
-    combined = {
+    combined: dict[str, float | tuple[float, ...]] = {
         key: max(values) if key.startswith("initial") else float(np.median(values))
         for key, values in found.items()
     }
-    return combined | WALKS
+    return WALKS | combined | _scales(sensors)
+
+
+def _scales(recordings: Sequence[Sequence[SensorCheck]]) -> dict[str, tuple[float, ...]]:
+    """Noises of single vectors and landmarks as multiples of all, where they differ."""
+    found = {}
+    for kind in ("vector", "landmark"):
+        noises = [
+            [each.noise for each in sensors if each.name.startswith(kind)] for sensors in recordings
+        ]
+        if len({len(own) for own in noises}) > 1:
+            continue  # a scale belongs to one sensor by its place
+        own = np.median(np.array(noises), axis=0)
+        if len(own) < 2 or not np.all(own > NONE) or np.max(own) < DIFFER * np.min(own):
+            continue
+        found[f"{kind}_scales"] = tuple(float(f"{x:.3g}") for x in own / np.median(own))
+    return found
 
 
 def _start(recording: Recording) -> dict[str, float]:
@@ -150,13 +179,17 @@ def _start(recording: Recording) -> dict[str, float]:
 
 def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, float]:
     """The noises and biases of sensors, by key of a Kalman filter's settings."""
-    root, found = math.sqrt(recording.time_step), {}
+    root, found, velocities = math.sqrt(recording.time_step), {}, velocity_noises(recording)
     for key, kind, bias, density in _SETTINGS:
         own = [one for one in sensors if one.name.startswith(kind) and one.noise > NONE]
         if not own:
             continue
         noise = float(np.median([one.noise for one in own]))
         found[key] = noise * (root if density else 1.0)
+        if kind in velocities and velocities[kind].walk:
+            found[_PREFIXES[kind] + "walk"] = velocities[kind].walk
+        if kind in velocities and velocities[kind].lead:
+            found[_PREFIXES[kind] + "lead"] = velocities[kind].lead
         biases = [one.bias / math.sqrt(3) for one in own if one.bias is not None]
         if bias and biases:  # one that did not show may be small, but is not 0
             found[bias] = max(*biases, 0.1 * noise)
@@ -191,6 +224,7 @@ def check(recording: Recording) -> DataCheck:
 
 def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
     differences = {one.sensor: one.measured - one.expected for one in predicted(q)}
+    velocities, root = velocity_noises(recording), math.sqrt(recording.time_step)
     named = [("angular_velocity", "rad/s", q.gyroscope)]
     if q.velocity is not None:
         named.append(("velocity", "m/s", q.velocity))
@@ -202,14 +236,21 @@ def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
     for name, unit, values in named:
         steps = np.diff(recording.time[_there(recording, name)])
         off = _known(differences[name]) if name in differences else np.zeros((0, 3))
+        mean = np.mean(off, axis=0) if len(off) else None
+        if name in velocities:
+            noise, mean = velocities[name].density / root, velocities[name].bias
+        elif len(off) > FEWEST:
+            noise = noise_of(off, float(np.median(steps)))
+        else:
+            noise = neighbours(_known(values))
         found.append(
             SensorCheck(
                 name=name,
                 unit=unit,
                 rate=float(1 / np.median(steps)) if steps.size else 0.0,
                 gap=float(np.max(steps)) if steps.size else recording.duration,
-                noise=_noise(off if len(off) > FEWEST else _known(values)),
-                bias=float(np.linalg.norm(np.mean(off, axis=0))) if len(off) else None,
+                noise=noise,
+                bias=None if mean is None else float(np.linalg.norm(mean)),
             )
         )
     return found
@@ -239,11 +280,3 @@ def _unobservable(recording: Recording, q: Quantities) -> str:
 def _known(values: np.ndarray) -> np.ndarray:
     """The rows of values (K, 3) that are finite."""
     return values[np.isfinite(values).all(axis=1)]
-
-
-def _noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise in values (n, 3), by their second differences."""
-    if len(values) < FEWEST:
-        return np.nan
-    second = values[2:] - 2 * values[1:-1] + values[:-2]
-    return float(1.4826 * np.median(np.abs(second - np.median(second, axis=0))) / np.sqrt(6))

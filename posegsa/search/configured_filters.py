@@ -15,6 +15,7 @@ from posegsa.arguments import check_dtype, check_type, fitting, refuse
 from posegsa.filters.attitude import AttitudeFilter, AttitudeNumbers
 from posegsa.filters.base import Filter, Sensors, check_filter
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.leads import LEAD_KEYS, Leads
 from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
 from posegsa.filters.observer import FilterSettings, Observer, VectorBias
 from posegsa.model.signal import SignalSettings
@@ -111,6 +112,9 @@ def filter_of(
             signals=_noise_signals(section, dtype) if section.roles else None,
             iterations=section.iterations,
             moves_covariance=section.moves_covariance,
+            leads=_leads(experiment, section, dtype),
+            vector_scales=section.vector_scales,
+            landmark_scales=section.landmark_scales,
         )
     if isinstance(section, config.AttitudeConfig):
         each = {name: host_array(getattr(section, name), dtype) for name in AttitudeNumbers._fields}
@@ -121,6 +125,15 @@ def filter_of(
     return Observer(
         schedule=None, settings=settings, signal=signal_settings(experiment.gain, dtype)
     )
+
+
+def _leads(
+    experiment: config.Experiment, section: config.KalmanConfig, dtype: DTypeLike
+) -> Leads | None:
+    """How far velocities are extrapolated; None if they never are."""
+    values = [getattr(section, key) for key in LEAD_KEYS]
+    tuned = {f"filter.{key}" for key in LEAD_KEYS} & {one.key for one in experiment.also}
+    return Leads(*(host_array(value, dtype) for value in values)) if any(values) or tuned else None
 
 
 def _noise_signals(section: config.KalmanConfig, dtype: DTypeLike) -> NoiseSignals:

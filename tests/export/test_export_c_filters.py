@@ -34,6 +34,7 @@ from posegsa.errors import ArgumentError, MeasurementError
 from posegsa.export import filter_to_c
 from posegsa.filters.base import Filter, Record, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
+from posegsa.filters.leads import Leads
 from posegsa.filters.noise_schedules import NoiseGains, NoiseSignal, NoiseSignals
 from posegsa.filters.rollout import Estimates, run_filter
 from posegsa.model.measurements import Measurements
@@ -79,6 +80,17 @@ def by_the_clock() -> Filter:
         return replace(kalman(True), schedule=clock, signals=NoiseSignals(signal, signal))
 
 
+def led() -> Filter:
+    """A Kalman filter that extrapolates its velocities, with a noise for each sensor."""
+    with jax.enable_x64(True):
+        return replace(
+            kalman(True),
+            leads=Leads(jnp.asarray(0.5), jnp.asarray(1.25)),
+            vector_scales=(1.0, 2.5),
+            landmark_scales=(0.5,),
+        )
+
+
 def own() -> Filter:
     """That of the example."""
     kind = runpy.run_path(str(ROOT / "examples" / "own_filter.py"))["ComplementaryFilter"]
@@ -92,6 +104,7 @@ def case_of(name: str) -> Case:
         "own": lambda: Case(own(), VECTORS, LANDMARKS[:1]),
         "12 states": lambda: Case(kalman(False), VECTORS, LANDMARKS[:1]),
         "18 states": lambda: Case(kalman(True), VECTORS, LANDMARKS),
+        "led": lambda: Case(led(), VECTORS, LANDMARKS[:2]),
         "recommended": lambda: Case(scheduled("recommended", 1), VECTORS, LANDMARKS[:1]),
         "disturbed": lambda: Case(scheduled("disturbed", 3), VECTORS, LANDMARKS[:3]),
         "clock": lambda: Case(by_the_clock(), VECTORS, LANDMARKS[:1]),
@@ -99,7 +112,7 @@ def case_of(name: str) -> Case:
     return made[name]()
 
 
-CASES = ("own", "12 states", "18 states", "recommended", "disturbed", "clock")
+CASES = ("own", "12 states", "18 states", "led", "recommended", "disturbed", "clock")
 SCHEDULED = ("recommended", "disturbed", "clock")
 """In float their gains, and so their estimates, differ by more."""
 

@@ -30,7 +30,7 @@ from posegsa.errors import (
 )
 from posegsa.export import export
 from posegsa.judging.judge import Recorded, judge
-from posegsa.judging.on_recordings import NOISES_FOUND
+from posegsa.judging.on_recordings import KALMAN_AS_IT_COMES, NOISES_FOUND
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask
@@ -386,11 +386,28 @@ def test_without_a_configuration_the_noises_are_those_that_the_recordings_show()
     found = posegsa.tune(recordings=parts[0], held_out=parts[1], iterations=1)
     assert found.experiment.filter.kind == "kalman"
     assert found.experiment.filter.landmark == pytest.approx(0.1, rel=0.2)
-    assert list(found.filter.also) == ["filter.linear_walk"]
+    keys = ["filter.angular_velocity", "filter.velocity", "filter.linear_walk"]
+    assert list(found.filter.also) == keys
     # The summary ends with what is best on what was held out.
-    last = found.summary().split("Tuned: filter.linear_walk")[1]
+    last = found.summary().split("Tuned: filter.angular_velocity")[1]
     assert "On what was held out the filter errs by" in last
-    assert NOISES_FOUND in last
+    assert KALMAN_AS_IT_COMES in last
+
+
+@pytest.mark.parametrize("least", [0.0, 0.99])
+def test_a_search_that_gains_too_little_changes_nothing(least: float) -> None:
+    given, rng = bench(400), np.random.default_rng(0)
+    for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
+        given[name] = given[name] + 0.1 * rng.standard_normal(given[name].shape)
+    whole = Recording.from_arrays(**given)
+    own = default_experiment([whole.window(0, 2)]).replace(**{"objective.least_gain": least})
+    found = posegsa.tune(own, recordings=whole.window(0, 2), held_out=whole.window(2), iterations=2)
+    same = found.also["filter.velocity"] == pytest.approx(own.filter.velocity)
+    assert same == (least > 0)
+    assert found.on_recordings is not None
+    words = f"the search gained less than {100 * least:.3g} % of the cost"
+    assert (words in found.summary()) == same
+    assert (NOISES_FOUND in found.on_recordings.baselines) != same, "it would stand beside itself"
 
 
 def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:
