@@ -1,16 +1,25 @@
 """The main job: tune a filter and judge it on held-out scenarios or recordings."""
 
 import os
+import warnings
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import numpy as np
 
 from posegsa import config, steps
 from posegsa.arguments import check_callable, check_number, refuse, several
-from posegsa.errors import ArgumentError, ConfigError, RecordingError, RunFolderError, SaveError
+from posegsa.errors import (
+    ArgumentError,
+    ConfigError,
+    PosegsaWarning,
+    RecordingError,
+    RunFolderError,
+    SaveError,
+)
 from posegsa.judging.judge import Recorded, judge
 from posegsa.judging.result import Result, TuneBatch
 from posegsa.progress import shown
@@ -52,6 +61,9 @@ Given = config.Experiment | str | Path | None
 """An experiment or a TOML file; None for the default."""
 Recordings = Recording | Iterable[Recording]
 """One recording, or several."""
+
+FEW_SHARED = 300
+"""So many samples may be in two recordings without a word."""
 
 
 def tune(
@@ -220,11 +232,35 @@ def _recorded(
     if both := {id(one) for one in training} & {id(one) for one in unseen}:
         name = next(one.name for one in training if id(one) in both)
         refuse(f"held_out: {name} is tuned on", "recordings that are not")
+    for one in unseen:
+        for other in training:
+            if share := _share_in(other, one):
+                warnings.warn(
+                    f"held_out: {100 * share:.0f} % of {one.name} is in {other.name} too, which is "
+                    "tuned on: its errors say little about other motion",
+                    PosegsaWarning,
+                    stacklevel=3,
+                )
     for one in (*training, *unseen):
         if not one.masks()["judged"].any():
             raise RecordingError(f"{one.name}: no sample is judged where the truth is known")
     check_number("position_weight", position_weight, 0.0, 1e6)
     return Recorded(training, unseen, position_weight)
+
+
+def _share_in(one: Recording, other: Recording) -> float:
+    """The share of the samples of `other` that one has too, by its measured velocities.
+
+    It is 0 below a few hundred, and for a body at rest, where samples may agree by chance.
+    """
+    velocities = (
+        np.concatenate([np.asarray(m.angular_velocity), np.asarray(m.velocity)], axis=1)
+        for m in (one.measurements, other.measurements)
+    )
+    a, b = (np.ascontiguousarray(each, np.float64).view("V48")[:, 0] for each in velocities)
+    both = np.isin(b, a)
+    certain = np.count_nonzero(both) > FEW_SHARED and len(np.unique(b)) > 0.5 * len(b)
+    return float(np.mean(both)) if certain else 0.0
 
 
 def _as_read(recorded: Recorded | None, experiment: config.Experiment) -> Recorded | None:

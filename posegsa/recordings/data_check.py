@@ -66,10 +66,19 @@ class DataCheck:
         if self.findings:
             parts.append("\n".join(f"  look: {words}" for words in self.findings))
         else:
-            parts.append("No mistake was found: the sensors agree with each other and the truth.")
+            if not self.unobservable:
+                parts.append(f"No mistake was found: the sensors agree with {self._compared}.")
             if settings := self.settings:
                 parts.append(f"These noises as a configuration:\n\n{settings}")
         return "\n\n".join(parts)
+
+    @property
+    def _compared(self) -> str:
+        """What the sensors were compared with."""
+        truth = self.recording.truth
+        if truth is None or not np.any(truth.known):
+            return "each other, as far as they overlap; there is no truth to compare them with"
+        return "each other and the truth"
 
     @property
     def settings(self) -> str:
@@ -94,6 +103,8 @@ _PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
 """How the keys of a velocity's walk and lead begin."""
 NONE = 1e-6
 """A noise below which a sensor was simulated without: no filter should believe in that."""
+FAR_OFF = 0.8
+"""A misfit above which something is mistaken, whatever it is; sensors have up to 0.5."""
 DIFFER = 2.0
 """Ratio of the noises of two vectors, or two landmarks, from which on each has its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
@@ -212,14 +223,37 @@ def check(recording: Recording) -> DataCheck:
     check_type("recording", recording, Recording)
     q = quantities(recording)
     found = [str(one) for one in mistakes(q)]
+    fits = misfits(q)
+    found += [] if found else _far_off(fits)
     found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
+    sensors = _sensors(recording, q)
+    found += [
+        f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
+    ]
     return DataCheck(
         recording=recording,
-        sensors=_sensors(recording, q),
-        misfits=misfits(q),
+        sensors=sensors,
+        misfits=fits,
         unobservable=_unobservable(recording, q),
         findings=found,
     )
+
+
+def _far_off(fits: dict[str, float]) -> list[str]:
+    """Relations that miss by as much as what they compare, in words; at most three, worst first.
+
+    A vector may: an acceleration is no direction of gravity where a body accelerates.
+    """
+    vectors = ("vector", "accelerometer", "magnetometer")
+    far = [
+        (misfit, name)
+        for name, misfit in fits.items()
+        if misfit > FAR_OFF and not name.startswith(vectors)
+    ]
+    return [
+        f"{name} do not fit, by {100 * misfit:.0f} % of their size: a unit, an axis or a frame?"
+        for misfit, name in sorted(far, reverse=True)[:3]
+    ]
 
 
 def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:

@@ -24,6 +24,7 @@ from posegsa.errors import (
     ArgumentError,
     ConfigError,
     FuzzyError,
+    PosegsaWarning,
     RecordingError,
     RunFolderError,
     SearchInterrupted,
@@ -413,3 +414,13 @@ def test_a_search_that_gains_too_little_changes_nothing(least: float) -> None:
 def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:
     inertial = posegsa.imu(gyr=np.zeros((200, 3)), acc=np.tile([0, 0, 9.81], (200, 1)), rate=100)
     assert default_experiment([inertial]).filter.kind == "imu"
+
+
+def test_held_out_samples_that_are_tuned_on_are_told() -> None:
+    given, rng = bench(1000), np.random.default_rng(0)
+    for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
+        given[name] = given[name] + 0.1 * rng.standard_normal(given[name].shape)
+    whole = Recording.from_arrays(**given)
+    said = r"held_out: 50 % of recording is in recording\[0:5\]"
+    with pytest.warns(PosegsaWarning, match=said):
+        posegsa.tune(recordings=whole.window(0, 5), held_out=whole, iterations=1)

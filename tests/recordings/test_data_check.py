@@ -289,3 +289,25 @@ def test_something_else_is_refused() -> None:
 def test_the_figure_has_a_panel_for_each_sensor() -> None:
     found = check(Recording.from_arrays(**flown()))
     assert len(plot_check(found).axes) == len(found.sensors) == 7
+
+
+def test_what_fits_nowhere_is_told_without_a_name_for_it() -> None:
+    """Landmarks in centimetres, and a velocity in km/h."""
+    a = flown()
+    for changed in (a | {"landmarks": 100 * a["landmarks"]}, a | {"velocity": 3.6 * a["velocity"]}):
+        found = check(Recording.from_arrays(**changed)).findings
+        assert any("do not fit" in words or "looks like" in words for words in found), found
+
+
+def test_without_a_truth_it_is_not_said_to_agree_with_it() -> None:
+    a = {name: value for name, value in flown().items() if not name.startswith("truth")}
+    text = check(Recording.from_arrays(**a)).text()
+    assert "there is no truth to compare them with" in text
+
+
+def test_a_sensor_that_never_measured_is_told() -> None:
+    a = flown()
+    landmarks = a["landmarks"].copy()
+    landmarks[:, 1] = np.nan
+    found = check(Recording.from_arrays(**a | {"landmarks": landmarks})).findings
+    assert found == ["landmark 1 has no measurement"]
