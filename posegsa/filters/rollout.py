@@ -4,11 +4,12 @@ One loop serves all filters and all outputs: estimates, true errors, or a cost a
 summed up inside the loop, so that its memory does not grow with time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -114,6 +115,12 @@ class ErrorTrack(NamedTuple):
     def until(self, sample: int) -> "ErrorTrack":
         """The errors before a sample, of leaves (S, N)."""
         return self._over_time(lambda leaf: leaf[:, :sample])
+
+    @staticmethod
+    def joined(parts: Sequence["ErrorTrack"]) -> "ErrorTrack":
+        """The errors over several parts of a time (NumPy), of leaves (S, ...), one after another."""
+        whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
+        return whole._replace(bias=parts[-1].bias, vector_bias=parts[-1].vector_bias)
 
     def _over_time(self, change: Callable[[Array], Array]) -> "ErrorTrack":
         """With what has a value at each sample changed."""
@@ -289,17 +296,22 @@ def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> E
 
 
 def simulate_errors_together(
-    filter: Filter, samples: Samples, initial: FilterState, count: Array
-) -> ErrorTrack:
+    filter: Filter, samples: Samples, states: Any, count: Array
+) -> tuple[Any, ErrorTrack]:
     """The true errors of S simulations, all leaves (S, ...) (pure, jittable).
 
-    Samples from `count` on change nothing, and their stored errors are meaningless. So sequences of
-    any length can be padded and run by one program.
+    Args:
+        filter: any filter.
+        samples: S times N samples, with the truth.
+        states: of the filter before the first of them.
+        count: number of samples to use; later ones change nothing, and their errors are
+            meaningless. So sequences of any length can be padded and run by one program.
+
+    Returns:
+        The states after the last sample, and the errors.
     """
-    sensors = sensors_in(samples)
-    state = jax.vmap(lambda one: filter.start(one, sensors))(initial)
-    last, _, errors = run(_true_errors, filter, samples, state, count=count, together=True)
-    return _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
+    last, _, errors = run(_true_errors, filter, samples, states, count=count, together=True)
+    return last, _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
 
 
 def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:

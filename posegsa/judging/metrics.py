@@ -1,17 +1,18 @@
 """Metrics of a filter on each of many scenarios: cost, settling, steady state, bias."""
 
-from typing import Annotated, NamedTuple
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.filters.base import Filter, Samples
+from posegsa.filters.base import Filter, Samples, Sensors, sensors_in
 from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
-from posegsa.search.groups import in_groups, padded
+from posegsa.search.groups import LENGTH, in_groups, padded
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
@@ -85,28 +86,42 @@ class Bands(NamedTuple):
 
 
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
-    """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...)."""
+    """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...).
+
+    They are run LENGTH samples at a time, so that scenarios of any duration share one program.
+    """
     count, samples = batch.samples.time.shape
     # All on the host: JAX compiles a program again for arrays on another device.
     candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
-    length = padded(samples)
+    sensors = sensors_in(batch.samples)
 
     def some(index: np.ndarray) -> ErrorTrack:
         chosen = batch.select(index)
-        longer = jax.tree.map(
-            lambda a: np.pad(a, [(0, 0), (0, length - samples)], mode="edge"), chosen.samples
-        )
-        track = _tracks(candidate, batch.filter, longer, chosen.initial, np.int32(samples))
-        return track.until(samples)
+        state, parts = _started(candidate, batch.filter, chosen.initial, sensors), []
+        for first in range(0, samples, LENGTH):
+            part = jax.tree.map(lambda a, i=first: a[:, i : i + LENGTH], chosen.samples)
+            lacking = LENGTH - part.time.shape[1]
+            part = jax.tree.map(lambda a, n=lacking: np.pad(a, [(0, 0), (0, n)], mode="edge"), part)
+            given = np.int32(LENGTH - lacking)
+            state, track = _tracks(candidate, batch.filter, part, state, given)
+            parts.append(jax.device_get(track).until(int(given)))
+        return ErrorTrack.joined(parts)
 
-    return in_groups(some, count, length)
+    return in_groups(some, count, padded(samples))
+
+
+@partial(jax.jit, static_argnames="sensors")
+def _started(candidate: Candidate, shared: Filter, initial: FilterState, sensors: Sensors) -> Any:
+    """States (S, ...) before the first sample."""
+    filter = candidate.applied(shared)
+    return jax.vmap(lambda one: filter.start(one, sensors))(initial)
 
 
 @jax.jit
 def _tracks(
-    candidate: Candidate, shared: Filter, samples: Samples, initial: FilterState, count: Array
-) -> ErrorTrack:
-    return simulate_errors_together(candidate.applied(shared), samples, initial, count)
+    candidate: Candidate, shared: Filter, samples: Samples, states: Any, count: Array
+) -> tuple[Any, ErrorTrack]:
+    return simulate_errors_together(candidate.applied(shared), samples, states, count)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs may diverge; `diverged` says so

@@ -24,7 +24,7 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     slice per array into the loops over agents, and LLVM does not vectorise those: 2.3 times slower
     on CPUs.
     """
-    step = jax.jit(step, inline=True)  # traced once, though it is looked at before it is run
+    step = jax.jit(step)  # traced once, though it is looked at before it is run; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack(leaves, axis=-1)
 
@@ -44,7 +44,7 @@ def scan_together(
     lays the n numbers of a step out as (S, n), so that one number of all simulations is not
     contiguous. Here the layout is (n, S).
     """
-    step = jax.jit(step, inline=True)  # traced once, though it is looked at before it is run
+    step = jax.jit(step)  # traced once, though it is looked at before it is run; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
 
