@@ -27,6 +27,9 @@ RECORDING = (
     "the folder of a EuRoC sequence, or a bag of ROS 1 or 2, with its topics in FILE.toml beside it"
 )
 
+RECORDED = (".csv", ".npz", ".mat", ".bag", ".mcap", ".db3")
+"""How the names of recordings end."""
+
 
 def add_search_arguments(
     parser: argparse.ArgumentParser, *, config: str, setting: str, out: str, replaced: str

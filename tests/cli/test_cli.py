@@ -360,9 +360,14 @@ def test_configurations_are_listed_and_printed(capsys):
     [
         (["evaluate", "nowhere"], "no finished run"),
         (["export", "nowhere", "--format", "c"], "no finished run"),
+        (["replay", "kalmna", "a.csv"], "did you mean kalman?"),
+        (["tune", "Recommended"], "did you mean recommended?"),
+        (["tune", "a.csv"], "a.csv: is a recording; allowed: a configuration, or none; and"),
+        (["evaluate", "a.bag"], "a run's folder or a configuration; and --recording a.bag"),
+        (["replay", "a.csv", "a.csv"], "a run's folder or a configuration, before a.csv"),
     ],
 )
-def test_a_missing_run_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
+def test_a_missing_run_or_configuration_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     assert said in capsys.readouterr().err
