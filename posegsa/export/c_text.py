@@ -135,6 +135,18 @@ def origin(result: Result) -> list[str]:
     )
 
 
+def whose_sensors(result: Result) -> list[str]:
+    """Whose vectors and landmarks a filter knows."""
+    if result.filter.kind == "imu":
+        return []
+    if result.knows_scenario:
+        return wrapped(
+            "The vectors and landmarks that it knows are those of the configuration's [scenario], "
+            "NOT of your sensors: `posegsa export RUN --recording FILE` takes those of a recording."
+        )
+    return ["The vectors and landmarks that it knows are those of recordings."]
+
+
 def worth(result: Result) -> list[str]:
     """What a filter is worth: its costs on scenarios, its errors on recordings, its warnings."""
     lines = []
