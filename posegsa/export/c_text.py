@@ -95,9 +95,9 @@ def check_name(name: object) -> None:
 
 
 def renamed(text: str, name: str) -> str:
-    """A C file with the prefixes of its names replaced by `name_` and `NAME_`."""
+    """A C file with the prefixes of its names replaced by `name_` and `NAME_`, also after -D."""
     text = re.sub(rf"\b{NAME}_", f"{name}_", text)
-    return re.sub(rf"\b{NAME.upper()}_", f"{name.upper()}_", text)
+    return re.sub(rf"(\b|(?<=-D)){NAME.upper()}_", f"{name.upper()}_", text)
 
 
 @cache

@@ -480,3 +480,5 @@ def test_names_have_the_prefix_that_was_asked_for():
     assert "static inline int nav_step(" in text
     assert "NAV_LANDMARKS = 1" in text
     assert not re.search(r"\bposegsa_", text)
+    assert "-DNAV_REAL=float" in text
+    assert "POSEGSA_" not in text
