@@ -336,7 +336,7 @@ class Recording:
         found: dict[str, Any] = {"name": path.stem} | read_beside(path, BAG_KEYS)
         found |= {name: value for name, value in given.items() if value is not None}
         reference = found.pop("truth", None)
-        streams, sources = read_rosbag(
+        streams, sources, notes = read_rosbag(
             path, found.pop("topics", None), found.pop("stamps", "header")
         )
         if reference is not None:
@@ -353,7 +353,8 @@ class Recording:
                 streams["vectors"], known
             )
         signals = {name: streams.pop(name) for name in SENSORS if name in streams}
-        return cls.from_streams(**{"sources": sources, "sensors": signals} | streams | found)
+        told = {"sources": sources, "sensors": signals, "notes": notes}
+        return cls.from_streams(**told | streams | found)
 
     @classmethod
     def from_csv(
