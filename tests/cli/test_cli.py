@@ -119,6 +119,7 @@ def test_a_finished_run_says_that_it_is_finished(finished, monkeypatch, capsys):
     assert main(["tune", "--resume", "posegsa-run"]) == 0
     said = capsys.readouterr()
     assert "posegsa-run is finished already" in said.out
+    assert "Written" not in said.out
     assert "held out" in said.out
     assert "searching" not in said.err
 
