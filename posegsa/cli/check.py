@@ -3,6 +3,8 @@
 import argparse
 
 from posegsa.cli.options import RECORDING, add_bridge, add_window, read
+from posegsa.errors import MeasurementError
+from posegsa.progress import say
 
 
 def add(commands) -> None:
@@ -13,7 +15,8 @@ def add(commands) -> None:
         description="Shows rates, gaps, noise and biases of the sensors of recordings, whether "
         "they determine the pose, and the usual mistakes that they seem to have: units, axes, "
         "frames, order of quaternions, exchanged sensors, delays. Nothing is changed. The exit "
-        "status is 1 if something was found.",
+        "status is 1 if something was found, 2 if a recording can't be read; the others are "
+        "checked all the same.",
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
@@ -28,10 +31,20 @@ def run(options: argparse.Namespace) -> int:
     from posegsa.saving.check_files import write_checks
 
     bridged = options.bridge, options.longest_gap
-    recordings = read(options.recordings, options.window, *bridged, landmark_outlier="off")
-    found = [check(one) for one in recordings]
-    print("\n\n".join(one.text() for one in found))
-    if options.out is not None:
+    found, refused = [], False
+    for path in options.recordings:
+        try:
+            (one,) = read([path], options.window, *bridged, landmark_outlier="off")
+            found.append(check(one))
+        except MeasurementError as error:  # the others are checked all the same
+            say(f"posegsa: {error}")
+            refused = True
+            continue
+        between = "\n" if len(found) > 1 else ""
+        print(f"{between}{found[-1].text()}", flush=True)
+    if options.out is not None and found:
         write_checks(found, options.out)
         print(f"\nWritten to {options.out}")
+    if refused:
+        return 2
     return 1 if any(one.findings for one in found) else 0

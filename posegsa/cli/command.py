@@ -14,9 +14,11 @@ import warnings
 from collections.abc import Sequence
 
 from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
+from posegsa.cli.options import RECORDED
 from posegsa.cli.parser import Parser
 from posegsa.config import shipped
 from posegsa.errors import (
+    ArgumentError,
     PosegsaError,
     PosegsaWarning,
     RunFolderError,
@@ -26,6 +28,7 @@ from posegsa.errors import (
 from posegsa.progress import say
 from posegsa.saving import interrupt
 from posegsa.version import VERSION
+from posegsa.words import meant
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -111,14 +114,27 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check_names(options: argparse.Namespace) -> None:
-    """Refuse a CONFIG or RUN that does not exist, before the slow imports."""
+    """Refuse a CONFIG or RUN that does not exist or is a recording, before the slow imports."""
     given = vars(options)
-    if given.get("config") is not None:
-        shipped.path_of(given["config"])
-    run = given.get("run")
-    configured = run is not None and (run in shipped.names() or run.endswith(".toml"))
-    if run is not None and not configured and not shipped.there(run):
-        raise RunFolderError(f"{run}: holds no finished run (result.json is missing)")
+    config, run = given.get("config"), given.get("run")
+    named = run if config is None else config
+    if named is None:
+        return
+    if named.lower().endswith(RECORDED):
+        allowed = "a configuration, or none" if run is None else "a run's folder or a configuration"
+        if "recording" in given:
+            allowed += f"; and --recording {named}"
+        elif "recordings" in given:
+            allowed += f", before {named}"
+        raise ArgumentError(f"{named}: is a recording; allowed: {allowed}")
+    if config is not None:
+        shipped.path_of(config)
+    elif not (named in shipped.names() or named.endswith(".toml") or shipped.there(named)):
+        raise RunFolderError(
+            f"{named}: holds no finished run (result.json is missing), and is no configuration; "
+            "allowed: the folder of a run, a TOML file, or a name from `posegsa configs`"
+            f"{meant(named.lower(), shipped.names())}"
+        )
 
 
 def parser() -> argparse.ArgumentParser:

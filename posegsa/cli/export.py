@@ -7,6 +7,8 @@ from pathlib import Path
 from posegsa.cli.options import RECORDING, add_run, read, result_of
 from posegsa.errors import PosegsaError
 from posegsa.export.formats import FORMATS, export
+from posegsa.progress import say
+from posegsa.words import counted
 
 
 def add(commands) -> None:
@@ -19,7 +21,7 @@ def add(commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run(parser)
-    words = f"for a configuration: the filter knows the vectors and landmarks of {RECORDING}"
+    words = f"the filter knows the vectors and landmarks of {RECORDING}"
     parser.add_argument("--recording", metavar="FILE", help=words)
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
@@ -30,8 +32,16 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
-    recordings = [] if options.recording is None else read([options.recording], None)
-    text = export(result_of(options, recordings), options.format, options.name)
+    recording = None if options.recording is None else read([options.recording], None)[0]
+    result = result_of(options, recording)
+    text = export(result, options.format, options.name)
+    if FORMATS[options.format].references and result.knows_scenario:
+        known = result.known_sensors
+        say(
+            f"note: it has {counted(len(known.vectors), 'vector')} and "
+            f"{counted(len(known.landmarks), 'landmark')} of the configuration's [scenario]; those "
+            "of your own sensors: --recording FILE"
+        )
     if options.out is None:
         sys.stdout.write(text)
         return 0

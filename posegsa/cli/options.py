@@ -8,7 +8,7 @@ import argparse
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -26,6 +26,9 @@ RECORDING = (
     "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD, "
     "the folder of a EuRoC sequence, or a bag of ROS 1 or 2, with its topics in FILE.toml beside it"
 )
+
+RECORDED = (".csv", ".npz", ".mat", ".bag", ".mcap", ".db3")
+"""How the names of recordings end."""
 
 
 def add_search_arguments(
@@ -113,15 +116,15 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
     parser.add_argument("--edited", action="store_true", help=words)
 
 
-def result_of(options: argparse.Namespace, recordings: "Sequence[Recording]" = ()) -> "Result":
+def result_of(options: argparse.Namespace, recording: "Recording | None" = None) -> "Result":
     """The tuned filter that RUN names: of a run's folder, or as configured.
 
     Args:
         options: With RUN.
-        recordings: Whose vectors and landmarks a filter as configured knows.
+        recording: Whose vectors and landmarks the filter knows; None for its own.
 
     Raises:
-        ArgumentError: There are recordings for a run's folder, which has its sensors.
+        ArgumentError: --edited is given for a configuration.
     """
     from posegsa.configuring import configured
     from posegsa.saving.result_files import load
@@ -129,12 +132,10 @@ def result_of(options: argparse.Namespace, recordings: "Sequence[Recording]" = (
     if is_configuration(options.run):
         if options.edited:
             raise ArgumentError(f"--edited; allowed: with the folder of a run, not {options.run}")
-        return configured(options.run, filter=own_filter(options), recordings=recordings)
-    if recordings:
-        raise ArgumentError(
-            f"--recording; allowed: with a configuration, not the run {options.run}"
-        )
-    return load(options.run, filter=own_filter(options), edited=options.edited)
+        own = [] if recording is None else [recording]
+        return configured(options.run, filter=own_filter(options), recordings=own)
+    result = load(options.run, filter=own_filter(options), edited=options.edited)
+    return result if recording is None else result.with_sensors_of(recording)
 
 
 def is_configuration(run: str) -> bool:

@@ -120,11 +120,15 @@ def run(options: argparse.Namespace) -> int:
             figures=options.figures,
         )
     if options.resume is not None and not show.started_any:
-        print(f"{options.resume} is finished already: nothing was searched. --iterations has more.")
+        print(
+            f"{options.resume} is finished already: nothing was searched or written. --iterations "
+            "has more."
+        )
     if first:
         folder = out or options.resume
         print(("\n" if recorded else "") + result.summary())
-        print(f"\nWritten to {folder}: {', '.join(written(result, options.figures))}")
+        if show.started_any:
+            print(f"\nWritten to {folder}: {', '.join(written(result, options.figures))}")
         if recorded:
             print(f"\n{_how_to_compare(options, str(folder), experiment.filter.kind)}")
     return 0

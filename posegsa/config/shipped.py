@@ -6,7 +6,7 @@ from pathlib import Path
 from posegsa.errors import ConfigError
 from posegsa.words import meant
 
-_NAME = re.compile(r"[a-z0-9_]+")
+_NAME = re.compile(r"\w+")
 
 
 def names() -> list[str]:
@@ -28,7 +28,7 @@ def find(name: str, *, files: bool = False) -> Path:
         no_file, a_file = ("no file, and ", "a TOML file, or ") if files else ("", "")
         raise ConfigError(
             f"{name}: {no_file}no configuration of posegsa; allowed: {a_file}{', '.join(names())}"
-            f"{meant(name, names())}"
+            f"{meant(name.lower(), names())}"
         )
     return _folder() / f"{name}.toml"
 

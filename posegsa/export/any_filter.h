@@ -13,6 +13,16 @@
 {% endfor %}
            posegsa_are_finite(state->{{ "bias_angular" if attitude_only else "bias_linear" }}, 3);
 {% endblock %}
+{% block init_about %}
+{% if start %}
+/* Begins a filter. attitude: quaternion of any length but 0; position [m], inertial frame. The
+ * covariance begins with standard deviations of {{ start.degrees }} deg about and {{ start.metres }} m along each axis: give a
+ * pose that is off by no more than a few of these. The header has no start from the sensors; a pose
+ * from the first vectors and landmark does. Returns POSEGSA_OK, or why the state is as it was. */
+{% else %}
+{{ super() -}}
+{% endif %}
+{% endblock %}
 {% block init_variables %}
     posegsa_state first, begun, *const next = &begun;
     const posegsa_state *const now = &first;

@@ -5,6 +5,7 @@ after it, named after its path in the state. Numbers that the state and the esti
 stored once; what an estimate computes of its state is computed after each step.
 """
 
+import math
 import re
 from dataclasses import dataclass, replace
 from functools import partial
@@ -103,9 +104,13 @@ def any_filter(
     with jax.enable_x64(True):
         known, crossed = _references(_in_float64(filter), v, p)
     step = _Step(filter, known, crossed)
-    states = 0
+    states, start = 0, {}
     if isinstance(filter, KalmanFilter):
         states = 12 + 3 * step.learnt
+        start = {
+            "degrees": f"{math.degrees(float(filter.noise.initial_attitude)):.3g}",
+            "metres": f"{float(filter.noise.initial_position):.3g}",
+        }
     codes = [piece.code for piece in step.pieces.values()]
     return {
         "title": "an attitude filter" if step.alone else "a pose filter",
@@ -116,6 +121,7 @@ def any_filter(
         "learns": step.learnt > 0,
         "turning": step.turning,
         "states": states,
+        "start": start,
         "memory": step.memory,
         "uses_time": any(code.mentions("now->time") for code in codes),
         "uses_reach": any(code.mentions("farthest") for code in codes),

@@ -31,6 +31,7 @@ from posegsa.export.c_text import (
     renamed,
     settings_of,
     templates,
+    whose_sensors,
     worth,
     wrapped,
 )
@@ -75,7 +76,7 @@ def export_c(result: Result, name: str = NAME) -> str:
         vectors=np.reshape(known.vectors, (-1, 3)),
         landmarks=np.reshape(known.landmarks, (-1, 3)),
         name=name,
-        about=origin(result),
+        about=[*origin(result), *whose_sensors(result)],
         worth=worth(result),
         details=details,
     )

@@ -95,9 +95,9 @@ def check_name(name: object) -> None:
 
 
 def renamed(text: str, name: str) -> str:
-    """A C file with the prefixes of its names replaced by `name_` and `NAME_`."""
+    """A C file with the prefixes of its names replaced by `name_` and `NAME_`, also after -D."""
     text = re.sub(rf"\b{NAME}_", f"{name}_", text)
-    return re.sub(rf"\b{NAME.upper()}_", f"{name.upper()}_", text)
+    return re.sub(rf"(\b|(?<=-D)){NAME.upper()}_", f"{name.upper()}_", text)
 
 
 @cache
@@ -133,6 +133,18 @@ def origin(result: Result) -> list[str]:
         f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
         f"{search.optimiser}, {search.size_in_words()}, seed {run.seed}."
     )
+
+
+def whose_sensors(result: Result) -> list[str]:
+    """Whose vectors and landmarks a filter knows."""
+    if result.filter.kind == "imu":
+        return []
+    if result.knows_scenario:
+        return wrapped(
+            "The vectors and landmarks that it knows are those of the configuration's [scenario], "
+            "NOT of your sensors: `posegsa export RUN --recording FILE` takes those of a recording."
+        )
+    return ["The vectors and landmarks that it knows are those of recordings."]
 
 
 def worth(result: Result) -> list[str]:

@@ -22,6 +22,8 @@ class Format(NamedTuple):
     """Whether the user can choose the prefix of the names in it."""
     controller: bool = False
     """Whether it needs a fuzzy gain."""
+    references: bool = False
+    """Whether it holds the references of vectors and landmarks."""
 
 
 FORMATS = {
@@ -38,6 +40,7 @@ FORMATS = {
         "posegsa.export.c_header:export_c",
         "the whole filter, from measurements to pose, as one C99 header",
         named=True,
+        references=True,
     ),
     "c-gain": Format(
         "posegsa.export.c_gain:export_c_gain",

@@ -55,7 +55,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa.arguments import refuse
+from posegsa.arguments import check_type, refuse
 from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.estimate import FilterState
@@ -246,8 +246,10 @@ class AttitudeFilter:
         not tell is kept: its bias, and its heading where there is no magnetometer.
 
         Raises:
-            ArgumentError: There are other vectors than specific force and magnetic field.
+            ArgumentError: There are other vectors than specific force and magnetic field, or
+                `numbers` are no `AttitudeNumbers`.
         """
+        check_type("numbers", self.numbers, AttitudeNumbers, allowed="AttitudeNumbers")
         _check_vectors(sensors.vectors)
         zero = jnp.zeros_like(initial.place[0])
         zeros = (zero, zero, zero)

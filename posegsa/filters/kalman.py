@@ -69,7 +69,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from posegsa.arguments import refuse
+from posegsa.arguments import check_type, refuse
 from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
 from posegsa.filters.covariance import (
     ANGULAR,
@@ -253,8 +253,10 @@ class KalmanFilter:
         """The state before the first sample; its covariance comes from the initial deviations.
 
         Raises:
-            ArgumentError: `initial` has biases of another number of vectors.
+            ArgumentError: `initial` has biases of another number of vectors, or `noise` is no
+                `KalmanNoise`.
         """
+        check_type("noise", self.noise, KalmanNoise)
         estimate = initial._replace(turning=())
         if self.vector_biases:
             estimate = with_vector_biases(estimate, sensors.vectors)

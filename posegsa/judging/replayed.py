@@ -3,10 +3,15 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from posegsa.filters.rollout import Estimates
 from posegsa.recordings.accuracy import RecordingErrors, Rmse, recording_errors
 from posegsa.recordings.recording import Recording
 from posegsa.words import text_table
+
+FAR = 10.0
+"""How many times its error at the start a position must be off at the end to be lost."""
 
 
 class Replay(NamedTuple):
@@ -16,6 +21,36 @@ class Replay(NamedTuple):
     estimates: Estimates
     errors: RecordingErrors | None
     """None if the recording has no truth."""
+
+    @property
+    def lost(self) -> str:
+        """How the filter is lost at the end, in words; "" if it is not, or nothing says so.
+
+        It is if an estimate is not finite; or if over the last second (medians) its attitude is off
+        by more than 90 deg, or its position by more than the body was ever from the middle of its
+        way, and by more than FAR times the error at the start.
+        """
+        estimates, truth, errors = self.estimates, self.recording.truth, self.errors
+        moved = [] if self.recording.attitude_only else [estimates.position]
+        if not all(np.isfinite(a).all() for a in (estimates.rotation, *moved)):
+            return "its estimate is not a number"
+        known = np.flatnonzero(truth.known) if truth is not None else np.zeros(0, int)
+        if truth is None or errors is None or not known.size:
+            return ""
+        last = known[errors.time[known] >= errors.time[known[-1]] - 1.0]
+        vectors = np.asarray(self.recording.measurements.vector_weights) > 0
+        heading = not self.recording.attitude_only or vectors.any(axis=0).sum() > 1
+        attitude = errors.attitude.total if heading else errors.attitude.inclination
+        off = float(np.median(attitude[last]))
+        if off > 90.0:
+            return f"its attitude is off by {off:.0f} deg at the end"
+        if truth.position is None or errors.position is None:
+            return ""
+        true, off = truth.position[known], float(np.median(errors.position[last]))
+        reach = float(np.linalg.norm(true - true.mean(axis=0), axis=1).max())
+        if off > max(reach, FAR * float(errors.position[known[0]])):
+            return f"its position is off by {off:.3g} m at the end"
+        return ""
 
     def __repr__(self) -> str:
         errors = "no truth"
@@ -55,7 +90,7 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
 
 
 def replay_table(replays: Sequence[Replay]) -> str:
-    """Root mean square errors by recording and phase, as text."""
+    """Root mean square errors by recording and phase, as text, and which filters are lost."""
     rows = []
     for each in replays:
         if each.errors is None:
@@ -65,4 +100,10 @@ def replay_table(replays: Sequence[Replay]) -> str:
     heads = list(HEADS)
     if not any(row[-1] for row in rows):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
-    return text_table([heads, *rows])
+    told = [
+        f"  warning: {each.recording.name}: the filter is lost: {words}; `posegsa check` looks for "
+        "mistakes in a recording"
+        for each in replays
+        if (words := each.lost)
+    ]
+    return "\n".join([text_table([heads, *rows]), *told])

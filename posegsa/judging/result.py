@@ -25,7 +25,7 @@ from posegsa.judging.description import (
     rules_text,
     tuned_experiment,
 )
-from posegsa.judging.known_sensors import KnownSensors, of_scenario
+from posegsa.judging.known_sensors import KnownSensors, of_recordings, of_scenario
 from posegsa.judging.on_recordings import OnRecordings
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.model.estimate import checked_state
@@ -170,8 +170,9 @@ class Result:
         if on is not None and not on_scenarios and (on.training or on.held_out):
             refuse(
                 "a filter of recordings whose references differ, or move",
-                "in Python, filter_to_c or PoseFilter with result.filter_on(recording) and "
-                "references of your own",
+                "those of one recording: `posegsa export RUN --recording FILE`, in Python "
+                "result.with_sensors_of(recording); or references of your own in PoseFilter, or in "
+                "filter_to_c with result.filter_on(recording)",
             )
         if self.filter.kind == "imu":
             return KnownSensors(
@@ -182,6 +183,27 @@ class Result:
                 attitude_only=True,
             )
         return of_scenario(self.experiment)
+
+    @property
+    def knows_scenario(self) -> bool:
+        """Whether `known_sensors` are those of the configuration's scenarios, of no real body."""
+        on = self.on_recordings
+        return (on is None or on.sensors is None) and self.filter.kind != "imu"
+
+    def with_sensors_of(self, recording: Recording) -> "Result":
+        """The same filter for the vectors and landmarks of a recording, for exports and streams.
+
+        What it is worth stays as it was judged.
+
+        Raises:
+            ArgumentError: The recording's references move.
+        """
+        check_type("recording", recording, Recording)
+        sensors = of_recordings([as_read_by(self.filter.kind, recording)])
+        if sensors is None:
+            refuse(f"{recording.name}: its references move", "the same in all samples")
+        judged = self.on_recordings or OnRecordings(training=[], held_out=[])
+        return replace(self, on_recordings=replace(judged, sensors=sensors))
 
     def filter_for(self, vectors: int, landmarks: int) -> Filter:
         """The tuned filter for a number of vectors and landmarks, each seen with the factor 1.

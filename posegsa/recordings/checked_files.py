@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from posegsa.arguments import check_type
-from posegsa.errors import RecordingError
+from posegsa.errors import MeasurementError, RecordingError
 
 MAX_BYTES = 4 * 2**30
 """Maximum size of a file: 4 GiB."""
@@ -30,6 +30,17 @@ def file_of(value: str | Path) -> Path:
     if (size := path.stat().st_size) > MAX_BYTES:
         raise RecordingError(f"{path}: {size} bytes; allowed: up to 4 GiB")
     return path
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file first in errors about what it holds, which name an array only."""
+    try:
+        yield
+    except MeasurementError as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise type(error)(f"{path}: {error}") from error
 
 
 @contextmanager

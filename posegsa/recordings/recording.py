@@ -18,7 +18,7 @@ from posegsa.recordings.archive import read_npz, write_npz
 from posegsa.recordings.beside import BAG_KEYS, TABLE_KEYS, check_references, read_beside
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
-from posegsa.recordings.checked_files import as_path
+from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import LONGEST_GAP, Policy
@@ -336,7 +336,7 @@ class Recording:
         found: dict[str, Any] = {"name": path.stem} | read_beside(path, BAG_KEYS)
         found |= {name: value for name, value in given.items() if value is not None}
         reference = found.pop("truth", None)
-        streams, sources = read_rosbag(
+        streams, sources, notes = read_rosbag(
             path, found.pop("topics", None), found.pop("stamps", "header")
         )
         if reference is not None:
@@ -353,7 +353,8 @@ class Recording:
                 streams["vectors"], known
             )
         signals = {name: streams.pop(name) for name in SENSORS if name in streams}
-        return cls.from_streams(**{"sources": sources, "sensors": signals} | streams | found)
+        told = {"sources": sources, "sensors": signals, "notes": notes}
+        return cls.from_streams(**told | streams | found)
 
     @classmethod
     def from_csv(
@@ -489,19 +490,22 @@ class Recording:
             more: arguments of `from_arrays` that replace those of the file, such as `bridge`.
 
         Raises:
-            RecordingError: the kind is not supported, or it cannot be read.
+            RecordingError: the kind is not supported, or it cannot be read; names the file.
+            MeasurementError: as in `from_arrays`; names the file.
         """
         path = as_path(path)
-        if is_bag(path):
-            return cls.from_rosbag(path, **more)
-        if path.is_dir():
-            return cls.from_euroc(path, **more)
         readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
-        if path.suffix.lower() not in readers:
+        reader: Callable[..., Recording] | None = readers.get(path.suffix.lower())
+        if is_bag(path):
+            reader = cls.from_rosbag
+        elif path.is_dir():
+            reader = cls.from_euroc
+        if reader is None:
             kinds = f"{', '.join(readers)}, a bag of ROS or the folder of a EuRoC sequence"
             what = "is not a recording" if path.exists() else "there is no such file or folder"
             raise RecordingError(f"{path}: {what}; allowed: {kinds}")
-        return readers[path.suffix.lower()](path, **more)
+        with naming(path):
+            return reader(path, **more)
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an .npz file for `from_npz`.

@@ -91,8 +91,8 @@ def is_bag(path: Path) -> bool:
 
 def read_rosbag(
     path: str | Path, topics: Topics | None, stamps: Stamps
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """The streams of a bag and what each was read from; see `Recording.from_rosbag`.
+) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """The streams of a bag, what each was read from, and notes; see `Recording.from_rosbag`.
 
     Raises:
         RecordingError: the bag cannot be read; or a topic is missing, empty or of another type, or
@@ -139,7 +139,7 @@ def read_rosbag(
             sources[name] = f"{before} {words}"
         else:
             streams[one.quantity], sources[name] = stream, f"measured: {words}"
-    return streams, sources
+    return streams, sources, _unnamed(path, held, messages) if topics is None else []
 
 
 def of_unit_length(
@@ -174,6 +174,24 @@ def _imu(path: Path, held: Mapping[str, str]) -> Topics:
         )
     magnetometer = {"magnetometer": fields[0]} if fields else {}
     return {"angular_velocity": imus[0], "accelerometer": imus[0]} | magnetometer
+
+
+def _unnamed(path: Path, held: Mapping[str, str], used: Collection[str]) -> list[str]:
+    """A note of the topics that a bag holds beside those of its inertial sensor, if there are."""
+    quantities = "velocity", "vectors", "landmarks", "truth_position"
+    more = {
+        quantity: [topic for topic, kind in held.items() if kind in FIELDS[quantity]]
+        for quantity in quantities
+    }
+    others = [t for t in held if t not in used and any(t in each for each in more.values())]
+    if not others:
+        return []
+    velocity = next((topic for topic in more["velocity"] if topic in others), "/...")
+    return [
+        f"no topics are named, so only {', '.join(used)} are read, for attitude alone, and not "
+        f"{', '.join(others)}; a pose needs velocity, and vectors or landmarks: [topics] in "
+        f'{path.name}.toml beside it, with lines such as velocity = "{velocity}"'
+    ]
 
 
 def _wanted(path: Path, topics: Topics, held: Mapping[str, str]) -> list[_Wanted]:

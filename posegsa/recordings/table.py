@@ -1,6 +1,7 @@
 """Reads recordings from CSV files: named columns to arguments of `Recording.from_arrays`."""
 
 import csv
+import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -52,6 +53,8 @@ def read_csv(
         rows = csv.reader(file, delimiter=delimiter)
         head = [name.strip().lstrip("#").strip() for name in next(rows, [])]
         cells = [row for row in rows if row]
+    if len(head) == 1:
+        _refuse_other_separator(path, head[0])
     if not cells:
         raise RecordingError(
             f"{path}: {'holds no sample below its head line' if head else 'is empty'}; allowed: a "
@@ -79,6 +82,17 @@ def read_csv(
         else:
             found[argument] = table.array(argument, names)
     return found
+
+
+def _refuse_other_separator(path: Path, head: str) -> None:
+    """Raise a RecordingError if a head line that is one cell has other separators than expected."""
+    for mark, words in {";": "semicolons", "\t": "tabs", " ": "spaces"}.items():
+        if mark in head:
+            raise RecordingError(
+                f"{path}: its columns are separated by {words}; allowed: commas, or the line "
+                f"delimiter = {json.dumps(mark)} in {path.name}.toml beside it, in Python "
+                "delimiter="
+            )
 
 
 class _Table:
@@ -123,20 +137,23 @@ class _Table:
 
 def _default_columns(path: Path, head: list[str]) -> dict[str, Any]:
     """Those of `COLUMNS` that a file has, with its vectors and landmarks."""
-    found = {
-        argument: names
-        for argument, names in COLUMNS.items()
-        if set([names] if isinstance(names, str) else names) <= set(head)
-    }
+    found, lacking = {}, {}
+    for argument, names in COLUMNS.items():
+        each = [names] if isinstance(names, str) else names
+        missing = [name for name in each if name not in head]
+        if not missing:
+            found[argument] = names
+        elif len(missing) < len(each) or argument in ("time", "angular_velocity"):
+            lacking[argument] = " ".join(missing)
     if "time_ns" in head:
         found["time"] = "time_ns"
-    if missing := {"time", "angular_velocity"} - set(found):
-        names = (COLUMNS[name] for name in COLUMNS if name in missing)
-        usual = " ".join(each if isinstance(each, str) else " ".join(each) for each in names)
+        lacking.pop("time", None)
+    if lacking:
+        words = ", ".join(f"{names} ({argument})" for argument, names in lacking.items())
         raise RecordingError(
-            f"{path}: has no columns {usual}; it has: {', '.join(head)}; allowed: these columns "
-            "(time in s, or time_ns; wx wy wz in rad/s), or others that a file "
-            f"{path.name}.toml beside it names (docs/recordings.md), in Python columns="
+            f"{path}: lacks {words}; it has: {', '.join(head)}; allowed: all columns of "
+            "a quantity (time in s, or time_ns; wx wy wz in rad/s), or other names that a file "
+            f"{path.name}.toml beside it lists (docs/recordings.md), in Python columns="
         )
     return found | _sightings(path, head)
 

@@ -9,6 +9,7 @@ square of its errors.
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import chain
 from typing import Any
 
 import jax
@@ -17,6 +18,7 @@ import numpy as np
 from jax import Array
 
 from posegsa import config
+from posegsa.config import shipped
 from posegsa.config.schedule_config import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.filters.base import Filter, Samples, Sensors, samples_of
@@ -214,9 +216,9 @@ def with_effect_on(
 
 @cache
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
-    """The numbers that are tuned by default, and by the configuration "landmarks"."""
-    configured = config.load("landmarks").parameters.also
-    return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *configured)
+    """The numbers that are tuned by default, and by the configurations that come with posegsa."""
+    configured = (config.load(name).parameters.also or () for name in shipped.names())
+    return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *chain(*configured))
 
 
 _OF_POSITION = ("length", "velocity", "linear_walk", "landmark", "initial_position", "linear_lead")

@@ -24,6 +24,7 @@ import pytest
 from helpers.experiments import TINY
 from helpers.recordings import motion
 
+import posegsa
 from posegsa import config
 from posegsa.cli.command import main, parser
 from posegsa.cli.tune import _how_to_compare
@@ -118,6 +119,7 @@ def test_a_finished_run_says_that_it_is_finished(finished, monkeypatch, capsys):
     assert main(["tune", "--resume", "posegsa-run"]) == 0
     said = capsys.readouterr()
     assert "posegsa-run is finished already" in said.out
+    assert "Written" not in said.out
     assert "held out" in said.out
     assert "searching" not in said.err
 
@@ -262,7 +264,12 @@ def test_a_configuration_stands_for_its_own_filter(monkeypatch, capsys):
     assert "--edited; allowed: with the folder of a run, not quick" in capsys.readouterr().err
 
 
-def test_a_configuration_knows_the_sensors_of_a_recording(tmp_path, monkeypatch, capsys):
+def numbers_of(header: str) -> list[str]:
+    """The constants of an exported filter."""
+    return [line for line in header.splitlines() if line.startswith("static const")]
+
+
+def test_a_configuration_or_a_run_knows_the_sensors_of_a_recording(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
     given = motion()
     columns = [np.arange(400) / 100, given["angular_velocity"], given["velocity"]]
@@ -272,11 +279,18 @@ def test_a_configuration_knows_the_sensors_of_a_recording(tmp_path, monkeypatch,
     np.savetxt(path, rows, delimiter=",", header=head, comments="")
     path.with_name("flight.csv.toml").write_text("vector_references = [[0, 0.6, 0.8]]")
     assert main(["export", "kalman", "--format", "c", "--recording", str(path)]) == 0
-    assert "{0, POSEGSA_C(0.6), POSEGSA_C(0.8)}" in capsys.readouterr().out
-    assert main(["export", str(tmp_path), "--format", "c", "--recording", str(path)]) == 2
-    assert f"--recording; allowed: with a configuration, not the run {tmp_path}" in (
-        capsys.readouterr().err
-    )
+    own = capsys.readouterr()
+    assert "{0, POSEGSA_C(0.6), POSEGSA_C(0.8)}" in own.out
+    assert "those of recordings" in own.out
+    posegsa.save(posegsa.configured("kalman"), tmp_path / "run", figures=[])
+    of_run = ["export", str(tmp_path / "run"), "--format", "c"]
+    assert main([*of_run, "--recording", str(path)]) == 0
+    assert numbers_of(capsys.readouterr().out) == numbers_of(own.out)
+    assert main(of_run) == 0
+    told = capsys.readouterr()
+    assert "[scenario]" in told.out
+    assert "2 vectors and 1 landmark of the configuration's [scenario]" in told.err
+    assert "--recording FILE" in told.err
 
 
 @pytest.mark.parametrize(
@@ -360,9 +374,14 @@ def test_configurations_are_listed_and_printed(capsys):
     [
         (["evaluate", "nowhere"], "no finished run"),
         (["export", "nowhere", "--format", "c"], "no finished run"),
+        (["replay", "kalmna", "a.csv"], "did you mean kalman?"),
+        (["tune", "Recommended"], "did you mean recommended?"),
+        (["tune", "a.csv"], "a.csv: is a recording; allowed: a configuration, or none; and"),
+        (["evaluate", "a.bag"], "a run's folder or a configuration; and --recording a.bag"),
+        (["replay", "a.csv", "a.csv"], "a run's folder or a configuration, before a.csv"),
     ],
 )
-def test_a_missing_run_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
+def test_a_missing_run_or_configuration_is_refused(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     assert said in capsys.readouterr().err

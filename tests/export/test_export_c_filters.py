@@ -445,6 +445,31 @@ def test_the_example_in_the_head_compiles_and_runs(tmp_path: Path, name: str):
     assert 0.99 < float(said) <= 1
 
 
+@needs_cc
+def test_the_example_of_the_page_with_all_sensors_finds_the_pose(tmp_path: Path):
+    page = (ROOT / "docs" / "export.md").read_text("utf-8")
+    _, code = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "example.c").write_text(code, "utf-8")
+    header, source = header_of("recommended"), tmp_path / "example.c"
+    program = compile_c(tmp_path, header, source, *watched(), compiler=COMPILERS[0])
+    done = subprocess.run([program], check=True, capture_output=True, text=True)
+    told = re.search(r"It prints ([-.\d ]+),", page)
+    assert told is not None
+    circle = [2 * np.sin(15), 2 - 2 * np.cos(15), 0]
+    for printed in (told[1], done.stdout):
+        np.testing.assert_allclose([float(x) for x in printed.split()], circle, atol=0.01)
+    assert done.stderr == ""
+
+
+@pytest.mark.quick
+def test_the_start_of_a_kalman_filter_says_from_how_far_off_it_converges():
+    assumed = dict(zip(KalmanNoise._fields, NOISE, strict=True))
+    words = header_of("18 states").partition("/* Begins a filter.")[2].partition("*/")[0]
+    degrees, metres = map(float, re.findall(r"([\d.]+) (?:deg|m) ", words)[:2])
+    assert degrees == pytest.approx(np.degrees(assumed["initial_attitude"]), rel=0.01)
+    assert metres == pytest.approx(assumed["initial_position"], rel=0.01)
+
+
 @pytest.mark.quick
 def test_the_kalman_filter_is_under_100_kb_however_many_landmarks():
     header = header_of("18 states")
@@ -480,3 +505,5 @@ def test_names_have_the_prefix_that_was_asked_for():
     assert "static inline int nav_step(" in text
     assert "NAV_LANDMARKS = 1" in text
     assert not re.search(r"\bposegsa_", text)
+    assert "-DNAV_REAL=float" in text
+    assert "POSEGSA_" not in text

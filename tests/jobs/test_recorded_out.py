@@ -255,8 +255,10 @@ def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
         differing, on_recordings=dataclasses.replace(on, training=on.held_out)
     )
     for each in (differing, tuned):
-        with pytest.raises(ArgumentError, match=r"references differ"):
+        with pytest.raises(ArgumentError, match=r"references differ.*--recording FILE"):
             export(each, "c")
+        chosen = each.with_sensors_of(other).known_sensors
+        np.testing.assert_array_equal(chosen.landmarks, moved)
     with pytest.raises(ArgumentError, match="references differ"):
         posegsa.PoseFilter(tuned, rotation=np.eye(3), position=np.zeros(3))
     assert_told(export(tuned, "c-gain"), "vectors and landmarks")

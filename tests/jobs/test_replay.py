@@ -17,7 +17,7 @@ from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RunFolderError
 from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
-from posegsa.judging.replayed import Replay, replay_table
+from posegsa.judging.replayed import Replay, replay_table, replayed_on
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay_files import folder_names
@@ -68,6 +68,27 @@ def test_the_table_has_no_position_where_none_is_judged(
     assert "position" not in without
     both = replay_table(posegsa.replay(result, [blind, recording]))
     assert "position" in both
+
+
+def test_a_filter_that_is_lost_is_said_to_be(result: Result, recording: Recording) -> None:
+    """Whatever it is, its estimates are moved by hand."""
+    (found,) = posegsa.replay(result, recording)
+    assert recording.truth is not None
+    P = recording.truth.position
+    assert P is not None
+    right = found.estimates._replace(rotation=recording.truth.rotation, position=P)
+    rotation, ended = np.copy(right.rotation), np.arange(len(P)) > len(P) // 2
+    rotation[ended] = rotation[ended] @ np.diag([1.0, -1.0, -1.0])  # by half a turn
+    cases = {
+        "": right,
+        "attitude is off by 180 deg": right._replace(rotation=rotation),
+        "not a number": right._replace(rotation=np.where(ended[:, None, None], np.nan, rotation)),
+        "position is off by 5 m": right._replace(position=P + 5.0 * ended[:, None] * [0, 0, 1]),
+    }
+    for words, estimates in cases.items():
+        replay = replayed_on(recording, estimates)
+        assert words in replay.lost
+        assert bool(words) == ("bench: the filter is lost" in replay_table([replay]))
 
 
 def test_the_command_writes_what_it_found(
@@ -204,8 +225,8 @@ def test_the_true_trajectory_is_all_that_is_known(
         ("folder", "", r"folder.*EuRoC"),
         ("empty.csv", "", r"empty\.csv.*empty"),
         ("head.csv", "time,wx\n", r"head\.csv.*no sample"),
-        ("a.csv", "a,b\n1,2\n", r"no columns time wx wy wz.*a, b"),
-        ("t.csv", "time\n1\n", r"no columns wx wy wz.*time"),
+        ("a.csv", "a,b\n1,2\n", r"lacks time \(time\), wx wy wz.*a, b"),
+        ("t.csv", "time\n1\n", r"lacks wx wy wz.*time"),
     ],
 )
 def test_what_is_no_recording_is_named_with_what_is_allowed(

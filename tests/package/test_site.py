@@ -22,6 +22,12 @@ def test_every_public_name_is_in_the_reference_once():
     assert sorted(named) == sorted(public - {"config", "runtime"})  # modules
 
 
+def test_the_page_has_all_fields_of_the_estimates():
+    page = (DOCS / "python.md").read_text(encoding="utf-8").partition("## Estimates")[2]
+    rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+    assert re.findall(r"`(\w+)`", " ".join(rows)) == list(posegsa.Estimates._fields)
+
+
 @pytest.mark.parametrize("page", sorted((DOCS / "tutorials").glob("*.md")), ids=lambda p: p.stem)
 def test_commands_of_the_tutorials_parse(page: Path):
     text = re.sub(r"\\\n\s*", "", page.read_text(encoding="utf-8"))

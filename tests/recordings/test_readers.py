@@ -164,11 +164,14 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
     [
         ("", "is empty"),
         ("time,wx,wy,wz\n", "holds no sample"),
-        ("time,wx,wy\n1,2,3\n", r"no columns wx wy wz.*time, wx, wy"),
+        ("time,wx,wy\n1,2,3\n", r"lacks wz \(angular_velocity\); it has: time, wx, wy"),
+        ("time_ns,wx,wy,wz,vx,qw\n0,1,2,3,4,5\n", r"lacks vy vz \(velocity\), qx qy qz \(truth_q"),
+        ("t;wx;wy;wz\n0;1,5;2;3\n", r"separated by semicolons.*delimiter = \";\" in bad.csv.toml"),
+        ("time\twx\twy\twz\n", r"separated by tabs.*delimiter = \"\\t\" in"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2\n", "sample 1 .*2 .*4"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2,x,3\n", "'x'.*'wy'.*sample 1"),
         ("time,wx,wy,wz\n0,1,2,3\n", "1 sample"),
-        ("time,wx,wy,wz,judged\n0,1,2,3,1\n1,1,2,3,0.5\n", r"judged:.*mask"),
+        ("time,wx,wy,wz,judged\n0,1,2,3,1\n1,1,2,3,0.5\n", r"^\S*bad.csv: judged:.*mask"),
     ],
 )
 def test_what_no_csv_file_can_be_is_refused(tmp_path: Path, text: str, words: str) -> None:

@@ -100,6 +100,8 @@ def test_a_lone_imu_needs_no_topics(tmp_path: Path) -> None:
     path = write_bag(tmp_path, "mcap", {name: held[name] for name in ("/imu", "/mag", "/tag_0")})
     recording = Recording.read(path)
     assert recording.attitude_only
+    (note,) = (one for one in recording.notes if "topics" in one)
+    assert_told(note, "/imu, /mag", "not /tag_0", f"{path.name}.toml", 'velocity = "')
     given = motion()["vectors"]
     np.testing.assert_allclose(recording.sensors["accelerometer"], 9.81 * given[:, 0], atol=1e-12)
     assert np.isfinite(recording.sensors["magnetometer"]).all(axis=1).sum() == 80
@@ -125,6 +127,7 @@ def test_a_toml_file_beside_the_bag_names_its_topics(
     found = Recording.read(path)
     expected = Recording.from_rosbag(path, TOPICS, **KNOWN)
     np.testing.assert_array_equal(found.measurements.landmarks, expected.measurements.landmarks)
+    assert not any("topics" in note for note in found.notes)
     monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: None)  # JAX has started
     assert main(["replay", "kalman", str(path), "--window", ":1"]) == 0
     assert_told(capsys.readouterr().out, "flight_sqlite3[0:1]", "judged")

@@ -93,6 +93,8 @@ def test_what_does_not_fit_is_refused(recording: Recording) -> None:
         posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]  # wrong on purpose
     with pytest.raises(ArgumentError, match='signal "pose"'):
         posegsa.run_filter(replace(GAIN, signal=SignalSettings(signal="pose")), recording)
+    with pytest.raises(ArgumentError, match="noise: a float; allowed: a KalmanNoise"):
+        posegsa.run_filter(posegsa.KalmanFilter(0.1), recording)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(ArgumentError, match="filter: a str"):
         posegsa.run_filter("fast", recording)  # type: ignore[arg-type]  # wrong on purpose
 

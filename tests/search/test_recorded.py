@@ -117,7 +117,8 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
         "gain.smoothing",
         "gain.error_scale",
     ]
-    # The numbers of the configuration "landmarks" were not chosen by a user either.
+    # The numbers of the configurations that come with posegsa were not chosen by a user either.
+    assert "filter.vector_walk" not in kept(config.load("recommended"), 0, 4)
     landmarks = config.override(config.load("landmarks"), ["filter.schedule=constant"])
     assert kept(landmarks, 0, 3) == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
     own = ("scenario.landmarks.0.weight", "scenario.vectors.1.weight", "filter.gamma.1")
