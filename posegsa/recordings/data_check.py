@@ -150,7 +150,7 @@ def found_noises(recordings: Sequence[Recording]) -> dict[str, float | tuple[flo
     Args:
         recordings: With a body velocity; biases are found where there is a truth.
     """
-    sensors = [_sensors(one, quantities(one)) for one in recordings]
+    sensors = [_sensors(one) for one in recordings]
     pairs = list(zip(recordings, sensors, strict=True))
     each = [_noises(one, found) | _start(one) for one, found in pairs]
     keys = dict.fromkeys(key for noises in each for key in noises)
@@ -239,7 +239,7 @@ def check(recording: Recording) -> DataCheck:
     fits = misfits(q)
     found += [] if found else _far_off(fits)
     found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
-    sensors = _sensors(recording, q)
+    sensors = _sensors(recording)
     found += [
         f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
     ]
@@ -269,18 +269,16 @@ def _far_off(fits: dict[str, float]) -> list[str]:
     ]
 
 
-def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
+def _sensors(recording: Recording) -> list[SensorCheck]:
+    q = quantities(recording, averaged=False)
     differences = {one.sensor: one.measured - one.expected for one in predicted(q)}
     velocities = velocity_noises(recording)
-    named = [("angular_velocity", "rad/s", q.gyroscope)]
-    if q.velocity is not None:
-        named.append(("velocity", "m/s", q.velocity))
-    for vector in q.vectors:
-        unit = "m/s^2" if vector.name == "accelerometer" else "its own"
-        named.append((vector.name, unit, vector.body))
-    named += [(f"landmark {j}", "m", y) for j, y in enumerate(q.landmarks)]
+    named = [("angular_velocity", "rad/s")]
+    named += [] if q.velocity is None else [("velocity", "m/s")]
+    named += [(v.name, "m/s^2" if v.name == "accelerometer" else "its own") for v in q.vectors]
+    named += [(f"landmark {j}", "m") for j in range(len(q.landmarks))]
     found = []
-    for name, unit, values in named:
+    for name, unit in named:
         there = _there(recording, name)
         steps, raw = np.diff(recording.time[there]), _raw(recording, name)[there]
         step, holding = float(np.median(steps)) if steps.size else math.nan, held(raw)
@@ -290,9 +288,7 @@ def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
             noise = velocities[name].density / math.sqrt(holding.samples * step)
             mean = velocities[name].bias
         elif len(off) > FEWEST:
-            period = float(np.median(np.diff(q.time[np.isfinite(values).all(axis=1)])))
-            averaged = period / step if name.startswith(VECTORS) else 1.0
-            noise = noise_of(off, period) * math.sqrt(averaged / holding.samples)
+            noise = noise_of(off, step) / math.sqrt(holding.samples)
         else:
             noise = neighbours(raw[holding.fresh])
         found.append(

@@ -111,8 +111,14 @@ class Quantities:
         return self.known[key][1]
 
 
-def quantities(recording: Recording) -> Quantities:
-    """What a recording holds, at a rate and of a length that can be compared in moments."""
+def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
+    """What a recording holds, at a rate and of a length that can be compared in moments.
+
+    Args:
+        recording: Any.
+        averaged: Whether vectors are means of the samples that are left out; else one of them,
+            which has the noise of a measurement.
+    """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
     step = max(1, int(FASTEST / recording.time_step + 1e-9))
@@ -136,18 +142,19 @@ def quantities(recording: Recording) -> Quantities:
         found = np.where(there, some, 0.0).sum(axis=1) / np.maximum(count, 1)
         return np.where(count > 0, found, np.nan)
 
+    of_vectors = mean if averaged else first
     vectors, given = [], recording.sensors
     if "accelerometer" in given:
         up = np.array([0.0, 0.0, GRAVITY])
-        vectors.append(Vector("accelerometer", mean(given["accelerometer"]), up))
+        vectors.append(Vector("accelerometer", of_vectors(given["accelerometer"]), up))
     if "magnetometer" in given:
-        vectors.append(Vector("magnetometer", mean(given["magnetometer"]), None))
+        vectors.append(Vector("magnetometer", of_vectors(given["magnetometer"]), None))
     if not vectors:
         seen = np.where(m["vector_weights"][..., None] > 0, m["vectors"], np.nan)
         for i in range(seen.shape[1]):
             reference = m["vector_references"]
             reference = reference[i] if reference.ndim == 2 else reference[rows, i]
-            vectors.append(Vector(f"vector {i}", mean(seen[:, i]), reference))
+            vectors.append(Vector(f"vector {i}", of_vectors(seen[:, i]), reference))
     truth, places = recording.truth, m["landmark_references"]
     landmarks = np.where(m["landmark_weights"][..., None] > 0, m["landmarks"], np.nan)
     return Quantities(
