@@ -117,8 +117,7 @@ def tune(
             experiment must be the same (`saving.resume.experiment_to_resume`), except that it may
             have more iterations: beyond the original number G and K_best keep their final values.
             For a run on recordings give the same recordings again: a folder does not store them.
-        figures: Names of the figures to draw in the folder; by default all. On recordings there
-            are none.
+        figures: Names of the figures to draw in the folder; by default all.
         cost: A cost to minimise instead of the configured one: a JAX function of a simulation's
             errors (`ErrorTrack`) and times (N,) [s]. Before a start from the sensors the errors are
             those of the start. Not on recordings.
@@ -145,8 +144,6 @@ def tune(
     if figures is not None and out is None and resume is None:
         refuse("figures without a folder", "with out or resume")
     recorded = _recorded(recordings, held_out, position_weight)
-    if recorded is not None and figures is not None and drawn:
-        refuse("figures with recordings", "none, as a search on recordings draws none")
     if recorded is not None and cost is not None:
         refuse("recordings with cost", "one of them")
     with shown(progress):

@@ -39,7 +39,7 @@ def add(commands) -> None:
         help="tune a filter and judge it on unseen scenarios or recordings",
         description="Tunes a filter and judges it on scenarios that it was not tuned on, or, with "
         "--recording, on recordings. Writes the result, tables, figures and report.html to a "
-        "folder; on recordings the result and tables. The filter is that of CONFIG, such as "
+        "folder. The filter is that of CONFIG, such as "
         "recommended, observer, kalman or imu, or your own with --filter.",
     )
     add_search_arguments(
@@ -95,9 +95,6 @@ def run(options: argparse.Namespace) -> int:
     from posegsa.saving.result_files import written
 
     first = _join(options)
-    if options.figures and options.recording is not None:
-        words = "without --recording, as a search on recordings draws none"
-        raise ArgumentError(f"--figures; allowed: {words}")
     found = _recordings(options)
     experiment = _experiment(options, found.get("recordings"))
     recorded: dict[str, Any] = {

@@ -51,6 +51,7 @@ def _parts(result: Result) -> dict[str, Any]:
     """What figures show of a result, by the name of their argument."""
     judged = result.on_scenarios
     parts: dict[str, Any] = {"history": None if result.search is None else result.search.history}
+    parts["recorded"] = result.on_recordings
     if judged is not None:
         parts |= {"evaluation": judged.evaluation, "trajectory": judged.trajectory}
     if result.filter.kind == "fuzzy":

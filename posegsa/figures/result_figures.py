@@ -11,6 +11,7 @@ import jax
 from posegsa.arguments import check_type
 from posegsa.figures import (
     evaluation_figures,
+    recorded_figures,
     schedule_figures,
     search,
     style,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 FIGURES = (
     *evaluation_figures.FIGURES,
+    *recorded_figures.FIGURES,
     *schedule_figures.FIGURES,
     *trajectory_figures.FIGURES,
     *search.FIGURES,
@@ -46,7 +48,7 @@ def draw(result: Result, figures: Iterable[str] | None = None) -> Figures:
     """The figures of a result by name, without those that have nothing to show.
 
     Args:
-        result: From `tune` or `evaluate`.
+        result: From `tune`, `evaluate` or `configured`.
         figures: Names of the figures to draw; by default all.
 
     Raises:

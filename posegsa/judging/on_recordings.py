@@ -115,17 +115,22 @@ class OnRecordings:
         Args:
             simulated_share: What share of the objective simulated scenarios had.
         """
-        alone = (
-            "No recording was held out: these errors say how well the filter fits the recordings "
-            "that it was tuned on, not how good it is on others."
-        )
         parts = [
             self.table() if self.training or self.held_out else "",
-            alone if self.training and not self.held_out else "",
+            self.alone(),
             "" if self.simulated is None else self.simulated.text(simulated_share),
             self.origins(),
         ]
         return "\n\n".join(part for part in parts if part)
+
+    def alone(self) -> str:
+        """That nothing was held out, in words; "" if something was."""
+        if self.held_out or not self.training:
+            return ""
+        return (
+            "No recording was held out: these errors say how well the filter fits the recordings "
+            "that it was tuned on, not how good it is on others."
+        )
 
     def verdict(self) -> str:
         """Which of the filters beside it does better on what was held out, the best first.
@@ -186,6 +191,10 @@ class OnRecordings:
 
     def table(self) -> str:
         """Root mean square errors by recording and phase, and those of other filters."""
+        return text_table(self.rows())
+
+    def rows(self) -> list[list[str]]:
+        """The rows of `table`, the heads first."""
         heads = ["", *HEADS]
         blocks = {"tuned on": self.training, "held out": self.held_out}
         blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
@@ -196,7 +205,7 @@ class OnRecordings:
         ]
         if not any(row[-1] for row in rows):
             heads, rows = heads[:-1], [row[:-1] for row in rows]
-        return text_table([heads, *rows])
+        return [heads, *rows]
 
     def origins(self) -> str:
         """What of the recordings is measured and what synthetic, and what was bridged."""

@@ -12,6 +12,7 @@ from posegsa.errors import RecordingError
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
 from posegsa.recordings.accuracy import attitude_errors
 from posegsa.recordings.delays import late_sensors, predicted
+from posegsa.recordings.held import held
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.noises import neighbours, noise_of, velocity_noises
 from posegsa.recordings.recording import Recording
@@ -33,6 +34,8 @@ class SensorCheck(NamedTuple):
     white (`recordings.noises`); without a truth what differs between neighbouring samples."""
     bias: float | None
     """Length of the mean difference from what the truth predicts, in its unit; None without one."""
+    held: float
+    """Samples for which each measurement is repeated; 1 if it is not held (`recordings.held`)."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,11 @@ class DataCheck:
             numbers = f"{one.rate:.4g}", f"{one.gap:.3g}", f"{one.noise:.3g}", bias
             rows.append([one.name, *numbers, one.unit])
         parts = [self.recording.describe(), text_table(rows)]
+        parts += [
+            f"{one.name} is held: measured at {one.rate:.3g} Hz, repeated in between"
+            for one in self.sensors
+            if one.held > 1
+        ]
         if self.unobservable:
             parts.append(f"The pose can't be determined: {self.unobservable}.")
         if self.findings:
@@ -99,12 +107,15 @@ _SETTINGS = (
     ("landmark", "landmark", "", False),
 )
 """Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
+VECTORS = "vector", "accelerometer", "magnetometer"
+"""How the names of vectors begin."""
 _PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
 """How the keys of a velocity's walk and lead begin."""
 NONE = 1e-6
 """A noise below which a sensor was simulated without: no filter should believe in that."""
-FAR_OFF = 0.8
-"""A misfit above which something is mistaken, whatever it is; sensors have up to 0.5."""
+FAR_OFF, LENGTH_OFF = 0.8, 1.6
+"""A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
+length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
 DIFFER = 2.0
 """Ratio of the noises of two vectors, or two landmarks, from which on each has its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
@@ -139,7 +150,7 @@ def found_noises(recordings: Sequence[Recording]) -> dict[str, float | tuple[flo
     Args:
         recordings: With a body velocity; biases are found where there is a truth.
     """
-    sensors = [_sensors(one, quantities(one)) for one in recordings]
+    sensors = [_sensors(one) for one in recordings]
     pairs = list(zip(recordings, sensors, strict=True))
     each = [_noises(one, found) | _start(one) for one, found in pairs]
     keys = dict.fromkeys(key for noises in each for key in noises)
@@ -190,13 +201,15 @@ def _start(recording: Recording) -> dict[str, float]:
 
 def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, float]:
     """The noises and biases of sensors, by key of a Kalman filter's settings."""
-    root, found, velocities = math.sqrt(recording.time_step), {}, velocity_noises(recording)
+    found, velocities = {}, velocity_noises(recording)
     for key, kind, bias, density in _SETTINGS:
         own = [one for one in sensors if one.name.startswith(kind) and one.noise > NONE]
         if not own:
             continue
-        noise = float(np.median([one.noise for one in own]))
-        found[key] = noise * (root if density else 1.0)
+        # A filter takes what is repeated of a vector or a landmark for measurements of their own.
+        as_taken = [one.noise * math.sqrt(one.held) for one in own]
+        noise = float(np.median(as_taken))
+        found[key] = own[0].noise / math.sqrt(own[0].rate) if density else noise
         if kind in velocities and velocities[kind].walk:
             found[_PREFIXES[kind] + "walk"] = velocities[kind].walk
         if kind in velocities and velocities[kind].lead:
@@ -226,7 +239,7 @@ def check(recording: Recording) -> DataCheck:
     fits = misfits(q)
     found += [] if found else _far_off(fits)
     found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
-    sensors = _sensors(recording, q)
+    sensors = _sensors(recording)
     found += [
         f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
     ]
@@ -244,11 +257,11 @@ def _far_off(fits: dict[str, float]) -> list[str]:
 
     A vector may: an acceleration is no direction of gravity where a body accelerates.
     """
-    vectors = ("vector", "accelerometer", "magnetometer")
     far = [
         (misfit, name)
         for name, misfit in fits.items()
-        if misfit > FAR_OFF and not name.startswith(vectors)
+        if misfit > (LENGTH_OFF if name.startswith("length") else FAR_OFF)
+        and not name.startswith(VECTORS)
     ]
     return [
         f"{name} do not fit, by {100 * misfit:.0f} % of their size: a unit, an axis or a frame?"
@@ -256,38 +269,50 @@ def _far_off(fits: dict[str, float]) -> list[str]:
     ]
 
 
-def _sensors(recording: Recording, q: Quantities) -> list[SensorCheck]:
+def _sensors(recording: Recording) -> list[SensorCheck]:
+    q = quantities(recording, averaged=False)
     differences = {one.sensor: one.measured - one.expected for one in predicted(q)}
-    velocities, root = velocity_noises(recording), math.sqrt(recording.time_step)
-    named = [("angular_velocity", "rad/s", q.gyroscope)]
-    if q.velocity is not None:
-        named.append(("velocity", "m/s", q.velocity))
-    for vector in q.vectors:
-        unit = "m/s^2" if vector.name == "accelerometer" else "its own"
-        named.append((vector.name, unit, vector.body))
-    named += [(f"landmark {j}", "m", y) for j, y in enumerate(q.landmarks)]
+    velocities = velocity_noises(recording)
+    named = [("angular_velocity", "rad/s")]
+    named += [] if q.velocity is None else [("velocity", "m/s")]
+    named += [(v.name, "m/s^2" if v.name == "accelerometer" else "its own") for v in q.vectors]
+    named += [(f"landmark {j}", "m") for j in range(len(q.landmarks))]
     found = []
-    for name, unit, values in named:
-        steps = np.diff(recording.time[_there(recording, name)])
+    for name, unit in named:
+        there = _there(recording, name)
+        steps, raw = np.diff(recording.time[there]), _raw(recording, name)[there]
+        step, holding = float(np.median(steps)) if steps.size else math.nan, held(raw)
         off = _known(differences[name]) if name in differences else np.zeros((0, 3))
         mean = np.mean(off, axis=0) if len(off) else None
         if name in velocities:
-            noise, mean = velocities[name].density / root, velocities[name].bias
+            noise = velocities[name].density / math.sqrt(holding.samples * step)
+            mean = velocities[name].bias
         elif len(off) > FEWEST:
-            noise = noise_of(off, float(np.median(steps)))
+            noise = noise_of(off, step) / math.sqrt(holding.samples)
         else:
-            noise = neighbours(_known(values))
+            noise = neighbours(raw[holding.fresh])
         found.append(
             SensorCheck(
                 name=name,
                 unit=unit,
-                rate=float(1 / np.median(steps)) if steps.size else 0.0,
+                rate=1 / (holding.samples * step) if steps.size else 0.0,
                 gap=float(np.max(steps)) if steps.size else recording.duration,
                 noise=noise,
                 bias=None if mean is None else float(np.linalg.norm(mean)),
+                held=holding.samples,
             )
         )
     return found
+
+
+def _raw(recording: Recording, name: str) -> np.ndarray:
+    """(K, 3) measurements of a sensor."""
+    kind, _, index = name.partition(" ")
+    if kind in recording.sensors:
+        return recording.sensors[kind]
+    if index:
+        return np.asarray(getattr(recording.measurements, f"{kind}s"), np.float64)[:, int(index)]
+    return np.asarray(getattr(recording.measurements, name), np.float64)
 
 
 def _there(recording: Recording, name: str) -> np.ndarray:

@@ -3,7 +3,9 @@
 What the truth predicts is shifted in time until it differs least from what is measured. The shift
 is a delay if it explains much of the difference; or if what is left is white, as the noise of a
 sensor is, and it explains more than chance does. What a body does beside turning, above all its
-accelerations, is not white, and correlates with its turns.
+accelerations, is not white, and correlates with its turns. A truth has noise too, which makes one
+shift better than the others where a body hardly moves: the shift must be the same whichever parts
+of a recording are taken (a bootstrap over BLOCKS).
 """
 
 from typing import NamedTuple
@@ -23,6 +25,10 @@ CHANCE = 64.0
 """Where it is white: this many times what chance explains of as many samples."""
 WHITE = 0.4
 """Correlation of neighbouring samples up to which what is left is white."""
+BLOCKS, DRAWS = 20, 400
+"""Parts of a recording, and draws of as many of them."""
+AGREE = 0.01
+"""Share of the draws that may show another delay, by more than half of LATE."""
 SPAN = 0.05
 """Time over which the truth is differentiated [s]."""
 LARGEST = 4.0
@@ -41,12 +47,15 @@ class Delay(NamedTuple):
     """The same as a multiple of what chance explains."""
     correlation: float
     """Of neighbouring samples of what is left."""
+    astray: float
+    """Share of the draws of parts of the recording that show another delay."""
 
     @property
     def clear(self) -> bool:
         """Whether the sensor is late, or early, beyond doubt."""
         white = self.correlation < WHITE and self.chance > CHANCE
-        return abs(self.delay) > LATE and (white or self.explained > EXPLAINED)
+        told = self.astray <= AGREE and (white or self.explained > EXPLAINED)
+        return abs(self.delay) > LATE and told
 
     def __str__(self) -> str:
         word = "late" if self.delay > 0 else "early"
@@ -87,11 +96,18 @@ def predicted(q: Quantities) -> list[Predicted]:
     if q.rotation is None:
         return []
     reach = max(1, round(0.5 * SPAN / float(np.median(np.diff(q.time)))))
-    found = [Predicted("angular_velocity", "rad/s", q.gyroscope, _rate(q, reach))]
+
+    def new(name: str, values: np.ndarray) -> np.ndarray:
+        """Without the repetitions of a velocity that is held."""
+        repeated = q.repeated.get(name)
+        return values if repeated is None else np.where(repeated[:, None], np.nan, values)
+
+    gyroscope = new("angular_velocity", q.gyroscope)
+    found = [Predicted("angular_velocity", "rad/s", gyroscope, _rate(q, reach))]
     R, P = q.rotation, q.position
     if q.velocity is not None and P is not None:
         moving = np.einsum("kji,kj->ki", R, _slope(P, q.time, reach))
-        found.append(Predicted("velocity", "m/s", q.velocity, moving))
+        found.append(Predicted("velocity", "m/s", new("velocity", q.velocity), moving))
     for vector in q.vectors:
         there = np.einsum("kij,kj->ki", R, vector.body)
         reference = vector.reference
@@ -125,10 +141,12 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     size = np.linalg.norm(off - np.median(off, axis=0), axis=1)
     usual = size <= LARGEST * np.median(size)
     rows, seen = rows[usual], seen[usual]
-    squares = []
+    parts = np.linspace(0, len(rows), min(BLOCKS, len(rows)), endpoint=False).astype(int)
+    by_part = np.empty((len(parts), len(shifts)))
     for k in range(len(shifts)):
         off = seen - expected[rows[:, k]]
-        squares.append(float(np.sum((off - off.mean(axis=0)) ** 2)))
+        by_part[:, k] = np.add.reduceat(np.sum((off - off.mean(axis=0)) ** 2, axis=1), parts)
+    squares = by_part.sum(axis=0)
     best = int(np.argmin(squares))
     if squares[widest] == 0 or best in (0, len(shifts) - 1):
         return None
@@ -137,7 +155,10 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     rest = rest - rest.mean(axis=0)
     correlation = float(np.sum(rest[1:] * rest[:-1]) / max(squares[best], 1e-300))
     chance = explained * 3 * len(rows)
-    return Delay(of.sensor, float(shifts[best] * step), explained, chance, correlation)
+    drawn = np.random.default_rng(0).multinomial(len(parts), [1 / len(parts)] * len(parts), DRAWS)
+    away = np.abs(np.argmin(drawn @ by_part, axis=1) - best) * step
+    astray = float(np.mean(away > LATE / 2))
+    return Delay(of.sensor, float(shifts[best] * step), explained, chance, correlation, astray)
 
 
 def _slope(a: np.ndarray, time: np.ndarray, reach: int) -> np.ndarray:

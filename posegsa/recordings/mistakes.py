@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posegsa.recordings.relations import Quantities, Vector, misfits
+from posegsa.recordings.relations import AXES, GRAVITY, Quantities, Vector, misfits
 from posegsa.recordings.rotations import matrices, quaternions
 
 BETTER = 2.5
@@ -28,8 +28,6 @@ SUSPICIOUS = 0.06
 averaged, twice that."""
 AS_GOOD = 0.85
 """Share of the largest gain from which on a simpler hypothesis is preferred."""
-GRAVITY = 9.81
-AXES = "xyz"
 TURNING, MOVING, TRUTH = "gyroscope|velocities", "velocity|velocities", "truth"
 """Names of the relations of the gyroscope, of the velocity and of the truth."""
 
@@ -77,11 +75,7 @@ def mistakes(q: Quantities) -> list[Mistake]:
 def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
     before = misfits(q)
     tried: list[tuple[float, float, float, Hypothesis]] = []
-    suspicious = [
-        name
-        for name, misfit in before.items()
-        if misfit > (SUSPICIOUS if "truth" in name else 2 * SUSPICIOUS)
-    ]
+    suspicious = [name for name, misfit in before.items() if misfit > _usual(name)]
     for hypothesis in hypotheses(q):
         if not any(re.search(hypothesis.of, name) for name in suspicious):
             continue
@@ -102,6 +96,13 @@ def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
     near = [one for one in tried if one[0] >= AS_GOOD * most]
     _, largest, _, hypothesis = min(near, key=lambda one: (one[3].complexity, -one[0]))
     return hypothesis, math.exp(largest)
+
+
+def _usual(relation: str) -> float:
+    """A misfit up to which nothing is looked for."""
+    if re.search(f", [{AXES}], ", relation):
+        return BETTER * FITS  # of one axis, against what changes on it, which may be little
+    return SUSPICIOUS if "truth" in relation else 2 * SUSPICIOUS
 
 
 def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
@@ -200,7 +201,7 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
         )
     if vector.reference is None:
         return
-    down = ": an accelerometer at rest measures upwards" if _is_up(vector.reference) else ""
+    down = ": an accelerometer at rest measures upwards" if vector.is_up else ""
     yield Hypothesis(
         f"{vector.name} and its reference look opposite{down}: change the sign of one",
         with_body(np.negative),
@@ -236,7 +237,7 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             2,
             about,
         )
-    if q.rotation is not None and misfits(q).get(f"{vector.name} and truth", 0.0) > FITS:
+    if q.rotation is not None and _lacks_gravity(q, vector):
         yield Hypothesis(
             f"{vector.name} looks like an acceleration without gravity: the filter needs what the "
             "sensor measures, gravity included",
@@ -252,6 +253,18 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             2,
             about,
         )
+
+
+def _lacks_gravity(q: Quantities, vector: Vector) -> bool:
+    """Whether what a vector points to on the whole is not what its reference does.
+
+    Accelerations, impacts too, cancel on the whole: only gravity remains of a specific force.
+    """
+    if misfits(q).get(f"{vector.name} and truth", 0.0) <= FITS:
+        return False
+    reference = np.broadcast_to(_of(vector.reference), vector.body.shape)
+    along = np.sum(_to_body(q, reference) * vector.body, axis=1)
+    return bool(np.nanmean(along) < 0.5 * np.mean(np.sum(reference**2, axis=1)))
 
 
 def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
@@ -352,9 +365,3 @@ def _with_vectors_exchanged(q: Quantities, i: int, j: int) -> Quantities:
 
 def _with_landmark(q: Quantities, j: int, seen: np.ndarray) -> Quantities:
     return q.changed(landmarks=(*q.landmarks[:j], seen, *q.landmarks[j + 1 :]))
-
-
-def _is_up(reference: np.ndarray) -> bool:
-    """Whether a reference is vertical."""
-    mean = np.atleast_2d(reference).mean(axis=0)
-    return bool(abs(mean[2]) > 0.99 * np.linalg.norm(mean) > 0)

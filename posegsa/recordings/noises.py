@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from posegsa.recordings.held import held
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
 
@@ -90,15 +91,21 @@ def _velocity_noise(
 ) -> VelocityNoise:
     """The errors of a velocity (n, 3) whose true means over steps dt (n, 1) are known."""
     step = float(np.median(dt))
+    holding = held(sensed)  # its noise is white in means over what it measured alone
     late = np.where(usual[:, None], true - sensed, 0.0) * dt
     bias = -np.sum(late, axis=0) / np.sum(dt[usual])
     late += np.where(usual[:, None], bias, 0.0) * dt
     change = _change(true, max(1, round(0.5 * SMOOTHED / step))) * dt
     lead = _lead(np.cumsum(late, axis=0), np.cumsum(change, axis=0), max(1, round(HORIZON / step)))
     tau, variance = allan_variance(np.cumsum(late - lead * change, axis=0), step)
-    own = OWN * neighbours(sensed) * math.sqrt(step)
+    if holding.samples > 1:
+        long = tau >= 2 * holding.samples * step
+        tau, variance = tau[long], variance[long]
+    root = math.sqrt(holding.samples * step)
+    own = OWN * neighbours(sensed[holding.fresh]) * root
     if len(tau) < 4:
-        return VelocityNoise(max(own, neighbours(true - sensed) * math.sqrt(step)), 0.0, 0.0, bias)
+        off = (true - sensed)[holding.fresh]
+        return VelocityNoise(max(own, neighbours(off) * root), 0.0, 0.0, bias)
     from scipy.optimize import nnls  # imported here because it loads slowly
 
     terms = np.stack([1 / tau, tau / 3, 3 / tau**2], axis=1)

@@ -8,18 +8,26 @@ gives a turn dR and the velocity a displacement dP in the body frame of its begi
     vector and truth     R b = r                         two vectors         b_i . b_j = r_i . r_j
     landmark and truth   y = R^T (p - P)                 two landmarks   |y_i - y_j| = |p_i - p_j|
 
+A vector that points up may be gravity alone, or what an accelerometer measures. Its weighted means
+over 2 T, R b - r in the inertial frame, are then (P(t + T) - 2 P(t) + P(t - T)) / T^2 exactly, with
+weights that fall to 0 at both ends, however hard the body is shaken. P is the truth's, or that of
+both velocities. The better of both meanings counts. By axis of the body it tells signs that make
+little difference to the whole.
+
 A misfit is the median distance of both sides, as a share of the size of what is compared: 0.02 to
 0.2 for what sensors measure, about 1 where something is mistaken. Constant biases of the velocities
 are left out of it. Where the body hardly turns or moves a relation says nothing, and is missing.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from posegsa.recordings.held import held
 from posegsa.recordings.inertial_frame import running_products
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import matrices, product, quaternions
@@ -39,7 +47,13 @@ AVERAGED = 20
 """Measurements of a vector that are averaged in the inertial frame, where it is constant."""
 FINEST = 0.01
 """Smallest misfit: a better one is as good."""
-GRAVITY = 9.81
+SHAKEN = 0.2
+"""T of the means of specific force [s]."""
+SPARSE = 0.05
+"""Share of the weights that measurements must have in such a mean."""
+LIVELY = 0.005
+"""Change of the specific force of an axis, as a share of gravity, below which it says nothing."""
+GRAVITY, AXES = 9.81, "xyz"
 
 
 @dataclass(frozen=True)
@@ -51,6 +65,14 @@ class Vector:
     """(K, 3) as measured; NaN where missing."""
     reference: np.ndarray | None
     """(3,) or (K, 3) in the inertial frame; None if only known to be constant there."""
+
+    @property
+    def is_up(self) -> bool:
+        """Whether its reference is vertical: it may be gravity, or a specific force."""
+        if self.reference is None:
+            return False
+        mean = np.atleast_2d(self.reference).mean(axis=0)
+        return bool(abs(mean[2]) > 0.99 * np.linalg.norm(mean) > 0)
 
 
 @dataclass(frozen=True)
@@ -72,6 +94,8 @@ class Quantities:
     """(K, 3) of each landmark [m], body frame."""
     places: tuple[np.ndarray, ...]
     """(3,) of each, inertial frame [m]."""
+    repeated: dict[str, np.ndarray] = field(default_factory=dict)
+    """(K,) where a velocity that is held has no new measurement, by its name."""
     known: dict[Any, Any] = field(default_factory=dict, compare=False)
     """What has been computed of them, by what it is and by the arrays that it was computed of."""
 
@@ -87,8 +111,14 @@ class Quantities:
         return self.known[key][1]
 
 
-def quantities(recording: Recording) -> Quantities:
-    """What a recording holds, at a rate and of a length that can be compared in moments."""
+def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
+    """What a recording holds, at a rate and of a length that can be compared in moments.
+
+    Args:
+        recording: Any.
+        averaged: Whether vectors are means of the samples that are left out; else one of them,
+            which has the noise of a measurement.
+    """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
     step = max(1, int(FASTEST / recording.time_step + 1e-9))
@@ -105,18 +135,26 @@ def quantities(recording: Recording) -> Quantities:
         there = np.isfinite(a[within]).reshape(*within.shape, -1).all(axis=-1)
         return a[within[np.arange(len(rows)), there.argmax(axis=1)]]
 
+    def mean(a: np.ndarray) -> np.ndarray:
+        """The mean (K, 3) of what is there of a few samples: an impact lasts for less."""
+        some, there = a[within], np.isfinite(a[within]).all(axis=-1, keepdims=True)
+        count = there.sum(axis=1)
+        found = np.where(there, some, 0.0).sum(axis=1) / np.maximum(count, 1)
+        return np.where(count > 0, found, np.nan)
+
+    of_vectors = mean if averaged else first
     vectors, given = [], recording.sensors
     if "accelerometer" in given:
         up = np.array([0.0, 0.0, GRAVITY])
-        vectors.append(Vector("accelerometer", first(given["accelerometer"]), up))
+        vectors.append(Vector("accelerometer", of_vectors(given["accelerometer"]), up))
     if "magnetometer" in given:
-        vectors.append(Vector("magnetometer", first(given["magnetometer"]), None))
+        vectors.append(Vector("magnetometer", of_vectors(given["magnetometer"]), None))
     if not vectors:
         seen = np.where(m["vector_weights"][..., None] > 0, m["vectors"], np.nan)
         for i in range(seen.shape[1]):
             reference = m["vector_references"]
             reference = reference[i] if reference.ndim == 2 else reference[rows, i]
-            vectors.append(Vector(f"vector {i}", first(seen[:, i]), reference))
+            vectors.append(Vector(f"vector {i}", of_vectors(seen[:, i]), reference))
     truth, places = recording.truth, m["landmark_references"]
     landmarks = np.where(m["landmark_weights"][..., None] > 0, m["landmarks"], np.nan)
     return Quantities(
@@ -128,6 +166,11 @@ def quantities(recording: Recording) -> Quantities:
         vectors=tuple(vectors),
         landmarks=tuple(first(landmarks[:, j]) for j in range(landmarks.shape[1])),
         places=tuple(places if places.ndim == 2 else places[0]),
+        repeated={
+            name: np.asarray(~holding.fresh[within].any(axis=1))
+            for name in ("angular_velocity", "velocity")
+            if (holding := held(m[name])).samples > 1
+        },
     )
 
 
@@ -146,10 +189,15 @@ def misfits(q: Quantities) -> dict[str, float]:
     for vector in q.vectors:
         own = vector.body, vector.reference
         if q.rotation is not None:
-            relate(f"{vector.name} and truth", _vector_and_truth, vector, of=(*own, q.rotation))
-        relate(f"{vector.name} and gyroscope", _vector_and_turn, vector, of=(*own, q.gyroscope))
+            relate(f"{vector.name} and truth", _vector_and_truth, vector, of=(*own, *truth))
+        if vector.is_up and q.rotation is not None and q.position is not None:
+            for k, axis in enumerate(AXES):
+                name = f"{vector.name}, {axis}, and truth"
+                relate(name, _axis_and_truth, vector, k, of=(*own, *truth))
+        moving = (*own, *velocities)
+        relate(f"{vector.name} and gyroscope", _vector_and_turn, vector, of=moving)
         if vector.reference is not None:
-            relate(f"length of {vector.name}", _length, vector, of=own)
+            relate(f"length of {vector.name}", _length, vector, of=moving)
     for j in range(len(q.places)):
         own = q.landmarks[j], q.places[j]
         if q.rotation is not None and q.position is not None:
@@ -163,12 +211,17 @@ def misfits(q: Quantities) -> dict[str, float]:
         for first in q.vectors[:j]:
             if first.reference is not None and second.reference is not None:
                 both = first.body, first.reference, second.body, second.reference
+                both = *both, *velocities
                 relate(f"{first.name} and {second.name}", _two_vectors, first, second, of=both)
     return {name: max(FINEST, misfit) for name, misfit in found.items() if misfit is not None}
 
 
 def _motion(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
     """Attitude (K, 4) and position (K, 3) that the velocities give, from the first sample on."""
+    return q.once("motion", (q.time, q.gyroscope, q.velocity), lambda: _moved(q))
+
+
+def _moved(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
     steps = np.diff(q.time, append=2 * q.time[-1] - q.time[-2])
     steps = np.where(steps > 5 * np.median(steps), np.median(steps), steps)
     turned = q.once("turns", (q.time, q.gyroscope), lambda: _turned(q.gyroscope * steps[:, None]))
@@ -285,9 +338,92 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
     size = _median_length(b)
     if vector.reference is None:
         return _median_length(seen - np.median(seen, axis=0)) / max(size, 1e-12)
-    r = np.broadcast_to(vector.reference, vector.body.shape)[there]
+    known = np.broadcast_to(vector.reference, vector.body.shape)
+    r = known[there]
     r = r * (size / max(_median_length(r), 1e-12))  # its length is another relation
-    return _median_length(_averaged(seen - r)) / max(size, 1e-12)
+    found = _median_length(_averaged(seen - r)) / max(size, 1e-12)
+    if (force := _true_force(q, vector)) is None:
+        return found
+    off = force.body - force.pulled - np.einsum("kji,kj->ki", q.rotation, known)
+    return min(found, _median_length(off[_finite(off)]) / max(_median_length(known), 1e-12))
+
+
+def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
+    """Of one axis of a vector that points up, as a share of the change of what is expected."""
+    if (force := _true_force(q, vector)) is None:
+        return None
+    assert q.rotation is not None
+    known = np.broadcast_to(_given(vector.reference), vector.body.shape)
+    up, found = np.einsum("kji,kj->ki", q.rotation, known)[:, k], []
+    for expected in (up, up + force.pulled[:, k]):
+        pair = np.stack([force.body[:, k] - expected, expected], axis=1)
+        pair = pair[_finite(force.body, pair)]
+        off, change = np.median(np.abs(pair - np.median(pair, axis=0)), axis=0)
+        if change > LIVELY * _median_length(known):
+            found.append(float(off / change))
+    return min(found, default=None)
+
+
+class Force(NamedTuple):
+    """Means of a specific force, in the body frame at their middle; NaN where unknown."""
+
+    body: np.ndarray
+    """(K, 3) as measured."""
+    pulled: np.ndarray
+    """(K, 3) what the body's acceleration has in them."""
+
+
+def _true_force(q: Quantities, vector: Vector) -> Force | None:
+    """A vector that points up with what the true motion adds to gravity; None if unknown."""
+    if q.rotation is None or q.position is None or not vector.is_up:
+        return None
+    of = q.time, vector.body, vector.reference, q.rotation, q.position
+    R, P = q.rotation, q.position
+    return q.once("true force", of, lambda: _force(q.time, vector, R, P))
+
+
+def _meanings(q: Quantities, vector: Vector) -> list[Vector]:
+    """A vector as measured; and if it points up, without the acceleration by both velocities."""
+    if q.velocity is None or not vector.is_up:
+        return [vector]
+
+    def compute() -> Force | None:
+        turned, moved = _motion(q)
+        return _force(q.time, vector, matrices(turned), moved)
+
+    of = q.time, vector.body, vector.reference, q.gyroscope, q.velocity
+    force = q.once("force", of, compute)
+    return [vector] if force is None else [vector, replace(vector, body=force.body - force.pulled)]
+
+
+def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Force | None:
+    """Means of a specific force along a motion R (K, 3, 3), P (K, 3); None if there are too few."""
+    step, count = float(np.median(np.diff(time))), len(time)
+    n = max(2, round(SHAKEN / step))
+    if count < 2 * n + FEWEST:
+        return None
+    there = _finite(R, vector.body)
+    force = np.einsum("kij,kj->ki", R[there], vector.body[there])
+    weighed = np.zeros((count, 4))
+    weighed[there] = np.concatenate([force, np.ones((len(force), 1))], axis=1)
+    for _ in range(2):  # two equal means after each other have the weights that are needed
+        sums = np.concatenate([np.zeros((1, 4)), np.cumsum(weighed, axis=0)])
+        weighed = (sums[n:] - sums[:-n]) / n
+    weighed = weighed[1:-1]
+    whole = np.abs(time[2 * n :] - time[: -2 * n] - 2 * n * step) < step
+    whole &= weighed[:, 3] > SPARSE
+    scale = _median_length(_given(vector.reference)) / GRAVITY
+    second = (P[2 * n :] - 2 * P[n:-n] + P[: -2 * n]) / (n * step) ** 2
+    both = np.full((2, count, 3), np.nan)
+    back = R[n:-n][whole]
+    for k, a in enumerate((weighed[:, :3] / np.maximum(weighed[:, 3:], SPARSE), scale * second)):
+        both[k, n:-n][whole] = np.einsum("kji,kj->ki", back, a[whole])
+    return Force(*both) if _finite(*both).sum() >= FEWEST else None
+
+
+def _given(reference: np.ndarray | None) -> np.ndarray:
+    assert reference is not None
+    return reference
 
 
 def _averaged(off: np.ndarray) -> np.ndarray:
@@ -296,23 +432,28 @@ def _averaged(off: np.ndarray) -> np.ndarray:
     return np.add.reduceat(off, first, axis=0) / np.diff(np.append(first, len(off)))[:, None]
 
 
-def _length(_: Quantities, vector: Vector) -> float | None:
-    there = _finite(vector.body)
-    if there.sum() < FEWEST or vector.reference is None:
+def _length(q: Quantities, vector: Vector) -> float | None:
+    if _finite(vector.body).sum() < FEWEST:
         return None
-    size, known = _median_length(vector.body[there]), _median_length(vector.reference)
-    return abs(np.log(max(size, 1e-12) / max(known, 1e-12)))
+    known = max(_median_length(_given(vector.reference)), 1e-12)
+    sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
+    return min(abs(np.log(max(size, 1e-12) / known)) for size in sizes)
 
 
 def _vector_and_turn(q: Quantities, vector: Vector) -> float | None:
-    found = _intervals(q, _finite(vector.body))
+    found = [_direction_and_turn(q, one.body) for one in _meanings(q, vector)]
+    return min((one for one in found if one is not None), default=None)
+
+
+def _direction_and_turn(q: Quantities, body: np.ndarray) -> float | None:
+    found = _intervals(q, _finite(body))
     if found is None:
         return None
     first, last = found
     turn, _ = _between(q, first, last)
     if _median_length(_log(turn)) < TURNED:
         return None
-    before, after = vector.body[first], vector.body[last]
+    before, after = body[first], body[last]
     off = after - np.einsum("kji,kj->ki", matrices(turn), before)
     return _median_length(off) / max(_median_length(before), 1e-12)
 
@@ -349,14 +490,16 @@ def _two_landmarks(q: Quantities, i: int, j: int) -> float | None:
     return float(np.median(np.abs(seen - known))) / max(known, 1e-12)
 
 
-def _two_vectors(_: Quantities, one: Vector, other: Vector) -> float | None:
-    there = _finite(one.body, other.body)
-    if there.sum() < FEWEST or one.reference is None or other.reference is None:
-        return None
-
+def _two_vectors(q: Quantities, one: Vector, other: Vector) -> float | None:
     def cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
         return np.sum(a * b, axis=-1) / np.where(lengths > 0, lengths, 1.0)
 
-    known = np.median(cosine(one.reference, other.reference))
-    return abs(float(np.median(cosine(one.body[there], other.body[there]))) - float(known))
+    known = float(np.median(cosine(_given(one.reference), _given(other.reference))))
+    found = []
+    for first, second in itertools.product(_meanings(q, one), _meanings(q, other)):
+        there = _finite(first.body, second.body)
+        if there.sum() >= FEWEST:
+            seen = cosine(first.body[there], second.body[there])
+            found.append(abs(float(np.median(seen)) - known))
+    return min(found, default=None)

@@ -1,21 +1,28 @@
 """The report of a result: a single HTML file without network access or scripts.
 
-`page.html` is the page, `parts.html` has the macros for its repeated parts. Python passes them the
-result and everything that a template cannot compute.
+`page.html` is that of a result on drawn scenarios, `recordings.html` that of one on recordings
+alone; `recorded.html` and `ends.html` are in both, `parts.html` has macros for repeated parts.
+Python passes them the result and everything that a template cannot compute.
 """
 
 from base64 import b64encode
 from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posegsa import config
-from posegsa.figures import evaluation_figures, schedule_figures, trajectory_figures
+from posegsa.figures import (
+    evaluation_figures,
+    recorded_figures,
+    schedule_figures,
+    trajectory_figures,
+)
 from posegsa.figures import search as search_figures
 from posegsa.judging import metrics
 from posegsa.judging.evaluation import CONSISTENCY_WORDS, SWITCH, called
+from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
 from posegsa.report import report_tables
@@ -25,6 +32,7 @@ from posegsa.report.sentences import (
     cost_words,
     filter_words,
     next_words,
+    recorded_errors,
     verdict,
     worse_words,
 )
@@ -42,47 +50,57 @@ NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", rand
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page; pictures are the PNG files of its figures by name."""
-    judged = result.on_scenarios
-    assert judged is not None  # the page is about them
-    fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
-    page = templates().get_template("page.html")
-    return page.render(
-        result=result,
-        experiment=result.experiment,
-        judged=judged,
-        evaluation=judged.evaluation,
-        CONSISTENCY_WORDS=CONSISTENCY_WORDS,
-        beside=judged.beside,
-        pictures={name: b64encode(png).decode("ascii") for name, png in pictures.items()},
-        verdict=verdict(judged),
-        cost_words=cost_words(result),
-        better_words=better_words(judged),
-        worse_words=worse_words(judged),
-        next_words=next_words(result),
-        no_family=list(NO_FAMILY.described()),
-        angles_differ=evaluation_figures.angles_differ(judged.evaluation),
-        evaluation_figures=evaluation_figures.FIGURES,
-        schedule_figures=schedule_figures.FIGURES,
-        trajectory_figures=trajectory_figures.FIGURES,
-        search_figures=search_figures.FIGURES,
-        fuzzy=fuzzy,
-        input_terms=report_tables.input_terms(result) if fuzzy else [],
-        output_terms=report_tables.output_terms(result) if fuzzy else [],
-        error_columns=[f"Error {term}" for term in config.TERMS],
-        rules=report_tables.rules(result) if trust.rule_weights is not None else [],
-        simulations=report_tables.simulations(result),
-        never_firing=0
-        if trust.rule_weights is None
-        else report_tables.never_firing(trust.rule_weights),
-        heaviest=None
-        if trust.rule_weights is None
-        else report_tables.heaviest_rule(trust.rule_weights),
-        also=[
+    judged, recorded = result.on_scenarios, result.on_recordings
+    shown: dict[str, Any] = {
+        "result": result,
+        "experiment": result.experiment,
+        "pictures": {name: b64encode(png).decode("ascii") for name, png in pictures.items()},
+        "schedule_figures": schedule_figures.FIGURES,
+        "search_figures": search_figures.FIGURES,
+        "fuzzy": result.filter.kind == "fuzzy",
+        "also": [
             (one, result.also[one.key]) for one in result.experiment.also if one.key in result.also
         ],
-        configuration=config.to_toml(result.experiment),
-        environment={"posegsa": result.version} | result.environment,
-    )
+        "configuration": config.to_toml(result.experiment),
+        "environment": {"posegsa": result.version} | result.environment,
+    }
+    if recorded is not None:
+        shown |= {
+            "recorded_verdict": recorded.verdict() or recorded.alone(),
+            "recorded_errors": recorded_errors(recorded),
+            "recorded_figures": recorded_figures.FIGURES,
+        }
+    shown |= {} if judged is None else _of_scenarios(result, judged)
+    page = "recordings.html" if judged is None else "page.html"
+    return templates().get_template(page).render(**shown)
+
+
+def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
+    """What the page of a result on drawn scenarios shows of them."""
+    fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
+    fired = trust.rule_weights
+    return {
+        "judged": judged,
+        "evaluation": judged.evaluation,
+        "CONSISTENCY_WORDS": CONSISTENCY_WORDS,
+        "beside": judged.beside,
+        "verdict": verdict(judged),
+        "cost_words": cost_words(result),
+        "better_words": better_words(judged),
+        "worse_words": worse_words(judged),
+        "next_words": next_words(result),
+        "no_family": list(NO_FAMILY.described()),
+        "angles_differ": evaluation_figures.angles_differ(judged.evaluation),
+        "evaluation_figures": evaluation_figures.FIGURES,
+        "trajectory_figures": trajectory_figures.FIGURES,
+        "input_terms": report_tables.input_terms(result) if fuzzy else [],
+        "output_terms": report_tables.output_terms(result) if fuzzy else [],
+        "error_columns": [f"Error {term}" for term in config.TERMS],
+        "rules": [] if fired is None else report_tables.rules(result),
+        "simulations": report_tables.simulations(result),
+        "never_firing": 0 if fired is None else report_tables.never_firing(fired),
+        "heaviest": None if fired is None else report_tables.heaviest_rule(fired),
+    }
 
 
 @cache

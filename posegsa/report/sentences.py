@@ -15,6 +15,7 @@ from posegsa.judging.evaluation import (
     Evaluation,
     called,
 )
+from posegsa.judging.on_recordings import OnRecordings, mean_errors
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
 from posegsa.report.numbers import cost, interval, number
@@ -52,6 +53,20 @@ def verdict(judged: OnScenarios) -> str:
         f"{own_filter} costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
         f"{cost(minimum)} to {cost(maximum)}) than {against}."
     )
+
+
+def recorded_errors(on: OnRecordings) -> dict[str, str]:
+    """The errors of a filter and of those beside it on the same recordings, by name."""
+    label = "held out" if on.held_out else "tuned on"
+    each = {f"This filter, {label}": on.held_out or on.training}
+    each |= {f"{name}, {label}": scores for name, scores in on.baselines.items() if on.held_out}
+    found = {}
+    for name, scores in each.items():
+        if scores:
+            mean = mean_errors(scores)
+            position = "" if mean.position is None else f", {number(100 * mean.position, '.3g')} cm"
+            found[name] = f"{number(mean.total, '.3g')} deg{position}"
+    return found
 
 
 def cost_words(result: Result) -> str:

@@ -105,11 +105,12 @@ def write_result(
     if result.search is not None:
         texts[HISTORY] = to_csv(result.search.history, counted="iteration")
     if result.on_scenarios is not None:
+        texts[TABLE] = result.on_scenarios.evaluation.table() + "\n"
+        texts[TRAJECTORY] = to_csv(result.on_scenarios.trajectory)
+    if _is_judged(result):
         steps.begin("writing" if figures == [] else "drawing")
         drawn = list(draw(result, figures).items())
         pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
-        texts[TABLE] = result.on_scenarios.evaluation.table() + "\n"
-        texts[TRAJECTORY] = to_csv(result.on_scenarios.trajectory)
         texts[REPORT] = report_html(result, pictures)
     files = {name: text.encode("utf-8") for name, text in texts.items()}
     files |= {_FIGURE.format(name): picture for name, picture in pictures.items()}
@@ -125,9 +126,15 @@ def written(result: Result, figures: list[str] | None = None) -> list[str]:
     if result.search is not None:
         names.append(HISTORY)
     if result.on_scenarios is not None:
-        names = [REPORT, *names, TABLE, TRAJECTORY]
-        names += [] if figures == [] else [f"{FIGURES}/"]
+        names += [TABLE, TRAJECTORY]
+    if _is_judged(result):
+        names = [REPORT, *names, *([] if figures == [] else [f"{FIGURES}/"])]
     return names
+
+
+def _is_judged(result: Result) -> bool:
+    """Whether there is something to report of a result."""
+    return result.on_scenarios is not None or result.on_recordings is not None
 
 
 def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = False) -> Result:

@@ -339,11 +339,13 @@ def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
 def test_nothing_of_a_simulated_run_stays_under_it(result: Result, tmp_path: Path) -> None:
     stale = tmp_path / "checkpoints" / f"0{CHECKPOINT_SUFFIX}"
     stale.parent.mkdir()
-    for path in (tmp_path / "result.json", tmp_path / "report.html", stale):
+    trajectory = tmp_path / "trajectory.csv"
+    for path in (tmp_path / "result.json", tmp_path / "report.html", trajectory, stale):
         path.write_text("old", "utf-8")
     posegsa.save(result, tmp_path, overwrite=True)
     assert plain(posegsa.load(tmp_path)) == plain(result)
-    assert not (tmp_path / "report.html").exists()
+    assert "on recordings" in (tmp_path / "report.html").read_text("utf-8")
+    assert not trajectory.exists()
     assert not stale.exists()
 
 

@@ -311,3 +311,100 @@ def test_a_sensor_that_never_measured_is_told() -> None:
     landmarks[:, 1] = np.nan
     found = check(Recording.from_arrays(**a | {"landmarks": landmarks})).findings
     assert found == ["landmark 1 has no measurement"]
+
+
+def driven(shake: float = 0.0, wander: float = 1.0, count: int = 3000) -> Arguments:
+    """A flight with an accelerometer that feels all accelerations, and a mocap as its truth.
+
+    Its thrust is along z, so that a wrong sign of y hardly changes the whole.
+    """
+    rng = np.random.default_rng(11)
+    t = STEP * np.arange(count)
+    at = wander * np.stack([np.sin(0.7 * t), 0.6 * np.cos(0.9 * t), 0.3 * np.sin(1.1 * t)], axis=1)
+    speed, often = 2 * np.pi * 7, 2 * np.pi * np.array([7.0, 6.1, 8.3])
+    P = at + shake / speed**2 * np.sin(often * t[:, None])
+    pulled = -wander * np.stack(
+        [0.49 * np.sin(0.7 * t), 0.486 * np.cos(0.9 * t), 0.363 * np.sin(1.1 * t)], axis=1
+    ) - shake * (often / speed) ** 2 * np.sin(often * t[:, None])
+    lean = np.arctan2(pulled[:, :2] * [1, -0.7], 9.81)  # so that little is felt across the thrust
+    lean += 0.03 * np.sin(1.7 * t[:, None] + [0.0, 1.0])
+    turn = Rotation.from_euler("zyx", np.stack([0.3 * t, *lean.T], axis=1))
+    R = turn.as_matrix()
+    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / STEP
+    rate = np.concatenate([rate, rate[-1:]])
+    moving = np.gradient(P, STEP, axis=0)
+    force = np.einsum("kji,kj->ki", R, GRAVITY + pulled / 9.81)
+    field = np.einsum("kji,j->ki", R, FIELD)
+    vectors = np.stack([force, field], axis=1) + 0.01 * rng.normal(size=(count, 2, 3))
+    landmarks = np.einsum("kji,knj->kni", R, PLACES - P[:, None])
+    seen = turn * Rotation.from_rotvec(0.002 * rng.normal(size=(count, 3)))
+    return {
+        "time": t,
+        "angular_velocity": rate + 0.005 * rng.normal(size=rate.shape),
+        "velocity": np.einsum("kji,kj->ki", R, moving) + 0.03 * rng.normal(size=rate.shape),
+        "vectors": vectors,
+        "vector_references": np.stack([GRAVITY, FIELD]),
+        "landmarks": landmarks + 0.03 * rng.normal(size=landmarks.shape),
+        "landmark_references": PLACES,
+        "truth_quaternion": seen.as_quat(scalar_first=True),
+        "truth_position": P + 0.001 * rng.normal(size=P.shape),
+        "landmark_outlier": "off",
+    }
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_an_accelerometer_that_is_shaken_has_no_mistake(truth: bool) -> None:
+    given = driven(shake=30.0)
+    lengths = np.linalg.norm(given["vectors"][:, 0], axis=1)
+    assert np.median(lengths) > 2.5, "most of what it measures is no gravity"
+    given |= {} if truth else {"truth_quaternion": None, "truth_position": None}
+    assert check(Recording.from_arrays(**given)).findings == []
+
+
+@pytest.mark.parametrize("shake", [10.0, 30.0])
+def test_a_shaken_accelerometer_without_a_position_has_gravity(shake: float) -> None:
+    given = driven(shake=shake)
+    acc = 9.81 * given["vectors"][:, 0]
+    names = "time", "angular_velocity", "truth_quaternion"
+    alone: Arguments = {name: given[name] for name in names}
+    whole = Recording.from_arrays(**alone, sensors={"accelerometer": acc})
+    assert check(whole).findings == []
+    rest = acc - 9.81 * true_rotations(given)[:, 2]
+    if shake < 20:
+        without = Recording.from_arrays(**alone, sensors={"accelerometer": rest})
+        (words,) = check(without).findings
+        assert "without gravity" in words
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_sign_of_an_axis_across_the_thrust_is_told(axis: int) -> None:
+    sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+    flipped = one_of(driven(), "vectors", 0, lambda b: b * sign)
+    (words,) = check(Recording.from_arrays(**flipped)).findings
+    assert f"vector 0: the sign of its {'xyz'[axis]} axis looks wrong" in words
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_body_that_hardly_moves_has_no_late_sensor(seed: int) -> None:
+    """The noise of the truth alone makes some shift fit best."""
+    given, rng = driven(wander=0.001), np.random.default_rng(seed)
+    given["velocity"] = given["velocity"] + 0.02 * rng.normal(size=given["velocity"].shape)
+    position = given["truth_position"]
+    given["truth_position"] = position + 0.001 * rng.normal(size=position.shape)
+    assert check(Recording.from_arrays(**given)).findings == []
+
+
+@pytest.mark.parametrize("repeats", [2, 5])
+def test_a_velocity_that_is_held_has_its_own_rate_and_noise(repeats: int) -> None:
+    given = driven()
+    held = np.repeat(given["velocity"][::repeats], repeats, axis=0)
+    found = check(Recording.from_arrays(**given | {"velocity": held}))
+    (velocity,) = [one for one in found.sensors if one.name == "velocity"]
+    assert velocity.rate == pytest.approx(100 / repeats)
+    assert velocity.noise == pytest.approx(0.03, rel=0.25)
+    assert found.findings == []
+    assert f"velocity is held: measured at {100 / repeats:g} Hz" in found.text()
+    alone = given | {"velocity": held, "truth_quaternion": None, "truth_position": None}
+    found = check(Recording.from_arrays(**alone))
+    (velocity,) = [one for one in found.sensors if one.name == "velocity"]
+    assert velocity.noise == pytest.approx(0.03, rel=0.25)

@@ -4,13 +4,13 @@ import base64
 import html
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import jinja2
 import numpy as np
 import pytest
 from helpers.messages import assert_told
+from helpers.pages import PICTURE, Page
 from helpers.results import (
     ANGLES,
     FILTERS,
@@ -47,60 +47,6 @@ from posegsa.report.numbers import cost, number
 from posegsa.report.sentences import filter_words, verdict
 
 pytestmark = pytest.mark.quick
-
-PICTURE = b"\x89PNG\r\n\x1a\n not more than that"
-VOID = {"meta", "img", "br"}
-
-
-class Page(HTMLParser):
-    """The elements, tables and texts of a page; elements must be closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[tuple[str, dict]] = []
-        self.elements: list[tuple[str, dict]] = []
-        self.tables: dict[str, list[list[str]]] = {}
-        self.texts: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append((tag, dict(attrs)))
-        if tag == "table":
-            self.rows: list[list[str]] = []
-        elif tag == "tr":
-            self.rows.append([])
-        elif tag in ("td", "th"):
-            self.rows[-1].append("")
-
-    def handle_endtag(self, tag):
-        assert self.open.pop()[0] == tag
-
-    def handle_data(self, data):
-        inside = [tag for tag, _ in self.open]
-        if "style" in inside:
-            return
-        self.texts.append(data)
-        if "caption" in inside:
-            self.tables[data] = self.rows
-        elif "td" in inside or "th" in inside:
-            self.rows[-1][-1] += data
-
-    @property
-    def text(self) -> str:
-        return spaced(" ".join(self.texts))
-
-    def table(self, caption: str) -> list[list[str]]:
-        (found,) = (rows for name, rows in self.tables.items() if name.startswith(caption))
-        return [[spaced(cell) for cell in row] for row in found]
-
-
-def spaced(text: str) -> str:
-    """A text as a browser shows it: consecutive spaces and line ends become one space."""
-    return re.sub(r"[ \n]+", " ", text).strip(" ")
 
 
 def page(given: Result | None = None, pictures=None) -> Page:
@@ -520,7 +466,7 @@ def test_every_text_that_comes_from_data_is_escaped():
 def test_the_templates_mark_nothing_as_safe():
     folder = Path(posegsa.report.__file__).parent
     texts = [path.read_text(encoding="utf-8") for path in folder.glob("*.html")]
-    assert len(texts) == 2
+    assert len(texts) == 5
     assert not any(re.search(r"\|\s*safe|autoescape", text) for text in texts)
 
 
