@@ -82,7 +82,7 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
         learning.per_turning,
     )
     weights = settings.landmark_weights or (jnp.ones(len(vectors)),)
-    unit = jnp.broadcast_to(settings.unit, len(vectors))
+    unit = jnp.broadcast_to(settings.length * settings.length, len(vectors))
     numbers = np.stack(
         [
             0.5 * weights[0],

@@ -154,11 +154,11 @@ def _unknown(result: Result) -> list[str]:
     wait = used.bias_wait if isinstance(used, ObserverConfig) else "off"
     q = "1" if wait == "off" else f"1 / (1 + (now / {wait!r})^4), a factor on all bias laws"
     return [
-        f"    unknown = max(unknown, {gain.unknown_rise!r} x min(error, 1)), first {gain.unknown!r}",
+        f"    unknown = max(unknown, {gain.unknown_rise!r} min(error, 1)), first {gain.unknown!r}",
         "    error = max(min(error, 1), unknown)",
         f"    after the sample unknown = unknown / (1 + {gain.unknown_fall!r} K q m dt)",
-        "        K: after its limit; dt: the time to the next sample; m: 1/2 if a vector was measured,",
-        "        and 1/2 more if a landmark was",
+        "        K: after its limit; dt: the time to the next sample",
+        "        m: 1/2 if a vector was measured, and 1/2 more if a landmark was",
         f"        q = {q}",
     ]
 

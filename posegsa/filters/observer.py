@@ -50,7 +50,8 @@ d^2 times as slowly. In a unit of l metres (`length`) u_2 is multiplied by l^2,
     W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
 for the law "gradient"; in L, every 1 that is added to a squared length becomes l^2; and the limit
 of gamma becomes gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d, attitude and position converge
-equally fast. It is the same observer in another unit.
+equally fast. It is the same observer in another unit. With `length_growth` a the unit grows with
+the distance of the farthest measured landmark, l^2 = length^2 + a max |y_i|^2.
 
 Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma,
 f + |b_err|^2 / (2 gamma) never increases. With a varying gamma that function serves while gamma
@@ -60,7 +61,8 @@ bounded variation, as it has for a gain that settles.
 Bounds of the biases. While the pose is far off, the bias laws learn biases that do not exist: with
 the high gain of a start at 100 degrees, b_est grows to many times any real bias, and recovers only
 when the pose does. If the measurements stop before that, b_est stays wrong and the estimate runs
-away. Optional bounds limit |b_est|, and |c_i| below.
+away. Optional bounds limit |b_est|, and |c_i| below. And with `per_bias_wait` all bias laws wait
+for the pose (`bias_share`).
 
 Biases of the vectors. They are part of the sensor model (Eq. 2); ignoring them causes nearly all of
 the steady error. With c_i the estimated bias and d_i = v_i^B - c_i,
