@@ -1,4 +1,4 @@
-"""How configs/observer.toml was chosen: one change at a time, judged on validation.
+"""How the default observer was chosen: one change at a time, judged on validation.
 
 Each variant is tuned on its training scenarios and judged on validation scenarios, which have other
 keys than the training and held-out scenarios; the latter are not used here. Two variants keep the
@@ -52,7 +52,7 @@ def tuned_too(keys, *more: dict) -> str:
 
 
 VARIANTS: dict[str, tuple[str, ...]] = {
-    "observer.toml": (),
+    "the defaults": (),
     "vectors' biases ignored": ("filter.vector_bias=off", without("filter.vector_bias_gain")),
     "gamma fixed": ("filter.gamma_law=fixed",),
     "gamma linear in K": ("filter.gamma_law=linear",),

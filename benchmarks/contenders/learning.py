@@ -82,7 +82,8 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
         learning.per_turning,
     )
     weights = settings.landmark_weights or (jnp.ones(len(vectors)),)
-    unit = jnp.broadcast_to(settings.unit, len(vectors))
+    length = jnp.ones(()) if settings.length is None else settings.length
+    unit = jnp.broadcast_to(length * length, len(vectors))
     numbers = np.stack(
         [
             0.5 * weights[0],

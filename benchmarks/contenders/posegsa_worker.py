@@ -71,8 +71,12 @@ def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Tun
 
 
 def observer_task(*settings: str) -> TuningProblem:
-    """That of observer.toml in float32, made ready; `settings` change single values of it."""
+    """That of observer.toml in float32, made ready; `settings` change single values of it.
+
+    What is off by default is off: the contenders do not have it.
+    """
     few = "run.held_out_scenarios=1", "run.dtype=float32"
+    few += "gain.unknown=off", "filter.bias_wait=off", "filter.length_growth=off"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", posegsa.PosegsaWarning)
         return tuning_problem(config.override(config.load(OBSERVER), [*few, *settings]))

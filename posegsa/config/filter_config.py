@@ -12,6 +12,7 @@ from posegsa.filters.observer import GainLaw, Law
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
 from posegsa.settings.violations import Violation
+from posegsa.words import toml
 
 ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
@@ -60,6 +61,13 @@ class ObserverConfig(Section):
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
     """Unit of length [m], which weighs attitude against position in the gain. About the distance of
     the landmarks from the origin lets both converge equally fast."""
+    length_growth: Annotated[NonNegative | Literal["off"], Tunable("law", "gradient")] = "off"
+    """By how much the square of the unit of length grows with the square of the distance from the
+    body to the farthest landmark, no unit; "off" means not at all."""
+    bias_wait: Annotated[Positive | Literal["off"], Tunable()] = "off"
+    """The error signal, before it is smoothed and scaled, at which the gains of all bias laws are
+    half; above it they vanish with the fourth power. While the pose is far off, they learn biases
+    that there are not. "off" means they do not wait."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" means no limit."""
@@ -88,8 +96,10 @@ class ObserverConfig(Section):
     """Time constant of the low-pass filter of that angular velocity [s]."""
 
     def _conflicts(self) -> Iterator[Violation]:
-        if self.law == "printed" and self.length != 1.0:
-            yield Violation("length", 'allowed: 1.0, because law = "printed"', self.length)
+        for name, needed in (("length", 1.0), ("length_growth", "off")):
+            if self.law == "printed" and getattr(self, name) != needed:
+                reason = f'allowed: {toml(needed)}, because law = "printed"'
+                yield Violation(name, reason, getattr(self, name))
 
 
 Scales = Annotated[tuple[Positive, ...], Field(max_length=64)]

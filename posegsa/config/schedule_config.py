@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from posegsa.config.tunable import AlsoTuned
 from posegsa.model.fuzzy import Centroid, NoRule, SampledRule
 from posegsa.model.signal import Rate, Signal
-from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
+from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Share, Tunable
 from posegsa.settings.violations import Violation
 
 Term = Literal["VS", "S", "M", "L", "VL"]
@@ -61,9 +61,14 @@ DEFAULT_ALSO = tuple(
         ("gain.position_weight", 0.01, 1.0),
         ("gain.smoothing", 0.1, 5.0),
         ("gain.error_scale", 0.05, 1.0),
+        ("gain.unknown", 0.02, 1.0),
+        ("gain.unknown_fall", 0.0005, 0.5),
+        ("gain.unknown_rise", 0.01, 1.0),
+        ("filter.bias_wait", 0.02, 3.0),
+        ("filter.length_growth", 0.001, 10.0),
     )
 )
-"""The numbers of an observer that are tuned besides k1..k22 by default."""
+"""The numbers of an observer that are tuned besides k1..k22 by default, where they are not off."""
 
 T = TypeVar("T")
 
@@ -122,6 +127,14 @@ class GainConfig(Section):
     """The controller's second input: `|e_k - e_(k-1)|`, or this divided by the time between."""
     rate_scale: Annotated[NonNegative, Tunable()] = 1.0
     """Factor on the rate (no unit, or [s]) before it is clipped to [0, 1]."""
+    unknown: Annotated[Share | Literal["off"], Tunable()] = "off"
+    """What is unknown of the biases at the start, on the scale of the controller's input e, which
+    is at least this: so the gain stays high until the biases are learnt. "off": e is the error."""
+    unknown_fall: Annotated[NonNegative, Tunable("unknown")] = 0.01
+    """How fast that falls while vectors and landmarks are measured: by this times the gain K [1/s],
+    times the factor of `filter.bias_wait`."""
+    unknown_rise: Annotated[Share, Tunable("unknown")] = 0.5
+    """The share of the scaled error below which it does not fall."""
 
 
 class FuzzyConfig(Section):

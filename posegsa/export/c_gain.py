@@ -136,12 +136,30 @@ def signal_in_words(result: Result) -> list[str]:
         f"    now = attitude + {gain.position_weight!r} x position",
         f"    {smoothed if gain.smoothing > 0 else 'e = now'}",
         f"    error = e / {gain.error_scale!r}",
+        *_unknown(result),
         f"    rate = |e - before|{' / dt' if gain.rate == 'per_second' else ''} "
         f"x {gain.rate_scale!r}",
         "    before: e of the previous sample; at the first sample before = now, so that rate is 0",
         *wrapped(_SYMBOLS[gain.signal]),
         *(_known(result) if gain.signal == "measured" else []),
         *settings_of(gain),
+    ]
+
+
+def _unknown(result: Result) -> list[str]:
+    """How the error tells what is unknown of the biases, if it does."""
+    gain, used = result.tuned.gain, result.tuned.filter
+    if gain.unknown == "off":
+        return []
+    wait = used.bias_wait if isinstance(used, ObserverConfig) else "off"
+    q = "1" if wait == "off" else f"1 / (1 + (now / {wait!r})^4), a factor on all bias laws"
+    return [
+        f"    unknown = max(unknown, {gain.unknown_rise!r} min(error, 1)), first {gain.unknown!r}",
+        "    error = max(min(error, 1), unknown)",
+        f"    after the sample unknown = unknown / (1 + {gain.unknown_fall!r} K q m dt)",
+        "        K: after its limit; dt: the time to the next sample",
+        "        m: 1/2 if a vector was measured, and 1/2 more if a landmark was",
+        f"        q = {q}",
     ]
 
 

@@ -162,6 +162,7 @@ def _observer(
         "landmarks": len(known.landmarks),
         "substeps": settings.substeps,
         "learns": step.learns,
+        "waits": step.waits,
         "turning": step.learns,
         "uses_time": uses_time or isinstance(schedule, KnotGain),
         "fuzzy": isinstance(schedule, FuzzyGain),
@@ -170,6 +171,7 @@ def _observer(
         "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
         "calls": {key: piece.call for key, piece in step.pieces.items()},
         "initial_gain": repr(initial_gain),
+        "unknown": None if signal.unknown is None else repr(float(signal.unknown.start)),
         "controller": "",
         "knots": "",
     }

@@ -19,7 +19,9 @@ from posegsa.export.scalar_c import Code, literal, written
 from posegsa.export.scalar_trace import Known
 from posegsa.filters.observer import (
     FilterSettings,
+    bias_share,
     displacement,
+    learning_time,
     learnt_biases,
     learnt_vector_biases,
     limited_correction,
@@ -31,7 +33,13 @@ from posegsa.model.limits import POSITION, VECTOR
 from posegsa.model.measurements import Measurements, finite_array
 from posegsa.model.sample import LandmarkSample, Sample, Seen, prepare
 from posegsa.model.schedules import FuzzyGain, Gains, GainSchedule, KnotGain, ScheduleInputs
-from posegsa.model.signal import SignalMemory, SignalSettings, measured_errors, scheduled_gain
+from posegsa.model.signal import (
+    SignalMemory,
+    SignalSettings,
+    measured_errors,
+    scheduled_gain,
+    still_unknown,
+)
 from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
@@ -45,6 +53,8 @@ _NUMBERS = {
     "gamma_angular": ("", "gain of the bias law of the angular velocity at K = 10/s [1/s^2]"),
     "gamma_linear": ("", "gain of the bias law of the velocity at K = 10/s [1/s^2]"),
     "length": ("", "l [m], unit of length in which attitude and position share the gain"),
+    "length_growth": ("", "how much l^2 grows with the farthest landmark's squared distance"),
+    "per_bias_wait": ("", "1 / w^2; w: the error at which the bias laws have half their gains"),
     "per_angular_bias_bound": ("", "1 / bound^2 of the angular velocity's bias [s^2/rad^2]"),
     "per_linear_bias_bound": ("", "1 / bound^2 of the velocity's bias [s^2/m^2]"),
     "gain_limit": ("", "largest step of the innovation, K h L"),
@@ -58,6 +68,8 @@ _NUMBERS = {
     "smoothing": ("", "time constant of the error's low-pass filter [s]"),
     "error_scale": ("", "the error at which the scaled error is 1"),
     "rate_scale": ("", "factor on the change of the error"),
+    "unknown.fall": ("", "how fast the unknown falls, by K dt"),
+    "unknown.rise": ("", "the share of the scaled error that the unknown is at least"),
     "vectors.weights": ("weight_of_vector", "s_i of each vector"),
     "landmark_weights": ("weight_of_landmark", "s_i of each landmark [1/m^2]"),
 }
@@ -196,6 +208,7 @@ class Step:
         self.learns = settings.vector_bias is not None and self.vectors > 0
         if not self.learns:
             settings = replace(settings, vector_bias=None)
+        self.waits, self.unknown = settings.per_bias_wait is not None, signal.unknown is not None
         settings = replace(settings, vectors=replace(settings.vectors, each_agent=True))
         self._settings = self._named(settings)
         self._signal = self._named(signal)
@@ -210,8 +223,12 @@ class Step:
         self._piece(
             *("signal", "the error signal: how well the estimate fits the sample, smoothed"),
             _signal,
-            (now, sample, seen, memory, self._signal),
-            (("w->error", "w->rate"), _wanted(self._memory("next")._replace(gain=_scalar(0.0)))),
+            (now, sample, seen, memory, self._signal, settings),
+            (
+                ("w->error", "w->rate"),
+                _wanted(self._memory("next")._replace(gain=_scalar(0.0))),
+                ("w->share",) if self.waits else (),
+            ),
         )
         if not isinstance(schedule, IN_TABLES):
             inputs = ScheduleInputs(
@@ -228,7 +245,7 @@ class Step:
         self._piece(
             *("correct", "the innovation U, its gain after the limit, and the bias laws"),
             _correct,
-            (following, sample, seen, "w->gain", "h", "moving", settings),
+            (following, sample, seen, "w->gain", "h", "moving", settings, self._share),
             (
                 "w->used",
                 (vec3("w->omega"), moved or (None,) * 3, "w->angle_squared"),
@@ -261,8 +278,15 @@ class Step:
             self._piece(
                 *("learn", "the vectors' biases, from the residuals at the sample"),
                 learnt_vector_biases,
-                (now, sample, seen, learning, "w->used", settings),
+                (now, sample, seen, learning, "w->used", settings, self._share),
                 (following.vector_biases, following.turning),
+            )
+        if self.unknown:
+            self._piece(
+                *("know", "what is still unknown of the biases after the sample"),
+                _still_unknown,
+                (self._memory("next"), sample, seen, "w->used", self._signal, self._share),
+                ("next->unknown",),
             )
         self.pieces["rows"] = rotation_matrix()
 
@@ -286,6 +310,11 @@ class Step:
             return number
 
         return jax.tree_util.tree_map_with_path(name, settings)
+
+    @property
+    def _share(self) -> Any:
+        """The factor on the gains of all bias laws, if they have one."""
+        return "w->share" if self.waits else None
 
     def _state(self, pointer: str) -> FilterState:
         alone = self.attitude_only
@@ -330,6 +359,7 @@ class Step:
             error=_scalar(f"{pointer}->error"),
             gain=_scalar(f"{pointer}->gain"),
             time_step=_scalar(f"{pointer}->since_last"),
+            unknown=_scalar(f"{pointer}->unknown") if self.unknown else (),
         )
 
 
@@ -381,15 +411,34 @@ def rotation_matrix() -> Piece:
 
 
 def _signal(
-    state: FilterState, sample: Sample, seen: Seen, memory: SignalMemory, settings: SignalSettings
-) -> tuple[tuple[Any, Any], SignalMemory]:
-    """The inputs of a schedule, and the memory after the sample."""
+    state: FilterState,
+    sample: Sample,
+    seen: Seen,
+    memory: SignalMemory,
+    settings: SignalSettings,
+    laws: FilterSettings,
+) -> tuple[tuple[Any, Any], SignalMemory, tuple[Any, ...]]:
+    """The inputs of a schedule, the memory after the sample, and the share of the bias laws."""
     errors, step = measured_errors(state, sample, seen), sample.time_step
     # Only the inputs are used, so the schedule and the time do not matter.
     _, inputs, after = scheduled_gain(
         lambda inputs: Gains(inputs.last), memory, errors, step, step, settings
     )
-    return (inputs.error, inputs.rate), after
+    share = bias_share(after, laws, settings)
+    return (inputs.error, inputs.rate), after, () if share is None else (share,)
+
+
+def _still_unknown(
+    memory: SignalMemory,
+    sample: Sample,
+    seen: Seen,
+    used: Any,
+    settings: SignalSettings,
+    share: Any,
+) -> tuple[Any]:
+    """What is unknown of the biases after the sample."""
+    passed = learning_time(sample, used, share)
+    return (still_unknown(memory, seen, passed, settings).unknown,)
 
 
 def _correct(
@@ -400,11 +449,12 @@ def _correct(
     h: Any,
     moving: Any,
     settings: FilterSettings,
+    share: Any,
 ) -> Any:
     """A sub-step of `filters.observer.observe` up to its exponential."""
     W, used = limited_correction(state, sample, seen, gain, h, settings)
     omega, v = displacement(state, sample, W, used, h, moving)
-    biases = learnt_biases(state, sample, W, used, h, settings)
+    biases = learnt_biases(state, sample, W, used, h, settings, share)
     return used, (omega, v, se3.dot(omega, omega)), biases
 
 

@@ -21,6 +21,9 @@
 {% endif %}
     posegsa_real error;           /* the schedule's input, smoothed, before it is scaled */
     posegsa_real since_last;      /* dt of the last sample [s]; infinite before the first */
+{% if unknown %}
+    posegsa_real unknown;         /* what is unknown of the biases, 0 to 1 */
+{% endif %}
 {% if uses_time %}
     posegsa_real time;            /* since the first sample [s] */
 {% endif %}
@@ -63,6 +66,9 @@ typedef struct posegsa_work {
     posegsa_real rate;           /* scaled, 0 to 1 */
     posegsa_real gain;           /* K [1/s] */
     posegsa_real learning;       /* factor on the gain of the vectors' bias law */
+{% if waits %}
+    posegsa_real share;          /* factor on the gains of all bias laws */
+{% endif %}
     posegsa_real used;           /* K after the gain limit [1/s] */
     posegsa_real omega[3];       /* a sub-step's rotation [rad], body frame */
     posegsa_real v[3];           /* a sub-step's displacement [m], body frame */
@@ -101,6 +107,9 @@ typedef struct posegsa_work {
 {% endif %}
     first.error = 0;
     first.since_last = POSEGSA_C(INFINITY);
+{% if unknown %}
+    first.unknown = POSEGSA_C({{ unknown }});
+{% endif %}
 {% if uses_time %}
     first.time = 0;
 {% endif %}
@@ -151,6 +160,9 @@ typedef struct posegsa_work {
     next->gain_used = w->used;
 {% if learns %}
     {{ calls.learn }}
+{% endif %}
+{% if unknown %}
+    {{ calls.know }}
 {% endif %}
 {% if uses_time %}
     next->time = now->time + dt;

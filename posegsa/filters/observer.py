@@ -50,7 +50,8 @@ d^2 times as slowly. In a unit of l metres (`length`) u_2 is multiplied by l^2,
     W = [R^T u_1; R^T (l^2 u_2 - P x u_1)],  Ad(T)^T U likewise [R^T (u_1 - P x u_2); l^2 R^T u_2]
 for the law "gradient"; in L, every 1 that is added to a squared length becomes l^2; and the limit
 of gamma becomes gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d, attitude and position converge
-equally fast. It is the same observer in another unit.
+equally fast. It is the same observer in another unit. With `length_growth` a the unit grows with
+the distance of the farthest measured landmark, l^2 = length^2 + a max |y_i|^2.
 
 Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma,
 f + |b_err|^2 / (2 gamma) never increases. With a varying gamma that function serves while gamma
@@ -60,7 +61,8 @@ bounded variation, as it has for a gain that settles.
 Bounds of the biases. While the pose is far off, the bias laws learn biases that do not exist: with
 the high gain of a start at 100 degrees, b_est grows to many times any real bias, and recovers only
 when the pose does. If the measurements stop before that, b_est stays wrong and the estimate runs
-away. Optional bounds limit |b_est|, and |c_i| below.
+away. Optional bounds limit |b_est|, and |c_i| below. And with `per_bias_wait` all bias laws wait
+for the pose (`bias_share`).
 
 Biases of the vectors. They are part of the sensor model (Eq. 2); ignoring them causes nearly all of
 the steady error. With c_i the estimated bias and d_i = v_i^B - c_i,
@@ -111,6 +113,7 @@ from posegsa.model.signal import (
     measured_errors,
     pose_errors,
     scheduled_gain,
+    still_unknown,
 )
 from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
@@ -175,11 +178,17 @@ class FilterSettings:
     length: Array | None = None
     """l, the unit of length [m] (see the top of this module); None means 1 m, as the law "printed"
     requires."""
+    length_growth: Array | None = None
+    """By how much l^2 grows with the square of the distance of the farthest landmark, no unit; None
+    means 0."""
+    per_bias_wait: Array | None = None
+    """1 / w^2, where w is the error signal at which the gains of all bias laws are half; None if
+    they do not depend on it."""
 
-    @property
-    def unit(self) -> Array | int:
+    def unit(self, sample: Sample) -> Array | int:
         """l^2 [m^2]."""
-        return 1 if self.length is None else self.length * self.length
+        unit = 1 if self.length is None else self.length * self.length
+        return unit if self.length_growth is None else unit + self.length_growth * sample.reach
 
 
 class Innovation(NamedTuple):
@@ -264,7 +273,8 @@ def bias_gains(
         return gammas
     follow = _following(settings.gamma_law, used)
     linear = 0.5 / sample.time_step
-    reach = sample.reach if settings.length is None else sample.reach / settings.unit
+    unit = settings.unit(sample)
+    reach = sample.reach if isinstance(unit, int) else sample.reach / unit
     angular = linear / (1 + reach)
     largest = used * angular, used * linear
     angular, linear = (minimum(g * follow, most) for g, most in zip(gammas, largest, strict=True))
@@ -286,8 +296,9 @@ def limited_correction(
     settings: FilterSettings,
 ) -> tuple[Correction, Array]:
     """W at an estimate, and the limited gain K [1/s] for a sub-step of h [s]."""
-    U = innovation(state, sample, seen, settings.unit)
-    W = correction(state, U, settings.law, settings.unit)
+    unit = settings.unit(sample)
+    U = innovation(state, sample, seen, unit)
+    W = correction(state, U, settings.law, unit)
     # K h L <= c < 2: a gradient step that does not overshoot. If L is 0 (no measurements) or c is
     # infinite (no limit), neither value nor derivative may depend on them.
     length = h * U.curvature
@@ -323,9 +334,14 @@ def learnt_biases(
     used: Array,
     h: Array,
     settings: FilterSettings,
+    share: Array | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s]."""
+    """Estimates of the velocities' biases [rad/s] and [m/s] after a sub-step of h [s].
+
+    `share` is a factor on both gammas.
+    """
     gamma_angular, gamma_linear = bias_gains(used, sample, settings)
+    h = h if share is None else share * h
     angular = add(state.bias_angular, scale(h, scale(-gamma_angular, W.bias_angular)))
     linear = add(state.bias_linear, scale(h, scale(-gamma_linear, W.bias_linear)))
     return (
@@ -347,7 +363,12 @@ def bounded(c: Vec3, per_bound: Array | None) -> Vec3:
 
 
 def observe(
-    state: FilterState, sample: Sample, seen: Seen, gains: Gains, settings: FilterSettings
+    state: FilterState,
+    sample: Sample,
+    seen: Seen,
+    gains: Gains,
+    settings: FilterSettings,
+    share: Array | None = None,
 ) -> tuple[FilterState, Array]:
     """One sample, by components: n sub-steps with the measurement held (pure).
 
@@ -362,6 +383,7 @@ def observe(
         seen: from `see`.
         gains: K [1/s], of the batch shape, and the factors on the gains of the bias laws.
         settings: laws, sub-steps, gains, gain limit.
+        share: Factor on the gains of all bias laws (`bias_share`).
 
     Returns:
         The estimate at the next sample, and the mean gain used in the sub-steps after the limit.
@@ -377,15 +399,35 @@ def observe(
         used_total = used_total + used
         omega, v = displacement(state, sample, W, used, h, dt if j == n - 1 else None)
         attitude, place = move(state.attitude, state.place, omega, v)
-        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings)
+        bias_angular, bias_linear = learnt_biases(state, sample, W, used, h, settings, share)
         state = state._replace(
             attitude=attitude, place=place, bias_angular=bias_angular, bias_linear=bias_linear
         )
     used = used_total / n
     vector_biases, turning = learnt_vector_biases(
-        before, sample, seen, gains.learning, used, settings
+        before, sample, seen, gains.learning, used, settings, share
     )
     return state._replace(vector_biases=vector_biases, turning=turning), used
+
+
+def bias_share(
+    memory: SignalMemory, settings: FilterSettings, signal: SignalSettings
+) -> Array | None:
+    """The factor on the gains of all bias laws, 1 / (1 + (z / w)^4).
+
+    z is the error signal of this sample, neither smoothed nor scaled.
+    """
+    if settings.per_bias_wait is None:
+        return None
+    z = memory.attitude + signal.position_weight * memory.position
+    x = settings.per_bias_wait * z * z
+    return 1 / (1 + x * x)
+
+
+def learning_time(sample: Sample, used: Array, share: Array | None) -> Array:
+    """K dt of a sample, times the factor on the gains of all bias laws, no unit."""
+    passed = used * sample.time_step
+    return passed if share is None else share * passed
 
 
 def learnt_vector_biases(
@@ -395,8 +437,12 @@ def learnt_vector_biases(
     learning: Array | float,
     used: Array,
     settings: FilterSettings,
+    share: Array | None = None,
 ) -> tuple[tuple[Vec3, ...], Vec3 | tuple[()]]:
-    """Estimates c_i after a step of the vectors' bias law, and the low-passed angular velocity."""
+    """Estimates c_i after a step of the vectors' bias law, and the low-passed angular velocity.
+
+    `learning` and `share` are factors on its gain.
+    """
     law, turning = settings.vector_bias, state.turning
     if law is None or isinstance(sample.vectors, Wahba) or not turning:
         return state.vector_biases, turning
@@ -406,14 +452,15 @@ def learnt_vector_biases(
     w = subtract(turning, state.bias_angular)
     w2 = dot(w, w)
     gain = law.gain * _following(law.law, used)
-    share = minimum(learning * dt * gain * minimum(law.per_turning * w2 * w2, 1.0), 1.0)
+    gain = gain if share is None else share * gain
+    step = minimum(learning * dt * gain * minimum(law.per_turning * w2 * w2, 1.0), 1.0)
     kept = 1 - dt * law.leak
     biases = []
     for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):
         residual = subtract(d, unrotate(R, vector.known))
         # While a vector is missing its bias estimate neither changes nor decays.
         measured = vector.factor > 0
-        now = choose(measured, share, jnp.zeros_like(share))
+        now = choose(measured, step, jnp.zeros_like(step))
         c = add(scale(choose(measured, kept, 1.0), c), scale(now, residual))
         biases.append(bounded(c, law.per_bound))
     return tuple(biases), turning
@@ -445,7 +492,9 @@ class ReadyObserver(NamedTuple):
         gains, inputs, memory = scheduled_gain(
             self.schedule, state.memory, errors, now.time, now.sample.time_step, self.signal
         )
-        estimate, used = observe(state.estimate, now.sample, seen, gains, self.settings)
+        share = bias_share(memory, self.settings, self.signal)
+        estimate, used = observe(state.estimate, now.sample, seen, gains, self.settings, share)
+        memory = still_unknown(memory, seen, learning_time(now.sample, used, share), self.signal)
         return ObserverState(estimate, memory), Record(
             gain=gains.gain, gain_used=used, error=inputs.error, rate=inputs.rate
         )
@@ -518,7 +567,8 @@ class Observer:
             if not initial.turning:
                 zero = jnp.zeros_like(initial.place[0])
                 initial = initial._replace(turning=(zero, zero, zero))
-        return ObserverState(initial, initial_memory(self._chosen, initial.place[0]))
+        memory = initial_memory(self._chosen, initial.place[0], self.signal.unknown)
+        return ObserverState(initial, memory)
 
     def ready(self) -> ReadyObserver:
         """The observer with its schedule prepared (slopes and overlaps of the terms)."""
@@ -538,6 +588,13 @@ def _with_value(
     match key.split("."):
         case ["gain", "position_weight" | "smoothing" | "error_scale" | "rate_scale" as name]:
             return settings, replace(signal, **{name: value})
+        case ["gain", name] if signal.unknown is not None and name in _OF_UNKNOWN:
+            unknown = replace(signal.unknown, **{_OF_UNKNOWN[name]: value})
+            return settings, replace(signal, unknown=unknown)
+        case ["bias_wait"]:
+            return replace(settings, per_bias_wait=1 / value**2), signal
+        case ["length_growth"]:
+            return replace(settings, length_growth=value), signal
         case ["gamma"]:
             return replace(settings, gamma_angular=value, gamma_linear=value), signal
         case ["gamma", "0"]:
@@ -570,6 +627,8 @@ def _with_value(
     )
 
 
+_OF_UNKNOWN = {"unknown": "start", "unknown_fall": "fall", "unknown_rise": "rise"}
+"""For each key of [gain]: the field of `Unknown` that it sets."""
 _OF_VECTOR_BIAS: dict[str, tuple[str, Callable[[Array], Array]]] = {
     "vector_bias_gain": ("gain", lambda gain: gain),
     "vector_bias_leak": ("leak", lambda leak: leak),

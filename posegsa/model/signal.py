@@ -38,6 +38,19 @@ class TruePose(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Unknown:
+    """How the schedule's input tells what is unknown of the biases; the numbers are traced."""
+
+    start: Array
+    """Its value before the first sample, in the unit of the schedule's input: 0 to 1."""
+    fall: Array
+    """How fast it falls at the gain K: its rate is `fall` K [1/s], so it has no unit."""
+    rise: Array
+    """The share of the scaled error that it is at least, no unit."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class SignalSettings:
     """Settings of the error signal; `signal` and `rate` are static, the numbers are traced."""
 
@@ -52,6 +65,8 @@ class SignalSettings:
     """The signal at which the scaled error is 1."""
     rate_scale: Array | float = 1.0
     """Factor on the signal's change (per sample, or [s] per second) before it is clipped."""
+    unknown: Unknown | None = None
+    """How the schedule's input tells what is unknown of the biases; None if it does not."""
 
 
 class Measured(NamedTuple):
@@ -128,9 +143,13 @@ class SignalMemory(NamedTuple):
     """The last gain that the schedule requested [1/s]."""
     time_step: Array
     """Time since the last sample [s]; infinite before the first one."""
+    unknown: Array | tuple[()] = ()
+    """What is unknown of the biases, 0 to 1; () if the schedule does not look at it."""
 
 
-def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
+def initial_memory(
+    schedule: GainSchedule, like: Array, unknown: Unknown | None = None
+) -> SignalMemory:
     """The memory before the first sample, in the shape and dtype of `like`."""
     gain = jnp.broadcast_to(jnp.asarray(schedule.initial_gain(), like.dtype), like.shape)
     zero = jnp.zeros_like(like)
@@ -140,6 +159,7 @@ def initial_memory(schedule: GainSchedule, like: Array) -> SignalMemory:
         error=zero,
         gain=gain,
         time_step=jnp.full_like(like, jnp.inf),
+        unknown=() if unknown is None else jnp.broadcast_to(unknown.start, like.shape),
     )
 
 
@@ -157,7 +177,8 @@ def scheduled_gain(
     x position after a first-order low-pass filter (backward Euler, starting at the first value).
     The inputs of the schedule are e / error_scale and the rate |e_k - e_{k-1}| x rate_scale, for
     "per_second" divided by the time between the two; both are clipped to [0, 1]. The rate comes
-    from the unscaled, unclipped e, and is 0 at the first sample.
+    from the unscaled, unclipped e, and is 0 at the first sample. With `settings.unknown` the first
+    is at least what is unknown of the biases, which is at least a share of it.
 
     Returns:
         The gains, the inputs of the schedule, and the memory for the next sample.
@@ -174,8 +195,12 @@ def scheduled_gain(
     change = jnp.abs(e - previous)
     if settings.rate == "per_second":
         change = change / memory.time_step
+    error, unknown = minimum(maximum(e * (1 / settings.error_scale), 0.0), 1.0), memory.unknown
+    if settings.unknown is not None and not isinstance(unknown, tuple):
+        unknown = maximum(unknown, settings.unknown.rise * error)
+        error = maximum(error, unknown)
     inputs = ScheduleInputs(
-        error=minimum(maximum(e * (1 / settings.error_scale), 0.0), 1.0),
+        error=error,
         rate=minimum(change * settings.rate_scale, 1.0),
         time=time,
         last=memory.gain,
@@ -187,5 +212,31 @@ def scheduled_gain(
         error=e,
         gain=gains.gain,
         time_step=jnp.broadcast_to(time_step, e.shape),
+        unknown=unknown,
     )
     return gains, inputs, memory
+
+
+def still_unknown(
+    memory: SignalMemory, seen: Seen, learnt: Array, settings: SignalSettings
+) -> SignalMemory:
+    """The memory after a sample, from which the biases were learnt.
+
+    What is unknown falls with what corrects the estimate: vectors count as one half, landmarks as
+    the other. Where nothing is measured it stays.
+
+    Args:
+        memory: From `scheduled_gain`.
+        seen: What was measured.
+        learnt: K dt of the sample, times the factor on the gains of the bias laws.
+        settings: As there.
+    """
+    unknown = memory.unknown
+    if settings.unknown is None or isinstance(unknown, tuple):
+        return memory
+    none, half = jnp.zeros_like(learnt), jnp.full_like(learnt, 0.5)
+    total = none
+    for weight in seen.landmark_weights:
+        total = total + weight
+    measured = choose(seen.wahba.scale > 0, half, none) + choose(total > 0, half, none)
+    return memory._replace(unknown=unknown / (1 + settings.unknown.fall * learnt * measured))

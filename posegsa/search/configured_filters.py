@@ -18,7 +18,7 @@ from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.leads import LEAD_KEYS, Leads
 from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
 from posegsa.filters.observer import FilterSettings, Observer, VectorBias
-from posegsa.model.signal import SignalSettings
+from posegsa.model.signal import SignalSettings, Unknown
 from posegsa.model.vectors import VectorSettings
 from posegsa.search.host_arrays import host_array
 
@@ -80,6 +80,8 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         length=number(section.length)
         if section.length != 1.0 or any(one.key == "filter.length" for one in experiment.also)
         else None,
+        length_growth=None if section.length_growth == "off" else number(section.length_growth),
+        per_bias_wait=None if section.bias_wait == "off" else per_square(section.bias_wait),
     )
 
 
@@ -194,4 +196,11 @@ def signal_settings(section: config.GainConfig, dtype: DTypeLike) -> SignalSetti
         smoothing=host_array(section.smoothing, dtype),
         error_scale=host_array(section.error_scale, dtype),
         rate_scale=host_array(section.rate_scale, dtype),
+        unknown=None
+        if section.unknown == "off"
+        else Unknown(
+            start=host_array(section.unknown, dtype),
+            fall=host_array(section.unknown_fall, dtype),
+            rise=host_array(section.unknown_rise, dtype),
+        ),
     )

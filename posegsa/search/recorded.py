@@ -221,7 +221,10 @@ def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
     return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *chain(*configured))
 
 
-_OF_POSITION = ("length", "velocity", "linear_walk", "landmark", "initial_position", "linear_lead")
+_OF_POSITION = (
+    *("length", "length_growth", "velocity", "linear_walk", "landmark", "initial_position"),
+    "linear_lead",
+)
 """Numbers of [filter] that have an effect only where landmarks are seen."""
 
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override, to_toml
+from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError, PosegsaError, RunFolderError
 from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evosax, Optimiser
 
@@ -46,10 +47,18 @@ def test_every_file_loads(path: Path) -> None:
     assert load(str(path)) == load(path)
 
 
-def test_the_observer_file_holds_the_defaults() -> None:
-    observer = load(CONFIGS / "observer.toml")
+MENDED = {"filter.length_growth": 0.1, "filter.bias_wait": 0.3, "gain.unknown": 0.5}
+"""What observer.toml has on that is off by default."""
+NOT_MENDED = dict.fromkeys(MENDED, "off")
+
+
+def test_the_observer_file_holds_the_defaults_but_for_what_is_off_by_default() -> None:
+    observer, default = load(CONFIGS / "observer.toml"), Experiment()
     assert observer.tuned.numbers
-    assert observer.replace(tuned=config.TunedConfig()) == Experiment()
+    on = with_numbers(default.model_dump(mode="json"), MENDED)
+    assert observer.replace(tuned=config.TunedConfig()) == from_dict(on)
+    off = leaves(default.model_dump())
+    assert {key: off[f".{key}"] for key in MENDED} == NOT_MENDED
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -96,6 +105,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     )
     assert {key: value for key, value in changed.items() if key not in search} == {
         **ONE_START,
+        **NOT_MENDED,
         "run.training_scenarios": 1,
         "filter.gamma": 5.0,
         "filter.gamma_law": "fixed",
@@ -109,7 +119,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
 
 
 def test_the_papers_start_is_the_observer_on_the_papers_scenario() -> None:
-    assert changes("paper_start") == ONE_START
+    assert changes("paper_start") == ONE_START | NOT_MENDED
 
 
 def test_the_literal_paper_differs_where_the_paper_says_so() -> None:
@@ -132,6 +142,7 @@ def test_the_quick_file_only_makes_scenarios_and_search_smaller() -> None:
     for key in ("scenario.duration", "cost.steady_window.1"):
         assert changed.pop(key) == ONE_START[key]
     assert changed == {
+        **NOT_MENDED,
         "run.training_scenarios": 4,
         "run.held_out_scenarios": 16,
         "search.agents": 32,

@@ -101,7 +101,7 @@ def test_a_number_without_effect_is_refused(key) -> None:
     assert "parameters.also.0" not in said
 
 
-RECOMMENDED = {one.key for one in config.Experiment().parameters.also}
+RECOMMENDED = {one.key for one in config.Experiment().also}
 OF_BIAS = {"filter.vector_bias_gain"}
 
 
@@ -119,6 +119,7 @@ def keys_of(experiment: config.Experiment) -> set[str]:
         ([], set()),
         (["filter.vector_bias=off"], OF_BIAS),
         (["filter.law=printed"], {"filter.length"}),
+        (["gain.unknown=off"], set()),
         (["filter.gamma=3.0"], {"filter.gamma"}),
         (["filter.gamma=[3.0, 4.0]"], {"filter.gamma"}),
         (["gain.smoothing=1.0", "filter.vector_bias=off"], {"gain.smoothing"} | OF_BIAS),
@@ -143,7 +144,15 @@ def test_so_it_is_of_a_file_and_of_python() -> None:
         filter=config.ObserverConfig(gamma=3.5), gain=config.GainConfig(smoothing=0.0)
     )
     assert keys_of(stated) == RECOMMENDED - {"filter.gamma", "gain.smoothing"}
-    assert config.Experiment().also == config.Experiment().parameters.also
+
+
+def test_what_is_off_is_not_tuned_by_default_and_what_is_on_is() -> None:
+    whole = config.load("observer")
+    of_unknown = {"gain.unknown", "gain.unknown_fall", "gain.unknown_rise"}
+    assert keys_of(whole) == RECOMMENDED | of_unknown | {"filter.bias_wait", "filter.length_growth"}
+    off = config.override(whole, ["gain.unknown=off", "filter.bias_wait=off"])
+    assert keys_of(off) == RECOMMENDED | {"filter.length_growth"}
+    assert not off.tuned.numbers, "they were of another filter"
 
 
 def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:

@@ -57,7 +57,7 @@ from posegsa.model.schedules import (
     SmoothGain,
     SwitchGain,
 )
-from posegsa.model.signal import SignalSettings
+from posegsa.model.signal import SignalSettings, Unknown
 from posegsa.search.configured_filters import filter_settings, signal_settings
 
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0], [-0.3, 2.0, 0.4]])
@@ -105,9 +105,11 @@ class Case:
 def signal(**numbers: Any) -> SignalSettings:
     values = {"position_weight": 0.3, "smoothing": 0.0, "error_scale": 0.4, "rate_scale": 2.0}
     texts = {"signal": "measured", "rate": "per_sample"}
+    unknown = numbers.pop("unknown", None)
     for name, value in numbers.items():
         (texts if isinstance(value, str) else values)[name] = value
-    return SignalSettings(**texts, **{k: jnp.asarray(v, np.float64) for k, v in values.items()})
+    made = {name: jnp.asarray(value, np.float64) for name, value in values.items()}
+    return SignalSettings(**texts, **made, unknown=unknown)
 
 
 def recommended_result(*more: str, **fields: Any) -> Result:
@@ -223,6 +225,29 @@ def over_time() -> Case:
     )
 
 
+def unknown() -> Case:
+    """The input tells what is unknown, the bias laws wait, and the unit of length grows."""
+    result = recommended_result()
+    numbers = {"start": 0.6, "fall": 0.005, "rise": 0.5}
+    told = Unknown(**{name: jnp.asarray(value, np.float64) for name, value in numbers.items()})
+    return Case(
+        schedule=result.schedule,
+        settings=settings(
+            gamma_law="quadratic",
+            substeps=2,
+            vectors=vector_settings(normalise=True, each_agent=True),
+            learnt=vector_bias(follows="linear"),
+            length=1.5,
+            length_growth=0.2,
+            bias_wait=0.4,
+        ),
+        signal=signal(smoothing=0.4, unknown=told),
+        vectors=VECTORS[:2],
+        landmarks=LANDMARKS[:2],
+        layout=Layout(2, 2, learns=True, unknown=True),
+    )
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "observer": recommended,
     "printed": printed,
@@ -230,6 +255,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "landmarks alone": landmarks_alone,
     "attitude alone": attitude_alone,
     "over time": over_time,
+    "unknown": unknown,
 }
 
 

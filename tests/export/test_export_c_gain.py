@@ -254,6 +254,10 @@ def test_the_head_comment_says_how_the_inputs_are_formed():
     assert "v_3 = v_1 x v_2" in text
     smoothed = head(tuned(K, *settings, "gain.smoothing=0.05"))
     assert "e = before + dt / (0.05 s + dt) (now - before)" in smoothed
+    unknown = head(tuned(K, *settings, "gain.unknown=0.625", "filter.bias_wait=0.5"))
+    assert "unknown = max(unknown, 0.5 min(error, 1)), first 0.625" in unknown
+    assert "q = 1 / (1 + (now / 0.5)^4)" in unknown
+    assert "max(unknown" not in text
     pose = head(tuned(K, "gain.signal=pose"))
     assert "An oracle, for simulation only" in pose
     assert "v_i^B" not in pose

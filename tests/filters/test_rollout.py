@@ -124,6 +124,10 @@ def reference_run(
         rate_scale=g.rate_scale,
         vector_bias=law if f.vector_bias == "estimated" else None,
         learning=learning,
+        unknown=None if g.unknown == "off" else (g.unknown, g.unknown_fall, g.unknown_rise),
+        bias_wait=None if f.bias_wait == "off" else f.bias_wait,
+        length=f.length,
+        length_growth=0.0 if f.length_growth == "off" else f.length_growth,
         as_used=as_used(experiment),
         law=f.law,
         gamma=gamma,
@@ -143,7 +147,10 @@ def assert_same_run(
         "position": (estimates.position, expected.T_est[:, :3, 3]),
         "bias": (estimates.bias, expected.b_est),
         "gain": (estimates.gain, expected.gain),
-        "error": (estimates.error, np.clip(expected.e / signal.error_scale, 0, 1)),
+        "error": (
+            estimates.error,
+            np.maximum(np.clip(expected.e / signal.error_scale, 0, 1), expected.unknown),
+        ),
         "rate": (estimates.rate, np.clip(expected.rate * signal.rate_scale, 0, 1)),
     }
     if estimates.vector_bias.shape[1] > 0:
@@ -251,6 +258,16 @@ CHAINS = {  # each needs its own compilation, so each combines many options
             "filter.bias_bound=[0.5, 1.5]",
             "gain.smoothing=0.02",
         ),
+        missing=0.3,
+    ),
+    "what is unknown, a growing length": Chain(
+        (
+            *LEARNT,
+            *("filter.gamma_law=quadratic", "filter.substeps=2", "filter.bias_wait=0.4"),
+            *("filter.length=1.5", "filter.length_growth=0.3", "gain.smoothing=0.05"),
+            *("gain.unknown=0.4", "gain.unknown_fall=0.05", "gain.unknown_rise=0.6"),
+        ),
+        landmarks=2,
         missing=0.3,
     ),
 }

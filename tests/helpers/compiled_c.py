@@ -67,6 +67,7 @@ class Layout(NamedTuple):
     landmarks: int
     learns: bool
     time: bool = False
+    unknown: bool = False
 
     def fields(self) -> dict[str, int]:
         """The fields in order, and the number of values of each."""
@@ -82,6 +83,7 @@ class Layout(NamedTuple):
             "position_error": 1 if self.landmarks else 0,
             "error": 1,
             "since_last": 1,
+            "unknown": 1 if self.unknown else 0,
             "time": 1 if self.time else 0,
             "gain": 1,
             "gain_used": 1,

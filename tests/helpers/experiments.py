@@ -25,7 +25,8 @@ PAPER = config.load(Path(__file__).parents[2] / "configs" / "paper.toml")
 LEARNT = (
     *("filter.vector_bias=estimated", "filter.vector_bias_law=linear"),
     *("filter.gamma_law=quadratic", "filter.substeps=2", "gain.smoothing=1.5"),
-    *("filter.length=2.0", "filter.bias_bound=[0.5, 1.5]"),
+    *("filter.length=2.0", "filter.bias_bound=[0.5, 1.5]", "filter.length_growth=0.1"),
+    *("filter.bias_wait=0.4", "gain.unknown=0.5"),
 )
 """The laws of the observer of observer.toml, with all optional numbers of a filter."""
 

@@ -86,6 +86,8 @@ def settings(
     landmark_weights: Sequence[float] | None = None,
     learnt: VectorBias | None = None,
     length: float | None = None,
+    length_growth: float | None = None,
+    bias_wait: float | None = None,
     bias_bounds: tuple[float, float] | None = None,
 ) -> FilterSettings:
     """The filter's settings; by default measurements and weights are used as they are."""
@@ -103,6 +105,8 @@ def settings(
         and tuple(jnp.asarray(s, dtype) for s in landmark_weights),
         vector_bias=learnt,
         length=None if length is None else jnp.asarray(length, dtype),
+        length_growth=None if length_growth is None else jnp.asarray(length_growth, dtype),
+        per_bias_wait=None if bias_wait is None else jnp.asarray(bias_wait**-2, dtype),
         per_angular_bias_bound=bias_bounds and jnp.asarray(bias_bounds[0] ** -2, dtype),
         per_linear_bias_bound=bias_bounds and jnp.asarray(bias_bounds[1] ** -2, dtype),
     )

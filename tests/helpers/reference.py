@@ -81,6 +81,7 @@ class Trajectory:
     gain: Array  # (N,) requested K, before any gain limit
     e: Array  # (N,) error signal, smoothed, neither scaled nor clipped
     rate: Array  # (N,) its change since the sample before, neither scaled nor clipped
+    unknown: Array  # (N,) what is unknown of the biases, which the scaled error is at least
     attitude_error: Array  # (N,) ||R_err||_I, in [0, 1]
     position_error: Array  # (N,) |P_err|, m
 
@@ -141,16 +142,27 @@ def innovation(
 
 
 def curvature(
-    T_est: Array, y: Array, p: Array, sL: Array, vB: Array, vI: Array, sR: Array
+    T_est: Array,
+    y: Array,
+    p: Array,
+    sL: Array,
+    vB: Array,
+    vI: Array,
+    sR: Array,
+    square_length: float = 1.0,
 ) -> float:
-    """L with x_i = T_est y_i; a step is stable if K dt L < 2."""
+    """L with x_i = T_est y_i, in a unit of length of which this is the square, m^2.
+
+    A step is stable if K dt L < 2.
+    """
     total = 0.0
     for i in np.flatnonzero(sR):
         total += 0.5 * sR[i] * np.linalg.norm(vB[i]) * np.linalg.norm(vI[i])
     for i in np.flatnonzero(sL):
         x = np.linalg.norm((T_est @ np.append(y[i], 1.0))[:3])
         q = np.linalg.norm(p[i])
-        total += 0.25 * sL[i] * (1.0 + x * q + np.sqrt((1.0 + x**2) * (1.0 + q**2)))
+        l2 = square_length
+        total += 0.25 * sL[i] * (l2 + x * q + np.sqrt((l2 + x**2) * (l2 + q**2)))
     return float(total)
 
 
@@ -231,6 +243,9 @@ def filter_step(
     gamma_law: GammaLaw = "fixed",
     substeps: int = 1,
     gain_limit: float | None = None,
+    length: float = 1.0,
+    length_growth: float = 0.0,
+    share: float = 1.0,
     bias_bounds: tuple[float, float] | None = None,
     gains_used: list[float] | None = None,
 ) -> tuple[Array, Array]:
@@ -238,19 +253,29 @@ def filter_step(
 
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
     and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of
-    omega, y the farthest landmark.  gain_limit is c of K_used = min(K, c / (dt/n L)).  bias_bounds
-    are the largest lengths of the biases of omega and v.  Each of the n inner steps evaluates
-    everything at its own start, with the same measurement; the velocity (Y_m - b_est) dt enters
-    only with the last one.  The sample's vectors are those that are used.
+    omega, y the farthest landmark.  Lengths are in units of l, with l^2 = length^2 + length_growth
+    |y|^2: the linear part of U in W, and the bias law of v, are multiplied by l^2, each 1 that is
+    added to a squared length in L is l^2, and |y|^2 is divided by it.  share multiplies both gammas
+    last.  gain_limit is c of K_used = min(K, c / (dt/n L)).  bias_bounds are the largest lengths of
+    the biases of omega and v.  Each of the n inner steps evaluates everything at its own start,
+    with the same measurement; the velocity (Y_m - b_est) dt enters only with the last one.  The
+    sample's vectors are those that are used.
     """
     s, h = sample, sample.dt / substeps
     measured = (s.y, s.p, s.sL, s.vB, s.vI, s.sR)
+    squares = [float(y @ y) for y, w in zip(s.y, s.sL, strict=True) if w > 0]
+    farthest = max(squares, default=0.0)
+    l2 = length**2 + length_growth * farthest
+    metric = np.diag([1.0, 1.0, 1.0, l2, l2, l2])
     for inner in range(substeps):
         U = innovation(T_est, *measured)
         inverse, transpose = np.linalg.inv(adjoint(T_est)), adjoint(T_est).T
-        for_W, for_b = {"gradient": (inverse, transpose), "printed": (transpose, inverse)}[law]
+        for_W, for_b = {
+            "gradient": (inverse @ metric, metric @ transpose),
+            "printed": (transpose, inverse),
+        }[law]
         W = for_W @ U
-        K_used, hL = gain, h * curvature(T_est, *measured)
+        K_used, hL = gain, h * curvature(T_est, *measured, l2)
         if gain_limit is not None and hL > 0:
             K_used = min(gain, gain_limit / hL)
         if gains_used is not None:
@@ -259,12 +284,9 @@ def filter_step(
         if gamma_law != "fixed":
             power = {"linear": 1, "quadratic": 2}[gamma_law]
             g = g * (K_used / 10.0) ** power
-            farthest = max(
-                (float(y @ y) for y, w in zip(s.y, s.sL, strict=True) if w > 0), default=0
-            )
-            g[:3] = np.minimum(g[:3], K_used / (2 * s.dt * (1 + farthest)))
+            g[:3] = np.minimum(g[:3], K_used / (2 * s.dt * (1 + farthest / l2)))
             g[3:] = np.minimum(g[3:], K_used / (2 * s.dt))
-        b_dot = -g * (for_b @ U)
+        b_dot = -share * g * (for_b @ U)
         move = K_used * W * h
         if inner == substeps - 1:
             move = move + (np.concatenate([s.omega, s.v]) - b_est) * s.dt
@@ -442,6 +464,8 @@ def run(
     upper: float = 100.0,
     vector_bias: VectorBias | None = None,
     learning: Callable[[float], float] = lambda time: 1.0,
+    unknown: tuple[float, float, float] | None = None,
+    bias_wait: float | None = None,
     as_used: dict[str, Any] | None = None,
     **step_options: Any,
 ) -> Trajectory:
@@ -453,27 +477,38 @@ def run(
     gain_function(error, rate, last gain) -> K sees e / error_scale and |e_k - e_{k-1}| rate_scale,
     "per_second" over the time between the two, each clipped to [0, 1], the rate 0 at sample 0.  The
     last gain is the K requested at the sample before, 1 + (lower + upper) / 2 at sample 0.
-    learning(time) is the factor on vector_bias' gain.  as_used goes to `used_sample`, step_options
-    to `filter_step`.
+    learning(time) is the factor on vector_bias' gain.  unknown (start, fall, rise): the error that
+    gain_function sees is at least u, which begins at start, is at least rise times the scaled and
+    clipped error, and is divided by 1 + fall K_used dt share m after each sample, m = 1/2 for
+    measured vectors + 1/2 for measured landmarks.  share = 1 / (1 + (z / bias_wait)^4), z the error
+    signal before the low-pass filter, multiplies the gains of all bias laws.  as_used goes to
+    `used_sample`, step_options to `filter_step`.
     """
     T_est, b_est, last = T0_est, b0_est, 1.0 + (lower + upper) / 2.0
     c_est, turning, time = np.zeros_like(samples[0].vI), np.zeros(3), 0.0
     parts, e, rows = [0.0, 0.0], 0.0, []
+    u, fall, rise = unknown or (0.0, 0.0, 0.0)
     for k, sample in enumerate(samples):
         used = used_sample(sample, c_est, **as_used or {})
         true = pose_errors(T_est, T_true[k])
         measured = true if signal == "pose" else measured_errors(T_est, used)
         parts = [old if new is None else new for old, new in zip(parts, measured, strict=True)]
         before, e, change = e, parts[0] + position_weight * parts[1], 0.0
+        share = 1.0 if bias_wait is None else 1 / (1 + (e / bias_wait) ** 4)
         if k > 0:
             passed = samples[k - 1].dt
             e = (passed * e + smoothing * before) / (passed + smoothing)
             change = abs(e - before) / (passed if rate == "per_second" else 1.0)
         seen = np.clip([e / error_scale, change * rate_scale], 0.0, 1.0)
-        last = gain_function(float(seen[0]), float(seen[1]), last)
-        rows.append((T_est, b_est, c_est, last, e, change, *true))
+        u = max(u, rise * float(seen[0]))
+        last = gain_function(max(float(seen[0]), u), float(seen[1]), last)
+        rows.append((T_est, b_est, c_est, last, e, change, u, *true))
         gains: list[float] = []
-        stepped = filter_step(T_est, b_est, used, last, gains_used=gains, **step_options)
+        stepped = filter_step(
+            T_est, b_est, used, last, share=share, gains_used=gains, **step_options
+        )
+        measures = 0.5 * np.any(used.sR > 0) + 0.5 * np.any(used.sL > 0)
+        u /= 1 + fall * float(np.mean(gains)) * sample.dt * share * float(measures)
         if vector_bias is not None:
             c_est, turning = learn_vector_biases(
                 T_est,
@@ -481,7 +516,7 @@ def run(
                 c_est,
                 turning,
                 sample,
-                learning(time),
+                learning(time) * share,
                 vector_bias,
                 float(np.mean(gains)),
             )

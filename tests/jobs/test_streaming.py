@@ -19,7 +19,10 @@ from posegsa.model.schedules import SwitchGain
 
 pytestmark = pytest.mark.quick
 
-LEARNT = ("filter.vector_bias=estimated", "filter.substeps=2", "gain.smoothing=0.3")
+LEARNT = (
+    *("filter.vector_bias=estimated", "filter.substeps=2", "gain.smoothing=0.3"),
+    *("gain.unknown=0.5", "filter.bias_wait=3.0", "filter.length_growth=0.1"),
+)
 N = 40
 START = {"rotation": np.diag([1.0, -1.0, -1.0]), "position": np.array([0.5, -1.0, 2.0])}
 

@@ -23,7 +23,7 @@ from posegsa.filters.rollout import run_filter, simulate
 from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.sample import Sample
+from posegsa.model.sample import Sample, Seen
 from posegsa.model.schedules import (
     ConstantGain,
     FuzzyGain,
@@ -40,7 +40,9 @@ from posegsa.model.signal import (
     measured_errors,
     pose_errors,
     scheduled_gain,
+    still_unknown,
 )
+from posegsa.model.vectors import Wahba
 from posegsa.search.configured_filters import signal_settings
 
 N = 60
@@ -276,6 +278,34 @@ def test_smoothing_goes_by_the_time_since_the_last_sample() -> None:
         heard.append(float(gain))
     # 0.01 s passed before the second sample, 0.03 s before the third.
     np.testing.assert_allclose(heard, [0.8, 0.8 * 0.75, 0.8 * 0.75 * 0.5], rtol=1e-6)
+
+
+def test_what_is_unknown_falls_by_what_is_measured_and_not_by_time() -> None:
+    made = signal_settings(GainConfig(unknown=0.5, unknown_fall=0.1), jnp.float32)
+    memory = initial_memory(ConstantGain(jnp.asarray(0.0)), jnp.asarray(0.0), made.unknown)
+    zero = jnp.asarray(0.0)
+    nothing = Wahba(((zero,) * 3,) * 3, power=zero, curvature=zero, scale=zero)
+    vectors = nothing._replace(scale=zero + 0.3)
+    for wahba, weights, want in (
+        (nothing, (zero, zero), 0.5),
+        (vectors, (zero, zero), 0.5 / 1.1),
+        (nothing, (zero, zero + 2), 0.5 / 1.1),
+        (vectors, (zero + 1,), 0.5 / 1.2),
+        (vectors, (), 0.5 / 1.1),
+    ):
+        after = still_unknown(memory, Seen(wahba, (), weights), zero + 2, made)
+        np.testing.assert_allclose(after.unknown, want, rtol=1e-6)
+
+
+def test_the_error_is_at_least_what_is_unknown_which_rises_with_it() -> None:
+    changes = {"unknown": 0.4, "unknown_rise": 0.75, "error_scale": 2.0, "rate_scale": 0.0}
+    made = signal_settings(GainConfig(**PAPER.gain.model_dump() | changes), jnp.float32)
+    memory = initial_memory(ConstantGain(jnp.asarray(0.0)), jnp.asarray(0.0), made.unknown)
+    heard = []
+    for error in (0.2, 1.2, 0.0, 5.0, 0.0):
+        gain, memory = listen(Listener("error"), memory, (error, 0.0), 0.0, **changes)
+        heard.append(float(gain))
+    np.testing.assert_allclose(heard, [0.4, 0.6, 0.45, 1.0, 0.75], rtol=1e-6)
 
 
 def test_settings_come_from_the_configuration_at_the_dtype() -> None:
