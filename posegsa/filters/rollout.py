@@ -118,7 +118,7 @@ class ErrorTrack(NamedTuple):
 
     @staticmethod
     def joined(parts: Sequence["ErrorTrack"]) -> "ErrorTrack":
-        """The errors over several parts of a time (NumPy), of leaves (S, ...), one after another."""
+        """The errors of several parts, one after another in time; NumPy leaves (S, ...)."""
         whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
         return whole._replace(bias=parts[-1].bias, vector_bias=parts[-1].vector_bias)
 
