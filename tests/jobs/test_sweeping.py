@@ -138,7 +138,7 @@ def test_runs_of_long_iterations_are_searched_one_by_one(whole, searched, monkey
 
 def test_parts_come_to_the_whole(whole, tmp_path, capsys):
     _, found = whole
-    command = ["sweep", "observer", "--vary", f"{GAMMA}=[2.0, 4.0],[5.0, 10.0]", "--seeds", "2"]
+    command = ["sweep", "quick", "--vary", f"{GAMMA}=[2.0, 4.0],[5.0, 10.0]", "--seeds", "2"]
     command += ["--quiet"]
     for setting in TINY:
         command += ["--set", setting]
