@@ -283,7 +283,7 @@ def test_time_stamps_of_another_unit_are_refused(factor: float) -> None:
 
 def test_something_else_is_refused() -> None:
     with pytest.raises(ArgumentError, match="recording"):
-        posegsa.check("flight.csv")  # type: ignore[arg-type]
+        posegsa.check("flight.csv")  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_the_figure_has_a_panel_for_each_sensor() -> None:
