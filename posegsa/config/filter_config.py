@@ -66,8 +66,8 @@ class ObserverConfig(Section):
     body to the farthest landmark, no unit; "off" means not at all."""
     bias_wait: Annotated[Positive | Literal["off"], Tunable()] = "off"
     """The error signal, before it is smoothed and scaled, at which the gains of all bias laws are
-    half; above it they vanish with the fourth power. While the pose is far off, they learn biases
-    that there are not. "off" means they do not wait."""
+    half; above it they vanish with the fourth power. While the pose is far off, they would take its
+    error for a bias. "off" means they do not wait."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" means no limit."""

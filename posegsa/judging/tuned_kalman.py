@@ -4,7 +4,7 @@ import math
 
 import jax.numpy as jnp
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.leads import LEAD_KEYS
 from posegsa.judging.description import Description, describe
@@ -65,6 +65,7 @@ def tune_kalman(problem: TuningProblem) -> Description:
     for stop in range(chunk, optimiser.iterations + 1, chunk):
         search = go(search, stop)
         best = float(search.best_cost)
+        steps.share(stop / optimiser.iterations, best)
         if best > (1 - MIN_IMPROVEMENT) * before:
             break
         before = best
