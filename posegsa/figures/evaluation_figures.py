@@ -122,12 +122,13 @@ def plot_costs(evaluation: Evaluation) -> Figure:
     FIGURES,
     name="bands",
     title="Errors and gain over time",
-    caption="Lines are medians over scenarios. Bands, of the first filter and the best constant "
-    "gains, span 5 to 95\u00a0%; thin lines are the 95th percentiles of the time switch and of the "
-    "Kalman filter, which has no such gain. Other schedules are not drawn. The left shows which "
-    "filter reduces the initial error first, the right which one stays lower afterwards. The "
-    "gain shown is that after the gain limit. The position error is the one in the cost, "
-    "|P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are left out.",
+    caption="Lines are medians over scenarios. The first filter and the best constant gains have "
+    "bands from 5 to 95\u00a0%; of any other filter a thin line is the 95th percentile. A filter "
+    "without a gain K is not in the panels of the gain, and other schedules are not drawn. The "
+    "left shows which filter reduces the initial error first, the right which one stays lower "
+    "afterwards. The gain shown is that after the gain limit. The position error is the one in "
+    "the cost, |P_est - R_err P|, not the distance |P_est - P|. Runs without a finite cost are "
+    "left out.",
 )
 def plot_bands(evaluation: Evaluation) -> Figure:
     """Median, and 5 to 95 % or 95 % alone, of attitude error, position error and gain over time.
