@@ -5,6 +5,8 @@ and from an attitude that is 150 to 180 deg off. It is otherwise that of observe
 
     python benchmarks/observer_starts.py --search 0     seed 0; judged on validation; prints [tuned]
     python benchmarks/observer_starts.py --held-out 33  judges observer.toml as it is
+    python benchmarks/observer_starts.py --rivals 3     what each setting is worth, and a clock,
+                                                        with 3 seeds each; --write: into the docs
 """
 
 import argparse
@@ -14,7 +16,7 @@ from collections.abc import Iterable
 import jax
 import numpy as np
 from jax import Array
-from readme import ROOT
+from readme import ROOT, write_block
 
 import posegsa
 from posegsa import config
@@ -27,6 +29,8 @@ from posegsa.search.keys import keys as keys_of
 from posegsa.search.population import ScenarioBatch, costs_by_scenario
 from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
+from posegsa.search.schedule_spaces import KNOTS, schedule_space
+from posegsa.search.search_spaces import search_space
 
 FILE = ROOT / "configs" / "observer.toml"
 STARTS: dict[str, tuple[str, ...]] = {
@@ -47,6 +51,19 @@ EACH = 16
 """Training scenarios of each."""
 VALIDATION, VALIDATION_SEED = 256, 1000
 """How many validation scenarios of each, and whose: those of no search."""
+CLOCK = f"a gain by the clock, {KNOTS} knots, with the last two"
+RIVALS: dict[str, tuple[str, ...]] = {
+    "the observer": (),
+    "without `gain.unknown`": ("gain.unknown=off",),
+    "without `filter.bias_wait`": ("filter.bias_wait=off",),
+    "without `filter.length_growth`": ("filter.length_growth=off",),
+    "without all three": ("gain.unknown=off", "filter.bias_wait=off", "filter.length_growth=off"),
+    CLOCK: ("filter.schedule=constant",),  # searched in the clock's space instead
+    "a smooth function of the error, with all three": ("filter.schedule=smooth",),
+    "a constant gain, with the last two": ("filter.schedule=constant",),
+}
+"""What is searched like the observer to see what explains its success, by its settings."""
+PAGE = "docs/observer.md"
 
 
 def drawn(experiment: config.Experiment, start: str, keys: Array) -> ScenarioBatch:
@@ -71,25 +88,64 @@ def joined(batches: Iterable[ScenarioBatch]) -> ScenarioBatch:
     return begun[0]._replace(**together)
 
 
-def searched(experiment: config.Experiment) -> Candidate:
-    """The best candidate of the search on all three starts."""
+def searched(experiment: config.Experiment, by_clock: bool = False) -> tuple[Candidate, float]:
+    """The best candidate of the search on all three starts, and its training cost.
+
+    Args:
+        experiment: What is searched.
+        by_clock: Whether a gain at knots of the time takes the place of its schedule.
+    """
     run = experiment.run
     problem = tuning_problem(experiment.replace(**{"run.held_out_scenarios": 1}))
+    if by_clock:
+        space = search_space(experiment, schedule_space("open loop", experiment))
+        problem = problem._replace(space=space)
     keys = training_keys(run.seed, TRAINED * EACH)
     each = [keys[first : first + EACH] for first in range(0, len(keys), EACH)]
     batches = [drawn(experiment, *pair) for pair in zip(STARTS, each, strict=False)]
     found = run_search(problem._replace(training=joined(batches))).search
-    print(f"training {float(found.best_cost):.2f}", flush=True)
-    return problem.space.candidate(found.best_position)
+    return problem.space.candidate(found.best_position), float(found.best_cost)
 
 
-def judge(experiment: config.Experiment, candidate: Candidate, keys: Array) -> None:
-    """Print mean cost, 99th percentile and worst for each kind of start."""
+def judged(experiment: config.Experiment, candidate: Candidate, keys: Array) -> list[np.ndarray]:
+    """Costs (scenarios,) from each kind of start."""
     one = jax.tree.map(lambda leaf: leaf[None], candidate)
-    for start in STARTS:
-        costs = np.asarray(costs_by_scenario(one, drawn(experiment, start, keys)))[:, 0]
+    return [
+        np.asarray(costs_by_scenario(one, drawn(experiment, start, keys)))[:, 0] for start in STARTS
+    ]
+
+
+def say(each: list[np.ndarray]) -> None:
+    """Print mean cost, 99th percentile and worst for each kind of start."""
+    for start, costs in zip(STARTS, each, strict=True):
         ends = f"{np.quantile(costs, 0.99):.1f} {costs.max():.1f}"
         print(f"{start}: {costs.mean():.2f} {ends}", flush=True)
+
+
+def for_seed(experiment: config.Experiment, seed: int) -> config.Experiment:
+    """The experiment as it is searched here with a seed."""
+    return experiment.replace(**{"run.seed": seed, "run.training_scenarios": TRAINED * EACH})
+
+
+def rivals(experiment: config.Experiment, seeds: int, keys: Array) -> str:
+    """A table of the mean costs of all rivals, by the seeds of their searches."""
+    lines = [
+        f"| searched | training | {' | '.join(STARTS)} |",
+        "| --- |" + " --- |" * (1 + len(STARTS)),
+    ]
+    for name, changes in RIVALS.items():
+        changed = config.override(experiment, changes)
+        rows = []
+        for seed in range(seeds):
+            one = for_seed(changed, seed)
+            found, training = searched(one, by_clock=name == CLOCK)
+            rows.append([training, *(costs.mean() for costs in judged(one, found, keys))])
+        cells = [
+            ", ".join(f"{value:.1f}" for value in column) for column in zip(*rows, strict=True)
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines)
 
 
 def tuned_table(found: Candidate, experiment: config.Experiment) -> str:
@@ -107,22 +163,28 @@ def main() -> None:
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--search", type=int, metavar="SEED", help="search with a seed")
     which.add_argument("--held-out", type=int, metavar="SET", help="judge on a held-out set")
+    which.add_argument("--rivals", type=int, metavar="SEEDS", help="search all rivals")
     parser.add_argument("--scenarios", type=int, default=1000, help="how many held-out ones")
     parser.add_argument("--config", default=FILE, help="another observer to judge, or to search")
+    parser.add_argument("--write", action="store_true", help=f"put the rivals into {PAGE}")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
     experiment = config.load(options.config)
-    if options.held_out is not None:
+    validation = scenario_keys(keys_of(VALIDATION_SEED).validation, VALIDATION)
+    if options.rivals:
+        table = rivals(experiment, options.rivals, validation)
+        if options.write:
+            write_block("rivals", table, PAGE)
+    elif options.held_out is not None:
         found = candidate_of(configured_filter(experiment), experiment)
-        judge(experiment, found, held_out_keys(0, options.scenarios, options.held_out))
-        return
-    experiment = experiment.replace(
-        **{"run.seed": options.search, "run.training_scenarios": TRAINED * EACH}
-    )
-    found = searched(experiment)
-    judge(experiment, found, scenario_keys(keys_of(VALIDATION_SEED).validation, VALIDATION))
-    print(tuned_table(found, experiment))
+        say(judged(experiment, found, held_out_keys(0, options.scenarios, options.held_out)))
+    else:
+        experiment = for_seed(experiment, options.search)
+        found, training = searched(experiment)
+        print(f"training {training:.2f}", flush=True)
+        say(judged(experiment, found, validation))
+        print(tuned_table(found, experiment))
 
 
 if __name__ == "__main__":
