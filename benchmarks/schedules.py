@@ -10,24 +10,29 @@ paper's controller with a 95 % interval (paired, bootstrap), median, 99th percen
 """
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 import posegsa
 from posegsa import config
 from posegsa.config import KALMAN_ALSO
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
-from posegsa.search.candidates import Candidate
+from posegsa.model.schedules import RampGain
+from posegsa.search.candidates import Candidate, SimpleSpace
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario, scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
+from posegsa.search.schedule_spaces import NoiseSpaces
+from posegsa.search.search_spaces import search_space
 from posegsa.words import text_table
 
 LANES = 8
@@ -42,8 +47,20 @@ BELIEF_ALSO = [
     {"key": "filter.belief_smoothing", "lower": 0.01, "upper": 1.0, "scale": "logarithmic"}
 ]
 CONTROLLER = "the paper's controller"
+HUBER, POWER, SAGE_HUSA = "Huber", "plain residual law", "Sage and Husa"
+RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
+    HUBER: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 0.5))),
+    POWER: ([(0.1, 3.0)], lambda x: RampGain(jnp.zeros_like(x[0]), x[0])),
+    # The threshold is searched too: as written by Sage and Husa it is 1, which is 0 here.
+    SAGE_HUSA: ([(0.0, 0.2)], lambda x: RampGain(x[0], jnp.ones_like(x[0]))),
+}
+"""Rules that users know, as straight lines of belief with one number each for vectors and for
+landmarks. The factor is q^slope above a threshold. Huber's weight of a residual r in standard
+deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The plain residual law is a
+power of the low-passed q. Sage and Husa's variance is what the residuals speak for, low-passed."""
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
-"""By name: changes of [filter], and what is tuned beside a schedule; None for no search."""
+"""By name: changes of [filter], and what is tuned beside a schedule; None for no search. What
+begins with the name of a rule is searched in its space."""
 
 
 def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
@@ -55,6 +72,20 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             "fixed noises, tuned": ({"belief": "off"}, NOISES),
             "straight line at once, a gate if steep": (gate, []),
             "straight line, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
+            HUBER: (gate, []),
+            f"{HUBER}, noises too": (gate, NOISES),
+            POWER: ({"belief": "ramp"}, BELIEF_ALSO),
+            f"{POWER}, noises too": ({"belief": "ramp"}, [*NOISES, *BELIEF_ALSO]),
+            SAGE_HUSA: ({"belief": "ramp", "belief_input": "variance"}, BELIEF_ALSO),
+            f"{SAGE_HUSA}, noises too": (
+                {"belief": "ramp", "belief_input": "variance"},
+                [*NOISES, *BELIEF_ALSO],
+            ),
+            "clock, 16 knots": ({"belief": "clock"}, []),
+            "fixed noises, tuned, 3 iterations an update": (
+                {"belief": "off", "iterations": 3},
+                NOISES,
+            ),
             CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
         }
     off = {"unknown": "off"}
@@ -111,9 +142,15 @@ def as_configured(one: config.Experiment) -> Candidate:
     return Candidate(None, (jnp.asarray(one.filter.vector, jnp.float32),), ("filter.vector",))
 
 
-def search(one: config.Experiment) -> tuple[Candidate, float]:
-    """The best candidate of a search, and its training cost."""
+def search(name: str, one: config.Experiment) -> tuple[Candidate, float]:
+    """The best candidate of a contender's search, and its training cost."""
     problem = tuning_problem(one)
+    if rule := next((rule for rule in RULES if name.startswith(rule)), None):
+        bounds, make = RULES[rule]
+        lower, upper = (jnp.asarray(ends, one.run.dtype) for ends in zip(*bounds, strict=True))
+        space, roles = SimpleSpace(lower, upper, make), ("vectors", "landmarks")
+        spaces = NoiseSpaces((space,) * len(roles), roles)
+        problem = problem._replace(space=search_space(one, spaces))
     found = run_search(problem).search
     return problem.space.candidate(found.best_position), float(found.best_cost)
 
@@ -147,7 +184,7 @@ def main() -> None:
         for name, (contender, searched) in experiments(options.family, seed).items():
             one = contender
             if searched:
-                candidate, training = search(one)
+                candidate, training = search(name, one)
             else:
                 candidate, training = as_configured(one), None
             found[name] = training, held_out(one, candidate, keys)

@@ -17,6 +17,9 @@ from posegsa.words import toml
 ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
 
+BeliefInput = Literal["residual", "variance"]
+"""What belief in a sensor sees."""
+
 NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
 """What changes a noise of the Kalman filter: nothing; the controller of k1..k22; a constant; a
 smooth or a straight function of the error; or the time since the start."""
@@ -171,6 +174,9 @@ class KalmanConfig(Section):
     belief: NoiseScheduleKind = "off"
     """What multiplies the variance of each vector and each landmark, by that sensor's normalised
     squared residual: one schedule for the vectors and one for the landmarks."""
+    belief_input: BeliefInput = "residual"
+    """What that schedule sees: the "residual", normalised; or the "variance" that it speaks for, as
+    a multiple of the sensor's own, which is Sage and Husa's estimate of it. Both low-passed."""
     belief_smoothing: Annotated[NonNegative, _OF_BELIEF] = 0.1
     """Time constant of the low-pass filter of that residual [s]."""
     belief_scale: Annotated[AboveOne, _OF_BELIEF] = 1e6

@@ -86,6 +86,7 @@ from posegsa.filters.covariance import (
 )
 from posegsa.filters.leads import LEAD_KEYS, LastSample, Leads, extrapolated, no_sample
 from posegsa.filters.measurement_model import (
+    BeliefInput,
     apart,
     each_vector,
     landmark_rows,
@@ -201,6 +202,8 @@ class KalmanFilter:
     """What changes the noises while the filter runs; by default nothing."""
     signals: NoiseSignals | None = None
     """What the schedules see; None if there are none."""
+    belief_input: BeliefInput = field(default="residual", metadata={"static": True})
+    """Which function of a sensor's residual belief sees (`Residual.normalised`)."""
     iterations: int = field(default=1, metadata={"static": True})
     """How often the measurements of a sample are linearised, each time at the estimate that the
     last time found (an iterated extended Kalman filter)."""
@@ -293,6 +296,7 @@ class KalmanFilter:
             self.noise,
             schedule,
             self.signals,
+            self.belief_input,
             self.iterations,
             self.moves_covariance,
             self.leads,
@@ -306,6 +310,7 @@ class ReadyKalmanFilter(NamedTuple):
     noise: KalmanNoise
     schedule: PreparedNoiseGains
     signals: NoiseSignals | None
+    belief_input: BeliefInput
     iterations: int
     moves_covariance: bool
     leads: Leads | None
@@ -370,7 +375,8 @@ class ReadyKalmanFilter(NamedTuple):
     ) -> tuple[Sample, KalmanMemory]:
         """The sample with the weights that its residuals leave, and the memory of belief."""
         noise, memory = self.noise, state.memory
-        each = residuals(state.estimate, state.covariance, sample, noise.vector, noise.landmark)
+        known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
+        each = residuals(*known, of=self.belief_input)
         beliefs = self.schedule.vectors, self.schedule.landmarks
         memories: list[tuple[NoiseMemory, ...]] = []
         weights: list[tuple[Array, ...]] = []

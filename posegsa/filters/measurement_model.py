@@ -6,7 +6,7 @@ The equations are those of `filters.kalman`: a vector is R^T v^I + c_i, a landma
 import operator
 from collections.abc import Iterable, Sequence
 from functools import partial, reduce
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -60,18 +60,28 @@ def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any
     return stacked(zip(vectors, biases, strict=True))
 
 
+BeliefInput = Literal["residual", "variance"]
+"""What belief looks at: a sensor's normalised squared residual, or the variance it speaks for."""
+
+
 class Residual(NamedTuple):
     """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
 
     normalised: Array
     """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
-    noise; 1 if the covariance is right."""
+    noise; 1 if the covariance is right. Or the variance that it speaks for, as a multiple of s^2:
+    (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
 
 
 def residuals(
-    estimate: FilterState, covariance: Covariance, sample: Sample, vector: Array, landmark: Array
+    estimate: FilterState,
+    covariance: Covariance,
+    sample: Sample,
+    vector: Array,
+    landmark: Array,
+    of: BeliefInput = "residual",
 ) -> tuple[Residual | None, Residual | None]:
     """The residuals of vectors and of landmarks, before any of them is used; None without any.
 
@@ -81,13 +91,16 @@ def residuals(
         sample: with its vectors as measured.
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].
+        of: what `normalised` is: the "residual" over its expectation, or the "variance".
     """
     R, axes = rows(estimate.attitude), range(3)
     learnt = bool(estimate.vector_biases)
 
     def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
-        expected = spread + 3 * variance_of(deviation, factor)
-        return Residual(dot(off, off) / expected, factor)
+        square, own = dot(off, off), 3 * variance_of(deviation, factor)
+        if of == "variance":
+            return Residual((square - spread) / own, factor)
+        return Residual(square / (spread + own), factor)
 
     def spread(each: Sequence[Row]) -> Array:
         """tr(H Sigma H^T) of rows over the states of the pose."""

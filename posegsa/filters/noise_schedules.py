@@ -127,7 +127,7 @@ def noise_factor(
         schedule: Of this role.
         signal: Of this role.
         memory: After the last sample.
-        now: The input at this sample, not negative.
+        now: The input at this sample; what is low-passed to below 0 counts as 0.
         seen: Whether there is one; without it all but the age stays as it is.
         time: Since the first sample [s].
         time_step: To the next sample [s].

@@ -112,6 +112,7 @@ def filter_of(
             KalmanNoise(**noise),
             section.vector_bias == "estimated",
             signals=_noise_signals(section, dtype) if section.roles else None,
+            belief_input=section.belief_input,
             iterations=section.iterations,
             moves_covariance=section.moves_covariance,
             leads=_leads(experiment, section, dtype),

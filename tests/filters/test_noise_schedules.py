@@ -97,7 +97,10 @@ def test_without_an_input_only_the_age_changes() -> None:
 
 
 def test_residuals_are_those_of_the_matrix_form() -> None:
-    """|z - y|^2 over tr(H Sigma H^T) + tr(N), sensor by sensor, from a covariance that is full."""
+    """|z - y|^2 over tr(H Sigma H^T) + tr(N), sensor by sensor, from a covariance that is full.
+
+    And the variance that it speaks for: less tr(H Sigma H^T), over tr(N).
+    """
     m, T = sequence(60)
     filter = kalman(NoiseGains())
     state = ran(filter, m, T)
@@ -117,6 +120,8 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
         deviations = filter.noise.vector, filter.noise.landmark
         found = residuals(state.estimate, state.covariance, sample, *deviations)
         got = np.concatenate([one.normalised for one in found])
+        found = residuals(state.estimate, state.covariance, sample, *deviations, of="variance")
+        variances = np.concatenate([one.normalised for one in found])
         squares = {}
         seen = np.concatenate([np.flatnonzero(s.sR), 2 + np.flatnonzero(s.sL)])
         H, z, y, N = reference_ekf.linearised(held, s, noise)
@@ -125,6 +130,7 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
             square, own = np.sum((z - y)[part] ** 2), np.trace(N[part, part])
             spread = np.trace(H[part] @ held.Sigma @ H[part].T)
             np.testing.assert_allclose(got[sensor], square / (spread + own))
+            np.testing.assert_allclose(variances[sensor], (square - spread) / own)
             squares[sensor] = square / own
             checked += 1
         rms, any_seen = measured_error(state.estimate, sample, *deviations)
@@ -229,6 +235,30 @@ def test_a_sensor_that_disagrees_is_not_believed() -> None:
         for one in (strict, fixed)
     ]
     assert errors[0] < 0.01 * errors[1]
+
+
+def test_the_variance_that_residuals_speak_for_is_the_sensors_own_in_the_mean() -> None:
+    """Landmarks have three times the noise that the filter is told: Sage and Husa's rule finds it.
+
+    The line of slope 1 from 0 makes the low-passed variance the factor itself.
+    """
+    rng = np.random.default_rng(5)
+    T, count, told = random_poses(rng, 1)[0], 4000, 0.1
+    m = random_measurements(rng, count, 2, 1)
+    body = (m.landmark_references - T[:3, 3]) @ T[:3, :3]
+    m = m._replace(
+        angular_velocity=np.zeros((count, 3)),
+        velocity=np.zeros((count, 3)),
+        vectors=(m.vector_references @ T[:3, :3]) + told * rng.normal(size=(count, 2, 3)),
+        vector_weights=np.ones((count, 2)),
+        landmark_weights=np.ones((count, 1)),
+        landmarks=body + 3 * told * rng.normal(size=(count, 1, 3)),
+    )
+    line = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
+    own = kalman(NoiseGains(vectors=line, landmarks=line), SIGNAL._replace(smoothing=5.0))
+    memory = ran(replace(own, belief_input="variance"), m, T).memory
+    np.testing.assert_allclose([one.value for one in memory.landmarks], 9.0, rtol=0.15)
+    np.testing.assert_allclose([one.value for one in memory.vectors], 1.0, rtol=0.15)
 
 
 def test_numbers_of_signals_are_set_by_name() -> None:
