@@ -174,6 +174,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="searches of each contender")
     parser.add_argument("--scenarios", type=int, default=200)
     parser.add_argument("--set", type=int, default=10, help="which held-out scenarios")
+    parser.add_argument("--only", nargs="+", help="contenders beside the controller (all)")
     options = parser.parse_args()
     posegsa.enable_fast_path()
     keys = held_out_keys(0, options.scenarios, options.set)
@@ -182,6 +183,8 @@ def main() -> None:
         found: dict[str, tuple[float | None, np.ndarray]] = {}
         one = family
         for name, (contender, searched) in experiments(options.family, seed).items():
+            if options.only and name not in (CONTROLLER, *options.only):
+                continue
             one = contender
             if searched:
                 candidate, training = search(name, one)
