@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field
 from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.attitude import Interval
+from posegsa.filters.measurement_model import BeliefInput
 from posegsa.filters.observer import GainLaw, Law
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
@@ -16,9 +17,6 @@ from posegsa.words import toml
 
 ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
-
-BeliefInput = Literal["residual", "variance"]
-"""What belief in a sensor sees."""
 
 NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
 """What changes a noise of the Kalman filter: nothing; the controller of k1..k22; a constant; a
