@@ -205,5 +205,10 @@ def png(figure: Figure) -> bytes:
     """A figure as a PNG file at the resolution for print."""
     file = io.BytesIO()
     with _look():  # `savefig` reads the settings too
+        engine = figure.get_layout_engine()
+        if engine is not None:  # laid out here once; `savefig` would do it twice, and draw twice
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(file, format="png", dpi=DPI)
+        figure.set_layout_engine(engine)
     return file.getvalue()

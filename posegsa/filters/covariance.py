@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import NamedTuple, TypeAlias
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -79,6 +80,7 @@ def product(row: Row, column: Callable[[int], Array]) -> Array:
     return reduce(operator.add, (factor * column(j) for j, factor in row.items()))
 
 
+@jax.jit  # traced once for all programs; XLA inlines it
 def by_components(
     found: Found, each: Sequence[Row], residual: Vec3, variance: Array, factor: Array
 ) -> Found:
@@ -185,6 +187,7 @@ def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
     )
 
 
+@jax.jit  # traced once for all programs; XLA inlines it
 def transported(
     covariance: Covariance, correction: Sequence[Array] | None, omega: Vec3, v: Vec3, dt: Array
 ) -> Covariance:

@@ -33,7 +33,7 @@ from posegsa.model.cost import (
     sample_error,
 )
 from posegsa.model.estimate import FilterState
-from posegsa.model.loops import scan_rows, scan_together
+from posegsa.model.loops import batched_alike, scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import Vec3, clip_distance, dot, norm, rotate, rows, subtract
 from posegsa.model.signal import known_pose, pose_errors
@@ -183,8 +183,12 @@ def run(
         total, stored = look(total, view, entry)
         return (after, total), stored
 
-    over_time = scan_together if together else scan_rows
-    (last, total), stored = over_time(body, (state, total), (samples, extra), count)
+    carry = (state, total)
+    if together:
+        (last, total), stored = scan_together(body, carry, (samples, extra), count)
+    else:
+        carry = batched_alike(carry, (filter, samples))
+        (last, total), stored = scan_rows(body, carry, (samples, extra), count)
     return last, total, stored
 
 

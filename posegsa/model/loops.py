@@ -97,6 +97,24 @@ def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tup
     return last, jax.tree.map(lambda a: a.reshape(full, *a.shape[len(lengths) :])[:given], stored)
 
 
+def batched_alike(carry: Any, others: Any) -> Any:
+    """A carry, unchanged, with each of its leaves batched by `vmap` as all of them and others are.
+
+    Else `vmap` of a loop finds out which leaves differ between agents by batching the whole step,
+    for a Kalman filter up to eight times. XLA removes these choices.
+
+    Args:
+        carry: floating, whole or boolean leaves of any shape.
+        others: arrays that the step uses, of any shape.
+    """
+    leaves, structure = jax.tree.flatten(carry)
+    one: Any = leaves[0]
+    for leaf in (*leaves[1:], *jax.tree.leaves(others)):
+        number = lax.slice(jnp.ravel(leaf), (0,), (1,)) if jnp.ndim(leaf) else leaf
+        one = choose(True, one, jnp.reshape(number, ()).astype(one.dtype))
+    return jax.tree.unflatten(structure, [choose(True, a, one.astype(a.dtype)) for a in leaves])
+
+
 def _loop_lengths(count: int) -> list[int]:
     """Lengths of nested loops for `count` steps, as few loops as LONGEST_LOOP allows."""
     depth = 1

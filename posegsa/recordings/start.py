@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import Measurements
@@ -75,6 +74,8 @@ def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None)
 
 def _carried_to_the_first(m: Measurements, bias: ArrayLike) -> Measurements:
     """Vectors and landmarks as the body at the first sample would have seen them."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
     turn, way = Rotation.identity(), np.zeros(3)  # from the first sample to sample k
     turns, ways = [], []
     angular, linear = np.split(np.asarray(bias, np.float64), 2)

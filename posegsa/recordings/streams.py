@@ -11,7 +11,6 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from jax.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import finite_array
@@ -236,6 +235,8 @@ def _at(ticks: np.ndarray, stream: _Stream, way: Between, longest: float) -> tup
 def _interpolated(time: np.ndarray, stream: _Stream) -> np.ndarray:
     """Values (K, d) at times within those of a stream."""
     if stream.name == QUATERNION and len(stream.time) > 1:
+        from scipy.spatial.transform import Rotation, Slerp  # slow to load
+
         turned = Slerp(stream.time, Rotation.from_quat(stream.values, scalar_first=True))
         return turned(time).as_quat(scalar_first=True)
     each = [np.interp(time, stream.time, column) for column in stream.values.T]

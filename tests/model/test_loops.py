@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax import Array, lax
 
-from posegsa.model.loops import LONGEST_LOOP, scan, scan_rows, scan_together
+from posegsa.model.loops import LONGEST_LOOP, batched_alike, scan, scan_rows, scan_together
 
 
 def inputs(count: int) -> dict[str, Array]:
@@ -107,3 +107,40 @@ def loop_lengths(program: Any) -> list[int]:
         if one.primitive is lax.scan_p:
             return [one.params["length"], *loop_lengths(one.params["jaxpr"].jaxpr)]
     return []
+
+
+def test_a_carry_batched_alike_is_unchanged() -> None:
+    carry = (jnp.float32(1.5), jnp.arange(3, dtype=jnp.int32), jnp.array([True, False]))
+
+    found = jax.vmap(lambda other: batched_alike(carry, other))(jnp.arange(4.0))
+
+    for leaf, given in zip(found, carry, strict=True):
+        assert leaf.dtype == given.dtype
+        np.testing.assert_array_equal(leaf, np.stack([given] * 4))
+
+
+@pytest.mark.parametrize(("alike", "times"), [(True, 1), (False, 6)])
+def test_vmap_batches_the_step_of_a_carry_batched_alike_once(alike: bool, times: int) -> None:
+    """Each of the carry's five numbers depends on the one before, the first on the agent."""
+    batched = 0
+
+    @jax.custom_batching.custom_vmap
+    def identity(x: Array) -> Array:
+        return x
+
+    @identity.def_vmap
+    def _(size: int, which: Any, x: Array) -> Any:
+        nonlocal batched
+        batched += 1
+        return x, which[0]
+
+    def run(agent: Array) -> Array:
+        def step(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
+            return (identity(agent), *carry[:-1]), None
+
+        start = (jnp.float32(0),) * 5
+        return lax.scan(step, batched_alike(start, agent) if alike else start, None, 9)[0][-1]
+
+    np.testing.assert_array_equal(jax.vmap(run)(jnp.arange(4.0)), np.arange(4.0))
+
+    assert batched == times
