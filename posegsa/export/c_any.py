@@ -170,15 +170,14 @@ class _Step:
             names = names._replace(place=_NO_FIELD, bias_linear=_NO_FIELD)
         leaves = jax.tree.leaves(names)
         self.memory, self._state, self._computed = self._laid_out(state, leaves)
-        self.pieces = self._written(
-            sample_of(
-                self._vectors,
-                len(known.landmarks),
-                crossed=crossed,
-                velocity=(0.0, 0.0, 0.0) if self.alone else vec3("seen->velocity"),
-                farthest="farthest",
-            )
+        seen = sample_of(
+            self._vectors,
+            len(known.landmarks),
+            crossed=crossed,
+            velocity=(0.0, 0.0, 0.0) if self.alone else vec3("seen->velocity"),
+            farthest="farthest",
         )
+        self.pieces = self._written(_in_a_known_frame(seen, known) if self.alone else seen)
 
     def _check_state(self, state: Any) -> None:
         for path, leaf in jax.tree_util.tree_leaves_with_path(state):
@@ -268,6 +267,14 @@ class _Step:
             rotation_matrix(),
         ]
         return {piece.name: piece for piece in pieces}
+
+
+def _in_a_known_frame(sample: Sample, known: References) -> Sample:
+    """A sample whose references are numbers: the axes that follow from them are computed here."""
+    assert isinstance(sample.vectors, VectorSamples)
+    each = zip(sample.vectors.each, known.vectors.tolist(), strict=True)
+    written = tuple(one._replace(known=tuple(row)) for one, row in each)
+    return sample._replace(vectors=sample.vectors._replace(each=written))
 
 
 def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:

@@ -235,7 +235,10 @@ class Writer:
         writer = type(self)(results, single=self._single, names=self._names, count=self._count)
         body = writer.code()
         self._functions |= body.functions
-        statements.append(f"for (int {index} = 0; {index} < {loop.turns}; ++{index}) {{")
+        if loop.conditional:
+            statements.append(f"if ({self._names[id(loop.inputs[0])]}) {{")
+        else:
+            statements.append(f"for (int {index} = 0; {index} < {loop.turns}; ++{index}) {{")
         statements += [f"    {statement}" for statement in body.statements]
         statements.append("}")
         return statements
@@ -339,7 +342,9 @@ def needed_inputs(results: list[Value]) -> dict[int, set[int]]:
             assert whole.operation is not None
             assert whole.operation.loop is not None
             loop = whole.operation.loop
-            needed.setdefault(id(whole), set())
+            if id(whole) not in needed:
+                needed[id(whole)] = {0} if loop.conditional else set()
+                todo += whole.operation.of[:1] if loop.conditional else ()
             within |= {
                 id(one): (whole, i)
                 for i, one in enumerate(loop.inputs)

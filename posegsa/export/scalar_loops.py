@@ -432,7 +432,7 @@ def _looped(given: list[str]) -> list[str]:
     return statements
 
 
-_DEFINES = ("const posegsa_real ", "const int ", "posegsa_real ", "int ", "for ", "}")
+_DEFINES = ("const posegsa_real ", "const int ", "posegsa_real ", "int ", "for ", "if ", "}")
 """Begins of statements that assign to nothing that is there already."""
 
 

@@ -61,9 +61,10 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A `lax.scan`. Its operation is of one operand for each input.
+    """A `lax.scan`, or a `lax.cond` as a loop of one turn or none.
 
-    What the scan stores, it carries: a number for each turn, which move on by one in each turn.
+    Its operation is of one operand for each input. What a scan stores, it carries: a number for
+    each turn, which move on by one in each turn.
     """
 
     turns: int
@@ -73,6 +74,8 @@ class Loop:
     """Index of the first carried input. Those before it stay the same."""
     results: tuple[Value, ...]
     """What the body hands on to the next turn, one for each carried input."""
+    conditional: bool = False
+    """Whether its first input says if there is a turn at all."""
 
     @property
     def last(self) -> int:
@@ -96,9 +99,8 @@ FUNCTIONS = {
 }
 """Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
 _ALLOWED = (
-    "arithmetic, comparisons, choices (jnp.where, not lax.cond) and functions of <math.h>, of "
-    "scalars that are real numbers or truths (a counter is a real number), and lax.scan over "
-    "stacked scalars"
+    "arithmetic, comparisons, choices and functions of <math.h>, of scalars that are real numbers "
+    "or truths (a counter is a real number), lax.cond, and lax.scan over stacked scalars"
 )
 """What can be written."""
 _AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
@@ -155,7 +157,9 @@ class _Trace:
             inner = equation.params.get("jaxpr") or equation.params.get("call_jaxpr")
             if name == "scan":
                 made = self._loop(equation, given)
-            elif inner is not None and name not in ("while", "cond"):
+            elif name == "cond":
+                made = self._branch(equation, given)
+            elif inner is not None and name != "while":
                 closed = isinstance(inner, core.ClosedJaxpr)
                 made = self.run(
                     inner.jaxpr if closed else inner,
@@ -205,18 +209,61 @@ class _Trace:
         ]
         return after[:carried] + rows
 
+    def _branch(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
+        """What comes out of a `lax.cond`.
+
+        What its second function returns is computed in any case, and changed to what the first one
+        returns where the condition holds. So the second one should be short.
+        """
+        condition, *operands = given
+        branches = equation.params["branches"]
+        if len(branches) != 2:
+            refuse("a step with lax.switch", _ALLOWED)
+        if condition.number is not None:
+            chosen = branches[bool(condition.number)]
+            return self.run(chosen.jaxpr, operands, self.constants(chosen.consts))
+        if any(map(_is_row, operands)):
+            refuse("a step with lax.cond of arrays", _ALLOWED)
+        for var in equation.outvars:
+            if getattr(var.aval, "shape", ()):
+                refuse("a step with lax.cond of arrays", _ALLOWED)
+            _check_kind("cond", var)
+        otherwise, then = branches
+        begun = self.run(otherwise.jaxpr, operands, self.constants(otherwise.consts))
+        carried = [Value(truth=_is_truth(var)) for var in equation.outvars]
+        # An operand that may stay as it is is changed on the spot.
+        places = {id(value): inside for value, inside in zip(begun, carried, strict=True)}
+        inputs = []
+        for operand, var in zip(operands, then.jaxpr.invars, strict=True):
+            plain = operand.number is not None and not operand.named
+            inside = Value(truth=_is_truth(var))
+            inputs.append(operand if plain else places.get(id(operand), inside))
+        trace = _Trace(self._dtype)
+        results = trace.run(then.jaxpr, inputs, trace.constants(then.consts))
+        every = (Value(truth=True), *inputs, *carried)
+        loop = Loop(1, every, len(inputs) + 1, tuple(results), conditional=True)
+        of = (condition, *operands, *begun)
+        whole = Value(operation=Operation("loop", of, loop=loop))
+        return [
+            Value(operation=Operation("carried", (whole,), place=place))
+            for place in range(len(results))
+        ]
+
     def _applied(self, equation: core.JaxprEqn, given: list[Value]) -> Value:
         name, params = equation.primitive.name, equation.params
         if len(equation.outvars) != 1:
             refuse(f"a step with the operation {name!r}", _ALLOWED)
         if any(map(_is_row, given)):
             refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
-        for var in equation.outvars:
-            if getattr(var.aval, "shape", ()):
-                refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
-            _check_kind(name, var)
+        (result,) = equation.outvars
+        if getattr(result.aval, "shape", ()):
+            refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
         if name == "convert_element_type":
-            before, after = map(_is_truth, (equation.invars[0], equation.outvars[0]))
+            before, after = not _is_real(equation.invars[0]), _is_truth(result)
+            if before and not _is_real(result):
+                return given[0]  # also as an integer, which says what branch `lax.cond` takes
+        _check_kind(name, result)
+        if name == "convert_element_type":
             if before and not after:
                 return self.made("select_n", given[0], self.number(0.0), self.number(1.0))
             if after and not before:
@@ -277,6 +324,8 @@ class _Trace:
         if name in ("add", "sub", "mul", "div", "neg") and None not in plain:
             with np.errstate(all="ignore"):
                 return self.number(float(getattr(np, _NUMPY[name])(*map(np.float64, plain))))
+        if name == "sqrt" and plain[0] is not None and plain[0] >= 0:
+            return self.number(math.sqrt(plain[0]))
         match name, plain:
             case ("mul", [0.0, _] | [_, 0.0]) | ("div", [0.0, _]):
                 return self.number(0.0)

@@ -46,8 +46,10 @@ A gyroscope's value is the mean over the interval before its stamp, or after it
 and the next step starts again from the last sample with the right one.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from typing import Any, Literal, NamedTuple, Self
 
 import jax
@@ -57,7 +59,7 @@ from jax import Array
 
 from posegsa.arguments import check_type, refuse
 from posegsa.filters.base import Record, Samples, Sensors
-from posegsa.model.elementwise import choose, maximum, minimum
+from posegsa.model.elementwise import choose, maximum, minimum, only_if
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
@@ -71,6 +73,7 @@ from posegsa.model.se3 import (
     dot,
     exp_coefficients,
     norm,
+    product,
     rotate,
     rows,
     safe_sqrt,
@@ -108,6 +111,8 @@ LARGEST_BIAS = float(np.deg2rad(6.0))
 """Maximum bias of a gyroscope [rad/s]; above it the body turns at a constant rate."""
 FIELD_NOISE_TIME = 0.1
 """Time constant of the low-pass filter of d, so that noise is no disturbance [s]."""
+LITTLE = 0.5
+"""Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
 """Angular velocity from which on a body shows its field from all sides [rad/s]."""
 AS_MEASURED = VectorSettings(
@@ -291,34 +296,27 @@ class AttitudeFilter:
         force, field_seen = sample.vectors.each
         gyr, dt = sample.angular_velocity, sample.time_step
         q, bias = state.estimate.attitude, state.estimate.bias_angular
+        omega = subtract(gyr, bias)
+        speed = norm(omega)
         if self.gyroscope_interval == "before":
-            turned = scale(state.last_step, subtract(gyr, bias))
-            q = compose(state.at_sample, _rotation_by(turned))
+            q = product(state.at_sample, _rotation_by(scale(state.last_step, omega)))
         axes = _axes(force, field_seen)
         gravity = norm(force.known)
 
-        # The first acceleration and the first field set the attitude.
+        # Outliers, and the first acceleration and the first field, which set the attitude.
+        a, m, parts = force.measured, field_seen.measured, state.parts
         longest = numbers.outlier * gravity
-        of_force = choose(
-            dot(force.measured, force.measured) < longest * longest, force.factor, 0.0
-        )
+        of_force = choose(dot(a, a) < longest * longest, force.factor, 0.0)
         level = (of_force > 0) & (state.upright < 1)
-        to_up = _smallest_rotation(_unit(rotate(rows(q), force.measured)), axes[UP], axes[EAST])
-        q = compose(_if(level, to_up), q)
-        parts, started = state.parts, state.field_age >= 0
-        longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
-        m = field_seen.measured
-        usable = (dot(m, m) < longest) | jnp.logical_not(started)
         upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
+        longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
+        unseen = state.field_age < 0
+        usable = (dot(m, m) < longest) | unseen
         of_field = choose(usable & (upright > 0), field_seen.factor, 0.0)
-        first = (of_field > 0) & jnp.logical_not(started)
-        seen = rotate(rows(q), m)
-        level_part = subtract(seen, scale(dot(seen, axes[UP]), axes[UP]))
-        q = compose(_if(first, _smallest_rotation(_unit(level_part), axes[NORTH], axes[UP])), q)
+        first = (of_field > 0) & unseen
+        q = only_if(level | first, lambda q: _set(q, level, first, axes, a, m), q)
 
         R = _in(axes, rows(q))
-        omega = subtract(gyr, bias)
-        speed = norm(omega)
         still, slow_turning, slow_force = _stillness(state, gyr, force.measured, of_force, dt)
         still_time = choose(still, state.still_time + dt, 0.0)
         rests = still_time >= REST_TIME
@@ -329,31 +327,26 @@ class AttitudeFilter:
         correction = (jnp.zeros_like(dt),) * STATES
         found = state.covariance, correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
-        certain = choose(of_force > 0, dt / (spread * spread), 0.0)
+        felt = choose(of_force > 0, dt, 0.0)
         for i in range(2):
-            found = _measured(found, VELOCITY + i, -state.velocity[i], certain)
+            found = _measured(found, VELOCITY + i, -state.velocity[i], spread * spread, felt)
         f, (level_mean, upwards) = state.field, state.parts
         level_length = norm((f[0], f[1], jnp.zeros_like(dt)))
         known = (of_field > 0) & (level_length > 0) & (level_mean > 0)
         safe = choose(known, level_length, 1.0)
         dip = upwards / choose(known, level_mean, 1.0)
         tilt = _entry(state.covariance, EAST, EAST) + _entry(state.covariance, NORTH, NORTH)
-        noise = (
-            numbers.heading
-            * numbers.heading
-            / (dt * state.field_belief * choose(known, of_field, 1.0))
-            + 0.5 * numbers.inclination_in_heading * dip * dip * tilt
-        )
-        certain = choose(known, 1 / noise, 0.0)
+        seen = choose(known, dt * state.field_belief * of_field, 0.0)
+        tilted = 0.5 * numbers.inclination_in_heading * dip * dip * tilt
+        noise = numbers.heading * numbers.heading + seen * tilted
         behind = choose(f[0] >= 0, jnp.ones_like(dt), -1.0)
-        found = _measured(found, UP, choose(f[1] > 0, f[0] / safe, behind), certain)
-        per_rest = numbers.rest_bias * numbers.rest_bias
-        certain = choose(rests, dt / per_rest, 0.0)
-        for i in range(3):
-            found = _measured(found, BIAS + i, omega[i], certain)
+        found = _measured(found, UP, choose(f[1] > 0, f[0] / safe, behind), noise, seen)
+        found = only_if(rests, lambda found: self._at_rest(found, omega, dt), found)
         covariance, x = found
         angle = (x[0], x[1], x[2])
-        cosine, sine, _, _ = exp_coefficients(dot(angle, angle))
+        # The rotation by 2 atan(|x| / 2) about x: to third order that by x, without a series.
+        cosine = 1 / jnp.sqrt(1 + 0.25 * dot(angle, angle))
+        sine = 0.5 * cosine
         q = compose((cosine, *scale(sine, _out(axes, angle))), q)
         bias = add(bias, (x[3], x[4], x[5]))
         v = state.velocity[0] + x[6], state.velocity[1] + x[7]
@@ -362,16 +355,15 @@ class AttitudeFilter:
         # The time until the next sample.
         R = _in(axes, rows(q))
         pushed = rotate(R, force.measured)
-        pull = choose(of_force > 0, dt, 0.0)
-        v = v[0] + pull * pushed[EAST], v[1] + pull * pushed[NORTH]
+        v = v[0] + felt * pushed[EAST], v[1] + felt * pushed[NORTH]
         omega = subtract(gyr, bias)
-        next_attitude = compose(q, _rotation_by(scale(dt, omega)))
+        next_attitude = product(q, _rotation_by(scale(dt, omega)))
         density = numbers.angular_velocity**2 + numbers.turning**2 * speed * speed
         of_heading = numbers.turning_heading**2 * speed * speed
         walk = numbers.angular_walk**2
         noises = [density, density, density + of_heading, walk, walk, walk]
         noises += [jnp.full_like(dt, ACCELERATION**2)] * 2
-        covariance = _moved(covariance, R, dt, pull * gravity)
+        covariance = _moved(covariance, R, dt, felt * gravity)
         covariance = tuple(
             (row[0] + dt * noise, *row[1:]) for row, noise in zip(covariance, noises, strict=True)
         )
@@ -386,6 +378,19 @@ class AttitudeFilter:
             slow_force=slow_force,
             still_time=still_time,
         ), Record()
+
+    def _at_rest(self, found: "Found", omega: Vec3, dt: Array) -> "Found":
+        """After what the gyroscope measures of its bias at rest.
+
+        Args:
+            found: before it.
+            omega: angular velocity without its bias [rad/s].
+            dt: to the next sample [s].
+        """
+        noise = self.numbers.rest_bias * self.numbers.rest_bias
+        for i in range(3):
+            found = _measured(found, BIAS + i, omega[i], noise, dt)
+        return found
 
     def _with_field(
         self,
@@ -488,8 +493,24 @@ def _unit(a: Vec3) -> Vec3:
 
 def _rotation_by(angle: Vec3) -> Quaternion:
     """The rotation by a vector of an angle [rad]."""
-    cosine, sine, _, _ = exp_coefficients(dot(angle, angle))
+    square = dot(angle, angle)
+
+    def by_any(_: Any) -> Any:
+        return exp_coefficients(square)[:2]
+
+    # Between two samples a body turns by little: a short series is exact to rounding.
+    cosine, sine = only_if(square > LITTLE * LITTLE, by_any, _half_angle(square))
     return (cosine, *scale(sine, angle))
+
+
+def _half_angle(square: Array) -> tuple[Array, Array]:
+    """cos(t/2) and sin(t/2)/t up to t = LITTLE, from t^2 [rad^2]."""
+    x = -0.25 * square
+    cosine, sine = (
+        reduce(lambda sum_, n: 1 / math.factorial(n) + x * sum_, range(first, -1, -2), 0 * x)
+        for first in (12, 13)
+    )
+    return cosine, 0.5 * sine
 
 
 def _smallest_rotation(a: Vec3, b: Vec3, across: Vec3) -> Quaternion:
@@ -503,6 +524,26 @@ def _smallest_rotation(a: Vec3, b: Vec3, across: Vec3) -> Quaternion:
     per_length = 1 / safe_sqrt(choose(turned, square, 1.0))
     x, y, z = (choose(turned, per_length * s, half) for s, half in zip(axis, across, strict=True))
     return choose(turned, per_length * w, 0.0), x, y, z
+
+
+def _set(
+    q: Quaternion, level: Array, first: Array, axes: Matrix3, force: Vec3, field_seen: Vec3
+) -> Quaternion:
+    """The attitude after the first acceleration and the first field.
+
+    Args:
+        q: before them.
+        level: whether the acceleration is the first.
+        first: whether the field is.
+        axes: east, north and up in the inertial frame.
+        force: the acceleration, body frame.
+        field_seen: the field, body frame.
+    """
+    to_up = _smallest_rotation(_unit(rotate(rows(q), force)), axes[UP], axes[EAST])
+    q = compose(_if(level, to_up), q)
+    seen = rotate(rows(q), field_seen)
+    level_part = subtract(seen, scale(dot(seen, axes[UP]), axes[UP]))
+    return compose(_if(first, _smallest_rotation(_unit(level_part), axes[NORTH], axes[UP])), q)
 
 
 def _if(condition: Array, q: Quaternion) -> Quaternion:
@@ -527,11 +568,15 @@ def _stillness(
     turning = add(state.slow_turning, scale(of_turning, subtract(gyr, state.slow_turning)))
     slow = add(state.slow_force, scale(of_force, subtract(force, state.slow_force)))
     still = (
-        (norm(subtract(gyr, turning)) < REST_TURNING)
-        & ((factor <= 0) | (norm(subtract(force, slow)) < REST_SHAKING))
-        & (norm(turning) < LARGEST_BIAS)
+        _is_within(subtract(gyr, turning), REST_TURNING)
+        & ((factor <= 0) | _is_within(subtract(force, slow), REST_SHAKING))
+        & _is_within(turning, LARGEST_BIAS)
     )
     return still, turning, slow
+
+
+def _is_within(a: Vec3, length: float) -> Array:
+    return dot(a, a) < length * length
 
 
 # --- the covariance, by components ---
@@ -544,19 +589,20 @@ def _entry(covariance: Covariance, i: int, j: int) -> Array:
     return covariance[i][j - i] if i <= j else covariance[j][i - j]
 
 
-def _measured(found: Found, state: int, residual: Array, information: Array) -> Found:
+def _measured(found: Found, state: int, residual: Array, noise: Array, weight: Array) -> Found:
     """After a measurement of one state.
 
     Args:
         found: before it.
         state: its index.
         residual: measured minus predicted, without the correction so far.
-        information: one over the variance of its noise; 0 where it is missing.
+        noise: the variance of its noise for a weight of 1.
+        weight: by which that is divided; 0 where the measurement is missing.
     """
     covariance, x = found
     gain = [_entry(covariance, i, state) for i in range(STATES)]
-    # gain / (variance + noise), without an infinite noise.
-    share = information / (1 + information * gain[state])
+    # gain / (variance + noise / weight), without an infinite noise.
+    share = weight / (noise + weight * gain[state])
     surprise = share * (residual - x[state])
     return (
         tuple(
@@ -576,18 +622,32 @@ def _moved(covariance: Covariance, R: Matrix3, dt: Array, pull: Array) -> Covari
         dt: time step [s].
         pull: time step times gravity [m/s].
     """
-    every = range(STATES)
+    P, axis, both = partial(_entry, covariance), range(3), range(2)
+    M = tuple(scale(dt, row) for row in R)
 
-    def step(columns: Sequence[Sequence[Any]]) -> list[list[Any]]:
-        after = [list(column) for column in columns]
-        for j, column in enumerate(columns):
-            turned = rotate(R, (column[3], column[4], column[5]))
-            for i in range(3):
-                after[j][i] = column[i] - dt * turned[i]
-            after[j][6] = column[6] + pull * column[NORTH]
-            after[j][7] = column[7] - pull * column[EAST]
-        return after
+    def with_bias(i: int) -> Vec3:
+        """Covariance of a state with the bias."""
+        return P(i, BIAS), P(i, BIAS + 1), P(i, BIAS + 2)
 
-    once = step([[_entry(covariance, i, j) for i in every] for j in every])
-    twice = step([[once[j][i] for j in every] for i in every])
-    return tuple(tuple(twice[i][j] for j in range(i, STATES)) for i in every)
+    def with_velocity(i: int) -> tuple[Array, Array]:
+        """Covariance of a state with the new velocity."""
+        return P(i, VELOCITY) + pull * P(i, NORTH), P(i, VELOCITY + 1) - pull * P(i, EAST)
+
+    x, y, z = (with_bias(BIAS + j) for j in axis)
+    turned = [(dot(row, x), dot(row, y), dot(row, z)) for row in M]
+    half = [subtract(with_bias(i), scale(0.5, turned[i])) for i in axis]
+    twice = [[dot(half[i], M[j]) for j in axis] for i in axis]
+    moved = [with_velocity(i) for i in range(STATES)]
+    x, y, z = moved[BIAS : BIAS + 3]
+    of_velocity = [(x[k], y[k], z[k]) for k in both]  # and the bias
+    entries = {
+        **{(i, j): P(i, j) - (twice[i][j] + twice[j][i]) for i in axis for j in axis},
+        **{(i, BIAS + j): with_bias(i)[j] - turned[i][j] for i in axis for j in axis},
+        **{(i, VELOCITY + k): moved[i][k] - dot(M[i], of_velocity[k]) for i in axis for k in both},
+        **{(BIAS + i, BIAS + j): P(BIAS + i, BIAS + j) for i in axis for j in axis},
+        **{(BIAS + i, VELOCITY + k): moved[BIAS + i][k] for i in axis for k in both},
+        (VELOCITY, VELOCITY): moved[VELOCITY][0] + pull * moved[NORTH][0],
+        (VELOCITY, VELOCITY + 1): moved[VELOCITY][1] + pull * moved[NORTH][1],
+        (VELOCITY + 1, VELOCITY + 1): moved[VELOCITY + 1][1] - pull * moved[EAST][1],
+    }
+    return tuple(tuple(entries[i, j] for j in range(i, STATES)) for i in range(STATES))

@@ -6,10 +6,15 @@ equal arguments. All three functions are single XLA operations, whereas `jnp.whe
 that JAX traces at each call.
 """
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
+
+T = TypeVar("T")
 
 
 def choose(condition: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
@@ -27,6 +32,14 @@ def minimum(a: Array | float, b: Array | float) -> Array:
 def maximum(a: Array, b: ArrayLike) -> Array:
     """The larger of a and b, in one instruction; b and its derivative if equal or if a is NaN."""
     return choose(a > b, a, b)
+
+
+def only_if(condition: Array, change: Callable[[T], T], carry: T) -> T:
+    """A carry, changed where the condition holds; else the change is not computed.
+
+    Under `vmap` over the condition it is computed for all, and chosen. Exported C has an `if`.
+    """
+    return lax.cond(condition, change, lambda unchanged: unchanged, carry)
 
 
 def _to(x: ArrayLike, shape: tuple[int, ...], dtype: DTypeLike) -> Array:

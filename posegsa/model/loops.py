@@ -10,8 +10,9 @@ from jax import Array, lax
 
 from posegsa.model.elementwise import choose
 
-LONGEST_LOOP = 256
-"""Maximum number of steps in a loop that stores something; longer loops are nested."""
+LONGEST_LOOP, LONGEST_TOGETHER = 8, 256
+"""Maximum number of steps in a loop that stores something, of one simulation and of many; longer
+loops are nested. What many compute takes longer than the copies of what they store."""
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 """Maps the carry and a step's input to the new carry and what is stored, as in `lax.scan`."""
@@ -56,22 +57,25 @@ def scan_together(
         return after, jnp.stack(jax.tree.leaves(stored))
 
     _, what = jax.eval_shape(jax.vmap(on_row, in_axes=(0, 1)), start, rows[0])
-    last, stored = scan(on_rows, start, rows, count)
+    last, stored = scan(on_rows, start, rows, count, LONGEST_TOGETHER)
     each = [stored[:, i].T for i in range(stored.shape[1])]
     return last, jax.tree.unflatten(jax.tree.structure(what), each)
 
 
-def scan(step: Step, start: Any, inputs: Any, count: Array | None = None) -> tuple[Any, Any]:
+def scan(
+    step: Step, start: Any, inputs: Any, count: Array | None = None, longest: int = LONGEST_LOOP
+) -> tuple[Any, Any]:
     """`lax.scan` over inputs with leaves (N, ...), as nested loops if steps store something.
 
     With the fast path's options (`runtime`) XLA:CPU copies everything that a loop stores at every
     step. Nested loops of few steps each keep those copies small. The last loop is padded; the
-    padding changes nothing, and neither do the inputs from `count` on, if it is given.
+    padding changes nothing, and neither do the inputs from `count` on, if it is given. No loop has
+    more than `longest` steps.
     """
     first = jax.tree.map(lambda a: a[0], inputs)
     _, (_, stored) = jax.eval_shape(lambda: (None, step(start, first)))
     given = jax.tree.leaves(inputs)[0].shape[0]
-    lengths = _loop_lengths(given) if jax.tree.leaves(stored) else [given]
+    lengths = _loop_lengths(given, longest) if jax.tree.leaves(stored) else [given]
     if len(lengths) == 1 and count is None:
         return lax.scan(step, start, inputs)
     full = math.prod(lengths)
@@ -115,10 +119,10 @@ def batched_alike(carry: Any, others: Any) -> Any:
     return jax.tree.unflatten(structure, [choose(True, a, one.astype(a.dtype)) for a in leaves])
 
 
-def _loop_lengths(count: int) -> list[int]:
-    """Lengths of nested loops for `count` steps, as few loops as LONGEST_LOOP allows."""
+def _loop_lengths(count: int, longest: int) -> list[int]:
+    """Lengths of nested loops for `count` steps, as few loops as `longest` allows."""
     depth = 1
-    while LONGEST_LOOP**depth < count:
+    while longest**depth < count:
         depth += 1
     lengths = []
     for level in range(depth, 0, -1):

@@ -105,16 +105,23 @@ def unrotate(R: Matrix3, a: Vec3) -> Vec3:
     return add(add(scale(a[0], R[0]), scale(a[1], R[1])), scale(a[2], R[2]))
 
 
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton product p q: the matrix product of the rotations."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
 def compose(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Hamilton product p q (the matrix product of the rotations), brought back to unit length.
+    """Hamilton product p q, brought back to unit length.
 
     One Newton step for 1/|pq| around 1 squares the error of the norm. So the norm stays 1 to
     rounding over any number of steps, without a square root or a division.
     """
-    w = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
-    x = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
-    y = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
-    z = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0]
+    w, x, y, z = product(p, q)
     inverse_norm = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
     return w * inverse_norm, x * inverse_norm, y * inverse_norm, z * inverse_norm
 

@@ -43,6 +43,8 @@ class Bridged(NamedTuple):
 
     def spread(self, values: np.ndarray, missing: float | bool) -> np.ndarray:
         """Values (K, ...) of the recording as (N, ...), `missing` for samples filled in."""
+        if len(values) == len(self.source) and (np.diff(self.source, prepend=-1) == 1).all():
+            return values
         taken = values[self.source]  # at -1 the last value, which is replaced below
         shape = (-1,) + (1,) * (values.ndim - 1)
         return np.where((self.source >= 0).reshape(shape), taken, missing)

@@ -1,16 +1,18 @@
 """Runs filters over recordings, in parts, so that device memory stays bounded."""
 
 from dataclasses import replace
-from typing import overload
+from functools import partial
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
 from posegsa.filters import rollout
-from posegsa.filters.base import Filter, Samples, check_filter, samples_of, sensors_of
+from posegsa.filters.base import Filter, check_filter, samples_of, sensors_of
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, simulate_part
@@ -99,28 +101,36 @@ def state_of(start: Start) -> FilterState:
     return initial_state(*(jnp.asarray(a) for a in start))
 
 
-@jax.jit
-def _prepared(filter: Filter, measurements: Measurements) -> Samples:
-    return samples_of(filter, measurements)
-
-
 def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
-    count, parts = recording.samples, []
-    state = filter.start(initial, sensors_of(recording.measurements))
+    count, measured = recording.samples, recording.measurements
+    state = filter.start(initial, sensors_of(measured))
     length = min(PART, count)
+    whole: Any = None
     for first in range(0, count, length):
         # All parts have the same length, so that one program serves them: the last part is padded
         # with its last sample, and the results of the padding are cut off.
-        index = np.minimum(np.arange(first, first + length), count - 1)
-        state, found = simulate_part(filter, _part(filter, recording, index), state)
-        parts.append(jax.device_get(found))
-    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+        part = jax.tree.map(partial(_padded, first, length), (measured, recording.time))
+        state, found = _run_part(filter, *part, state)
+        found = jax.device_get(found)
+        if whole is None:
+            whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), found)
+        for to, of in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
+            to[first : first + length] = of[: count - first]
     if recording.attitude_only:
-        return joined._replace(position=np.full_like(joined.position, np.nan))
-    return joined
+        return whole._replace(position=np.full_like(whole.position, np.nan))
+    return whole
 
 
-def _part(filter: Filter, recording: Recording, index: np.ndarray) -> Samples:
-    arrays = (jnp.asarray(np.asarray(a)[index]) for a in recording.measurements)
-    samples = _prepared(filter, Measurements(*arrays))
-    return samples._replace(time=jnp.asarray(recording.time[index]))
+@jax.jit
+def _run_part(
+    filter: Filter, measurements: Measurements, time: ArrayLike, state: Any
+) -> tuple[Any, Estimates]:
+    """The state after a part of a recording, and the estimates over it."""
+    samples = samples_of(filter, measurements)
+    return simulate_part(filter, samples._replace(time=jnp.asarray(time)), state)
+
+
+def _padded(first: int, length: int, values: ArrayLike) -> np.ndarray:
+    """Values (length, ...) of an array (K, ...) from `first` on, the last of them repeated."""
+    part = np.asarray(values)[first : first + length]
+    return np.concatenate([part, np.repeat(part[-1:], length - len(part), axis=0)])

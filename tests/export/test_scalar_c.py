@@ -105,6 +105,8 @@ def test_numbers_of_float32_are_written_as_short_as_they_are():
         (lambda a: 1.0 if a > 0 else 2.0, "can't be written in C"),
         (lambda a: a * (a.astype(int) + 1).astype(a.dtype), "on integers"),
         (jax.scipy.special.gammaln, "'lgamma'"),
+        (lambda a: jax.lax.cond(a > 0, jnp.stack, lambda b: jnp.stack(b) + 1, [a, a])[0], "arrays"),
+        (lambda a: jax.lax.switch(a.astype(int), [jnp.sin, jnp.cos], a), "on integers"),
     ],
 )
 def test_what_is_no_arithmetic_of_scalars_is_refused(function, words):

@@ -120,7 +120,44 @@ def sums_so_far(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return tuple(found), tuple(a * found[3] for a in y)
 
 
+def same(x: Scalars) -> Scalars:
+    return x
+
+
+def changed_if(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """Branches that are taken and not, one within another, with what they swap and leave alone."""
+
+    def outer(carried: Scalars) -> Scalars:
+        a, b, *rest = carried
+        first = jax.lax.cond(y[0] < y[1], lambda pair: (pair[1], pair[0] * y[2]), same, (a, b))
+        return (*first, *(0.5 * one - a for one in rest))
+
+    below = jax.lax.cond(x[0] < x[1], outer, same, x)
+    above = jax.lax.cond(x[0] >= x[1], outer, same, x)
+    return tuple(a - b for a, b in zip(below, above, strict=True)), y
+
+
+def either(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """A branch on either side, a truth among what comes out, and a condition that is known."""
+    number, positive = jax.lax.cond(
+        y[0] * y[1] > 0, lambda a: (a * y[2], a > 0), lambda a: (a - y[3], a > 1), x[0]
+    )
+    known = jax.lax.cond(jnp.asarray(2.0) > 1, lambda a: a + 1, lambda a: a - 1, x[1])
+    return (jax.lax.select(positive, number, -number), known, *x[2:]), y
+
+
+def branch_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    def turn(carried: Scalars, z: jax.Array) -> tuple[Scalars, None]:
+        turned = (*carried[1:], carried[0])
+        return jax.lax.cond(z > 0, lambda x: tuple(jnp.tanh(a + z) for a in x), same, turned), None
+
+    return jax.lax.scan(turn, x, jnp.stack(y))[0], y
+
+
 BY_HAND = [
+    changed_if,
+    either,
+    branch_in_a_loop,
     swapped,
     reversed_on_the_spot,
     half_of_a_truth,
@@ -134,7 +171,7 @@ def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
     """A function of a few rounds, each of which changes the numbers by neighbours far and near."""
     rng = np.random.default_rng(seed)
     rounds = [
-        (rng.integers(6), rng.permutation(N).tolist(), int(rng.integers(N)), float(rng.normal()))
+        (rng.integers(7), rng.permutation(N).tolist(), int(rng.integers(N)), float(rng.normal()))
         for _ in range(rng.integers(2, 6))
     ]
     looped, crossed = rng.random() < 0.6, rng.random() < 0.5
@@ -155,6 +192,11 @@ def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
                     x = tuple(a + 0.3 * b for a, b in zip(x, shifted, strict=True))
                 case 4:
                     x = x[:at] + tuple(0.5 * a - y[0] for a in x[at:])
+                case 5:
+                    less = 0.1 * x[at]
+                    x = jax.lax.cond(
+                        x[at] > y[0], lambda x, b=less: tuple(a - b for a in x), same, x
+                    )
                 case _:
                     x = tuple(0.5 * a + x[at] * b for a, b in zip(x, y, strict=True))
         return tuple(jnp.tanh(a) if i % 5 == 0 else a for i, a in enumerate(x))

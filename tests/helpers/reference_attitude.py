@@ -111,7 +111,7 @@ def attitudes(
             gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag(variances))
             x = gain @ np.array(residuals)
             P = (np.eye(8) - gain @ H) @ P
-        turn = Rotation.from_rotvec(x[:3]).as_matrix()
+        turn = Rotation.from_quat([*(0.5 * x[:3]), 1.0]).as_matrix()  # normalised by SciPy
         R, b, v = turn @ R, b + x[3:6], v + x[6:]
         if f is not None:
             f = turn @ f

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from jax import Array, lax
 
-from posegsa.model.loops import LONGEST_LOOP, batched_alike, scan, scan_rows, scan_together
+from posegsa.model.loops import (
+    LONGEST_LOOP,
+    LONGEST_TOGETHER,
+    batched_alike,
+    scan,
+    scan_rows,
+    scan_together,
+)
 
 
 def inputs(count: int) -> dict[str, Array]:
@@ -91,14 +98,18 @@ def test_derivatives_go_through(count: int) -> None:
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 1500, 65_536, 65_537, 10_000_000])
-def test_loops_are_short_and_hardly_any_step_is_made_for_nothing(count: int) -> None:
+@pytest.mark.parametrize("count", [1, 2, 8, 255, 256, 257, 1500, 65_536, 65_537, 10_000_000])
+@pytest.mark.parametrize(("longest", "waste"), [(LONGEST_LOOP, 0.25), (LONGEST_TOGETHER, 0.1)])
+def test_loops_are_short_and_few_steps_are_made_for_nothing(
+    count: int, longest: int, waste: float
+) -> None:
     # Traced and never run: the inputs have a shape and no numbers.
     given = {name: jax.ShapeDtypeStruct((count,), np.float32) for name in ("a", "b")}
-    lengths = loop_lengths(jax.make_jaxpr(lambda x: scan(storing, START, x))(given).jaxpr)
-    assert max(lengths) <= LONGEST_LOOP
-    assert count <= np.prod(lengths) <= 1.1 * count + 1
-    assert (len(lengths) == 1) == (count <= LONGEST_LOOP)
+    program = jax.make_jaxpr(lambda x: scan(storing, START, x, longest=longest))(given)
+    lengths = loop_lengths(program.jaxpr)
+    assert max(lengths) <= longest
+    assert count <= np.prod(lengths) <= (1 + waste) * count + 1
+    assert (len(lengths) == 1) == (count <= longest)
 
 
 def loop_lengths(program: Any) -> list[int]:
