@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from posegsa.recordings.checked_files import file_of, reading
-
-GRAVITY = 9.81
-"""[m/s^2]"""
+from posegsa.recordings.frames import GRAVITY
 
 
 def read_broad(path: str | Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The supported inertial frames."""
+"""The supported inertial frames, and gravity."""
 
 from typing import Literal
 
@@ -14,3 +14,6 @@ NORTH: dict[str, tuple[float, float, float]] = {
     "NWU": (1, 0, 0),
 }
 """The direction of magnetic north in each frame."""
+
+GRAVITY = 9.81
+"""Length of the specific force at rest [m/s^2]."""

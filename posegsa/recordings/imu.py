@@ -15,13 +15,11 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import finite_array
-from posegsa.recordings.frames import NORTH, UP, Frame
+from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
+from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
 from posegsa.recordings.units import check_units
-
-GRAVITY = 9.81
-"""Length of the specific force at rest [m/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -30,6 +28,16 @@ class ImuRecording(Recording):
 
     frame: Frame = "ENU"
     """The inertial frame."""
+
+    def describe(self) -> str:
+        """A text for people, with advice where the signals call for it."""
+        found = advice(
+            np.asarray(self.measurements.angular_velocity),
+            self.sensors["accelerometer"],
+            self.sensors.get("magnetometer"),
+            self.time_step,
+        )
+        return "\n".join([super().describe(), *(f"  advice: {words}" for words in found)])
 
 
 def references(frame: Frame = "ENU") -> np.ndarray:

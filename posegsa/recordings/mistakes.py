@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posegsa.recordings.relations import AXES, GRAVITY, Quantities, Vector, misfits
+from posegsa.recordings.frames import GRAVITY
+from posegsa.recordings.relations import AXES, Quantities, Vector, misfits
 from posegsa.recordings.rotations import matrices, quaternions
 
 BETTER = 2.5

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from posegsa.recordings.frames import GRAVITY
 from posegsa.recordings.held import held
 from posegsa.recordings.inertial_frame import running_products
 from posegsa.recordings.recording import Recording
@@ -53,7 +54,7 @@ SPARSE = 0.05
 """Share of the weights that measurements must have in such a mean."""
 LIVELY = 0.005
 """Change of the specific force of an axis, as a share of gravity, below which it says nothing."""
-GRAVITY, AXES = 9.81, "xyz"
+AXES = "xyz"
 
 
 @dataclass(frozen=True)

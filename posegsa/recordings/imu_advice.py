@@ -1,0 +1,83 @@
+"""What an inertial sensor's own signals say against it: advice before its recording is used.
+
+The samples are divided into parts of PART seconds. In a part the sensor rests if gyroscope and
+accelerometer stay near their means, by the thresholds of the attitude filter (`filters.attitude`).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from posegsa.filters.attitude import LARGEST_BIAS, REST_SHAKING, REST_TURNING
+from posegsa.recordings.frames import GRAVITY
+
+PART = 0.5
+"""Length of a part [s]."""
+FEWEST = 4
+"""Parts of rest, or of motion, that are enough to say something."""
+FIELD_OFF, FORCE_OFF, BIAS_OFF = 0.1, 0.02, float(np.deg2rad(1.0))
+"""Change of the field's length, and error of the acceleration's at rest, as shares, and bias of the
+gyroscope [rad/s], from which on there is advice. Of the 17 trials of BROAD that were looked at,
+only two with a magnet at 1 and 2 cm exceed one of them."""
+
+
+def advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, time_step: float) -> list[str]:
+    """Sentences about what is wrong with an inertial sensor by its signals; none if all is well.
+
+    Args:
+        gyr: (K, 3) angular velocity [rad/s].
+        acc: (K, 3) specific force [m/s^2]; NaN where missing.
+        mag: (K, 3) magnetic field in any unit, NaN where missing; None without a magnetometer.
+        time_step: median time between samples [s].
+    """
+    return list(_advice(gyr, acc, mag, max(1, round(PART / time_step))))
+
+
+def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: int) -> Iterator[str]:
+    turning, force = _parts(gyr, length), _parts(acc, length)
+    bias, pull = turning.mean(axis=1), force.mean(axis=1)
+    still = (
+        (_length(turning - bias[:, None]).max(axis=1) < REST_TURNING)
+        & (_length(force - pull[:, None]).max(axis=1) < REST_SHAKING)
+        & (_length(bias) < LARGEST_BIAS)
+    )
+    if np.count_nonzero(still) >= FEWEST:
+        speed = _length(np.median(bias[still], axis=0))
+        if speed >= BIAS_OFF:
+            yield (
+                f"the gyroscope shows {np.degrees(speed):.1f} deg/s at rest: subtract it, or let "
+                f"the filter expect it (--set filter.initial_bias={2 * speed:.2g})"
+            )
+        g = float(np.median(_length(pull[still])))
+        if abs(g / GRAVITY - 1) >= FORCE_OFF:
+            yield (
+                f"the accelerometer shows {g:.2f} m/s^2 at rest, {100 * abs(g / GRAVITY - 1):.0f} "
+                f"% {'more' if g > GRAVITY else 'less'} than gravity: calibrate it"
+            )
+    if mag is None:
+        return
+    field = _length(_parts(mag, length)).mean(axis=1)
+    seen = np.isfinite(field)
+    resting, moving = field[seen & still], field[seen & ~still]
+    cure = "calibrate the magnetometer in its place, or remove the magnet that is attached"
+    if min(len(resting), len(moving)) >= FEWEST:
+        ratio = float(np.median(moving) / np.median(resting))
+        if abs(ratio - 1) >= FIELD_OFF:
+            share = 100 * abs(ratio - 1)
+            yield f"the field differs by {share:.0f} % between rest and motion: {cure}"
+            return
+    if len(moving) >= FEWEST:
+        low, middle, high = np.quantile(moving, (0.05, 0.5, 0.95))
+        if (high - low) / (2 * middle) >= FIELD_OFF:
+            share = 100 * (high - low) / (2 * middle)
+            yield f"the field's length varies by {share:.0f} % while the body moves: {cure}"
+
+
+def _parts(signal: np.ndarray, length: int) -> np.ndarray:
+    """A signal (K, 3) in whole parts (parts, length, 3)."""
+    count = len(signal) // length
+    return np.asarray(signal)[: count * length].reshape(count, length, 3)
+
+
+def _length(a: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(a, axis=-1)
