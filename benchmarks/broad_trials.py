@@ -11,12 +11,14 @@ trials; of all that it tried, each trial is judged by what is best on the others
 depends a little on all trials.) The shipped numbers are what is best on all, to two digits.
 
     python benchmarks/broad_trials.py DATA_FOLDER [--iterations N] [--write]
+    python benchmarks/broad_trials.py DATA_FOLDER --changed [--write]
 
 DATA_FOLDER holds trials of BROAD as published (https://github.com/dlaidig/broad). Needs the package
 vqf. A search of 60 iterations takes ten minutes on two cores.
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +31,7 @@ from readme import write_block
 import posegsa
 from posegsa import config
 from posegsa.filters.attitude import AttitudeNumbers
-from posegsa.filters.base import Samples
+from posegsa.filters.base import Samples, sensors_in
 from posegsa.filters.rollout import run
 from posegsa.model.se3 import compose
 from posegsa.model.signal import known_pose
@@ -45,6 +47,7 @@ SPREAD = 5.0
 """Numbers are searched between the shipped ones divided and multiplied by this."""
 SEARCHED = tuple(name for name in AttitudeNumbers._fields if name != "outlier")
 KINDS = "whole", "in motion"
+Change = Callable[[Recording], Recording]
 
 
 class Trial(NamedTuple):
@@ -55,13 +58,60 @@ class Trial(NamedTuple):
     moving: Recording
 
 
-def trial(path: Path) -> Trial:
-    """A trial from its file."""
-    whole = posegsa.as_imu(Recording.from_broad(path))
-    begin = float(whole.time[np.argmax(whole.phases["motion"])]) + BEGUN
-    later = posegsa.as_imu(Recording.from_broad(path).window(begin))
+def trial(path: Path, change: Change | None = None) -> Trial:
+    """A trial from its file, with its signals changed."""
+    one = Recording.from_broad(path)
+    begin = float(one.time[np.argmax(one.phases["motion"])]) + BEGUN
+    one = one if change is None else change(one)
+    later = posegsa.as_imu(one.window(begin))
     moving = replace(later, judged=later.judged & (later.time >= LATE))
-    return Trial(path.stem, whole, moving)
+    return Trial(path.stem, posegsa.as_imu(one), moving)
+
+
+def half_the_rate(one: Recording) -> Recording:
+    """Each second sample; of the gyroscope the mean since the one before."""
+    gyr = np.asarray(one.measurements.angular_velocity)
+    gyr = np.concatenate([gyr[:1], (gyr[1:-1:2] + gyr[2::2]) / 2])
+    return changed(one, gyr, one.sensors["magnetometer"], 2)
+
+
+def with_a_bias(one: Recording) -> Recording:
+    """1 deg/s more about (1, 1, 1)."""
+    gyr = np.asarray(one.measurements.angular_velocity)
+    return changed(one, gyr + np.deg2rad(1) / np.sqrt(3), one.sensors["magnetometer"])
+
+
+def with_a_long_axis(one: Recording) -> Recording:
+    """The magnetometer's x axis is 5 % long."""
+    gyr = np.asarray(one.measurements.angular_velocity)
+    return changed(one, gyr, one.sensors["magnetometer"] * [1.05, 1, 1])
+
+
+def changed(one: Recording, gyr: np.ndarray, mag: np.ndarray, stride: int = 1) -> Recording:
+    """A recording with other signals, and only each `stride`-th sample of the others."""
+    assert one.truth is not None
+    gyr = gyr[: len(mag[::stride])]
+    return Recording.from_arrays(
+        name=one.name,
+        time_step=stride * one.time_step,
+        angular_velocity=gyr,
+        truth_rotation=one.truth.rotation[::stride],
+        judged=one.judged[::stride],
+        phases={name: mask[::stride] for name, mask in one.phases.items()},
+        sensors={
+            "accelerometer": one.sensors["accelerometer"][::stride],
+            "magnetometer": mag[::stride],
+        },
+        start=(np.eye(3), np.zeros(3)),  # `as_imu` finds its own
+    )
+
+
+CHANGES: dict[str, Change | None] = {
+    "as they are": None,
+    "half the rate": half_the_rate,
+    "1 deg/s of bias added to the gyroscope": with_a_bias,
+    "x axis of the magnetometer 5 % long": with_a_long_axis,
+}
 
 
 def vqf(recording: Recording, six_axes: bool = False) -> np.ndarray:
@@ -95,7 +145,7 @@ def _errors(filter: Any, samples: Samples, weight: Any, initial: Any, values: An
             return tuple(sum_ + 4 * share * a * a for sum_, a in pairs), None
 
         chosen = filter.with_values(values)
-        start, zero = chosen.start(initial, 2), jnp.zeros_like(weight[0])
+        start, zero = chosen.start(initial, sensors_in(samples)), jnp.zeros_like(weight[0])
         _, sums, _ = run(look, chosen, samples, start, extra=weight, total=(zero,) * 3)
         return jnp.sqrt(jnp.stack(sums))
 
@@ -187,18 +237,45 @@ def table(names: list[str], columns: dict[str, np.ndarray]) -> list[str]:
     return [*lines, row("**mean**", [f"**{each}**" for each in means])]
 
 
+def of_vqf(each: list[Trial]) -> np.ndarray:
+    """Errors (trials, 2, 3) of VQF as it comes."""
+    return np.array([[vqf(one) for one in (t.whole, t.moving)] for t in each])
+
+
+def changes(paths: list[Path]) -> list[str]:
+    """Rows: mean total errors of the shipped numbers and of VQF where the signals are changed."""
+    shipped = config.AttitudeConfig()
+    numbers = np.array([[getattr(shipped, name) for name in SEARCHED]])
+    lines = [row("", ["whole", "VQF", "in motion", "VQF"]), row("---", ["---"] * 4)]
+    for name, change in CHANGES.items():
+        each = [trial(path, change) for path in paths]
+        own, other = (a[..., 0].mean(axis=0) for a in (Judge(each)(numbers)[0], of_vqf(each)))
+        cells = [f"{x:.2f}" for pair in zip(own, other, strict=True) for x in pair]
+        lines.append(row(name, cells))
+    return [*lines, "", "By `python benchmarks/broad_trials.py DATA_FOLDER --changed --write`."]
+
+
 def main() -> None:
     """Search, judge by leave-one-out, and print or write the tables."""
     posegsa.enable_fast_path()  # before anything uses JAX
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of BROAD's trials (.mat)")
     parser.add_argument("--iterations", type=int, default=60, help="of the search")
+    parser.add_argument(
+        "--changed", action="store_true", help="instead: the shipped numbers on changed signals"
+    )
     parser.add_argument("--write", action="store_true", help="write the tables to docs/imu.md")
     options = parser.parse_args()
     each = [trial(path) for path in sorted(options.data.glob("*.mat"))]
     if len(each) < 2:
         raise SystemExit(f"{options.data}: holds fewer than two trials (.mat)")
-    others = np.array([[vqf(one) for one in (t.whole, t.moving)] for t in each])
+    if options.changed:
+        lines = changes(sorted(options.data.glob("*.mat")))
+        print("\n".join(lines))
+        if options.write:
+            write_block("broad-changed", "\n".join(lines), "docs/imu.md")
+        return
+    others = of_vqf(each)
     tried, errors = search(Judge(each), others[..., 0], options.iterations)
     left_out = []
     for k in range(len(each)):

@@ -6,6 +6,7 @@ the field it learns. Such a recording has no position: it is attitude only.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -84,15 +85,11 @@ def imu(
     acc = finite_array("acc", acc, (len(gyr), 3), finite=False)
     if mag is not None:
         mag = finite_array("mag", mag, (len(gyr), 3), finite=False)
-    sensors = {"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag})
     sources = {"angular velocity": "measured (gyroscope)"} | more.pop("sources", {})
     try:
-        recording = Recording.from_arrays(
-            time=time, angular_velocity=gyr, sensors=sensors, sources=sources, **more
-        )
+        return _made(gyr, acc, mag, frame, time=time, sources=sources, **more)
     except RecordingError as error:
         raise RecordingError(str(error).replace("angular_velocity, velocity", "gyr")) from None
-    return as_imu(recording, frame=frame)
 
 
 def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
@@ -107,32 +104,51 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
         RecordingError: as in `imu`, or the recording has no accelerometer.
     """
     check_type("recording", recording, Recording)
-    if frame not in UP:
-        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
     if "accelerometer" not in recording.sensors:
         raise RecordingError(
             f"{recording.name}: has no accelerometer; allowed: sensors with one, as from columns "
             "ax, ay, az of a CSV file"
         )
-    acc, mag = recording.sensors["accelerometer"], recording.sensors.get("magnetometer")
-    gyr = np.asarray(recording.measurements.angular_velocity)
-    check_units(gyr, acc, recording.time_step)
-    missing = np.full_like(acc, math.nan)
-    truth, vectors = recording.truth, [acc, missing if mag is None else mag]
-    found = Recording.from_arrays(
+    truth = recording.truth
+    return _made(
+        np.asarray(recording.measurements.angular_velocity),
+        recording.sensors["accelerometer"],
+        recording.sensors.get("magnetometer"),
+        frame,
         name=recording.name,
         time_step=recording.measurements.time_step,
-        angular_velocity=gyr,
-        vectors=np.stack(vectors, axis=1),
-        vector_references=references(frame),
         truth_rotation=None if truth is None else truth.rotation,
         judged=recording.judged,
         phases=recording.phases,
-        start=Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6)),
-        sources=recording.sources | _in_words(acc, mag),
-        sensors=recording.sensors,
+        sources=recording.sources,
         notes=recording.notes,
     )
+
+
+def _made(
+    gyr: np.ndarray,
+    acc: np.ndarray,
+    mag: np.ndarray | None,
+    frame: Frame,
+    *,
+    sources: Mapping[str, str],
+    **more: Any,
+) -> ImuRecording:
+    """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
+    if frame not in UP:
+        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    field = np.full_like(acc, math.nan) if mag is None else mag
+    found = Recording.from_arrays(
+        angular_velocity=gyr,
+        vectors=np.stack([acc, field], axis=1),
+        vector_references=references(frame),
+        start=Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6)),
+        sources=dict(sources) | _in_words(acc, mag),
+        sensors={"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag}),
+        **more,
+    )
+    acc, gyr = found.sensors["accelerometer"], np.asarray(found.measurements.angular_velocity)
+    check_units(gyr, acc, found.time_step)
     return ImuRecording(
         **{each.name: getattr(found, each.name) for each in fields(found)}, frame=frame
     )
