@@ -446,7 +446,8 @@ def _purpose(filter: Filter, known: References, states: int) -> list[str]:
             "From angular velocity, specific force (vectors[0], [m/s^2], 9.8 upwards at rest) and "
             "magnetic field (vectors[1], any unit; weight 0 without one) it estimates the "
             "attitude. It begins upright and to the north by itself, from any attitude that "
-            "posegsa_init is given. Filter: AttitudeFilter."
+            "posegsa_init is given. The inertial frame is written into the step; posegsa_vectors "
+            "only shows it. Filter: AttitudeFilter."
         )
     sensors = [
         counted(len(known.vectors), "vector") if len(known.vectors) else "",
