@@ -28,12 +28,10 @@ from posegsa.judging.trust import SENSITIVE
 from posegsa.report import report_tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
 from posegsa.report.sentences import (
-    better_words,
     cost_words,
     filter_words,
     next_words,
     recorded_errors,
-    verdict,
     worse_words,
 )
 from posegsa.words import counted, toml
@@ -84,9 +82,7 @@ def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
         "evaluation": judged.evaluation,
         "CONSISTENCY_WORDS": CONSISTENCY_WORDS,
         "beside": judged.beside,
-        "verdict": verdict(judged),
         "cost_words": cost_words(result),
-        "better_words": better_words(judged),
         "worse_words": worse_words(judged),
         "next_words": next_words(result),
         "no_family": list(NO_FAMILY.described()),
