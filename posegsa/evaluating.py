@@ -30,8 +30,7 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.judge import on_scenarios
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.on_scenarios import OnScenarios
-from posegsa.judging.other_filters import OTHER_FILTERS, installed
-from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
+from posegsa.judging.recorded_baselines import judged_beside_baselines
 from posegsa.judging.result import Result
 from posegsa.judging.untuned import always_starts
 from posegsa.progress import shown
@@ -176,7 +175,4 @@ def _on_recordings(
     unseen, seen = (
         [as_read_by(result.filter.kind, one) for one in some] for some in (unseen, seen)
     )
-    names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
-    if others is None:
-        names = [name for name in names if installed(name)]
-    return judged_beside_baselines(result, unseen, seen, names, cost)
+    return judged_beside_baselines(result, unseen, seen, others, cost)

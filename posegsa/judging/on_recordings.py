@@ -4,17 +4,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
+import jax
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from posegsa import config
 from posegsa.errors import RecordingError
+from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
+from posegsa.judging.description import Description, described_filter
 from posegsa.judging.evaluation import CONSTANT, EKF
 from posegsa.judging.known_sensors import StoredSensors
-from posegsa.judging.replayed import HEADS, error_rows, replayed_on
+from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.fingerprint import fingerprint
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import run_filter
+from posegsa.search.configured_filters import OwnFilter
 from posegsa.words import text_table
 
 
@@ -195,7 +202,6 @@ class OnRecordings:
 
     def rows(self) -> list[list[str]]:
         """The rows of `table`, the heads first."""
-        heads = ["", *HEADS]
         blocks = {"tuned on": self.training, "held out": self.held_out}
         blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
         rows = [
@@ -203,9 +209,7 @@ class OnRecordings:
             for title, scores in blocks.items()
             for first, row in enumerate(_rows(scores))
         ]
-        if not any(row[-1] for row in rows):
-            heads, rows = heads[:-1], [row[:-1] for row in rows]
-        return [heads, *rows]
+        return with_heads(["", *HEADS], rows)
 
     def origins(self) -> str:
         """What of the recordings is measured and what synthetic, and what was bridged."""
@@ -281,6 +285,25 @@ def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
         position=float(np.mean(positions)) if positions else None,
         samples=sum(one.samples for one in judged),
     )
+
+
+def scored(
+    found: Description,
+    experiment: config.Experiment,
+    recordings: Sequence[Recording],
+    own: OwnFilter | None = None,
+) -> list[RecordingScore]:
+    """What a filter of an experiment is worth on recordings, each as this kind of filter reads it.
+
+    `own` is the user's own filter, where it is one.
+    """
+    scores = []
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        for one in recordings:
+            read = as_read_by(experiment.filter.kind, one)
+            filter = described_filter(found, experiment, own, sensors_of(read.measurements))
+            scores.append(score(read, run_filter(filter, read)))
+    return scores
 
 
 def score(recording: Recording, estimates: Estimates) -> RecordingScore:
