@@ -123,13 +123,11 @@ def evaluate(
             judged = result.on_scenarios
         found = _all_found(result, judged, problem)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
-        one = problem.scenario
-        assert one is not None
-        held_out = scenario_batch(drawn, one, unseen, problem.training.filter)
+        held_out = scenario_batch(drawn, unseen, problem.training.filter)
         contenders = {}
         for name, (own, description) in steps.each("judging", list(found.items()), itemgetter(0)):
             same = (own.filter, own.scenario) == (drawn.filter, drawn.scenario)
-            batch = held_out if same else batch_for(held_out, drawn, own, one, unseen)
+            batch = held_out if same else batch_for(held_out, drawn, own, unseen)
             if name == UNTUNED and not always_starts(batch):
                 continue
             tracks = error_tracks(candidate_of(description, own), batch)

@@ -201,13 +201,12 @@ def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, i
 
 def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     """The untuned Kalman filter on the held-out scenarios, by name; none where it cannot start."""
-    own, one = problem.experiment, problem.scenario
-    assert one is not None
+    own = problem.experiment
     plain = untuned_kalman(own)
     keys = held_out_keys(own.run.seed, own.run.held_out_scenarios)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
-        batch = scenario_batch(plain, one, keys)
+        batch = scenario_batch(plain, keys)
     if not always_starts(batch):
         return {}
     found = configured_filter(plain)

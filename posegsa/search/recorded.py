@@ -32,7 +32,7 @@ from posegsa.recordings.running import as_seen, state_of
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
 from posegsa.search.configured_filters import OwnFilter, filter_of
-from posegsa.search.drawn_scenarios import all_scenarios, scenario
+from posegsa.search.drawn_scenarios import all_scenarios
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.problem import TuningProblem
 from posegsa.search.search_spaces import own_space, search_space
@@ -85,7 +85,6 @@ def recorded_problem(
     memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
-        scenario=None,
         scenarios=None,
         training=recorded_batch(experiment, recordings, position_weight, own),
         space=search_space(experiment, own_space(experiment, LOWEST_GAIN)),
@@ -94,11 +93,10 @@ def recorded_problem(
     if not experiment.objective.simulated_share:
         return problem
     _check_same_sensors(experiment, recordings)
-    one = scenario(experiment)
-    drawn = all_scenarios(experiment, one, filter_of(experiment, own))
+    drawn = all_scenarios(experiment, filter_of(experiment, own))
     every = as_recordings(drawn, position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
-    return problem._replace(scenario=one, scenarios=every, beside=beside)
+    return problem._replace(scenarios=every, beside=beside)
 
 
 def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:

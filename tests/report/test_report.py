@@ -35,7 +35,6 @@ from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
     EKF,
-    EKF_VECTORS,
     OPEN_LOOP,
     SMOOTH,
     SWITCH,
