@@ -115,16 +115,16 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
         for key, value in noises.items()
     }
     kalman = config.load("kalman").replace(**stated, **{"search.iterations": FEW})
-    data = kalman.model_dump(mode="json")
-    least = {key: data["filter"][key] for key in ("angular_velocity", "velocity")}
-    boxes = {key: (value, MORE_NOISE * value) for key, value in least.items()}
+    boxes = {}
+    for key in ("angular_velocity", "velocity"):
+        found = config.number_at(kalman, f"filter.{key}")
+        boxes[key] = (found, MORE_NOISE * found)
     boxes["linear_walk"] = LINEAR_WALKS
-    data["parameters"]["also"] = [
+    also = [
         {"key": f"filter.{key}", "lower": low, "upper": high, "scale": "logarithmic"}
         for key, (low, high) in boxes.items()
     ]
-    data["objective"]["least_gain"] = LEAST_GAIN
-    return config.from_dict(data)
+    return kalman.replace(**{"parameters.also": also, "objective.least_gain": LEAST_GAIN})
 
 
 def tuned_on_recordings(
@@ -207,9 +207,7 @@ def with_effect_on(
                 f"{counted(vectors, 'vector')} and {counted(landmarks, 'landmark')}; allowed: a "
                 "list without it"
             )
-    data = experiment.model_dump(mode="json")
-    data["parameters"]["also"] = kept
-    return config.from_dict(data)
+    return experiment.replace(**{"parameters.also": kept})
 
 
 @cache
