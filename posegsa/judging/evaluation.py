@@ -43,6 +43,12 @@ CONTENDERS = (
     "before tuning",
 )
 """Names of the filters that can be compared, in the order of the tables."""
+NOISES_FOUND = "Kalman filter with the noises found"
+"""The filter that stands beside every one that was tuned on recordings: it was not searched."""
+KALMAN_AS_IT_COMES = "Kalman filter as it comes"
+"""The filter of `kalman.toml` beside it."""
+IMU_AS_IT_COMES = "attitude filter as it comes"
+"""The same on recordings of inertial sensors."""
 CLAIRVOYANT = "clairvoyant"
 """The name of the reference below all filters, which is told what no filter can know."""
 NOT_TUNED = "this filter"
@@ -54,6 +60,9 @@ ADVICE = {
     EKF_VECTORS: "`posegsa tune kalman`",
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
+    NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
+    KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
+    IMU_AS_IT_COMES: "`posegsa replay imu`",
 }
 """How to get one of the filters beside a tuned one."""
 BAND_POINTS = 300
@@ -101,6 +110,11 @@ def called(name: str) -> str:
     """A contender's name within a sentence."""
     words = {AS_CONFIGURED: "the filter before tuning", NOT_TUNED: NOT_TUNED}
     return words.get(name, f"the {name}")
+
+
+def how_to_take(name: str) -> str:
+    """How to get the first of several better filters, in words; "" if there is no short way."""
+    return f" To take the first of them: {ADVICE[name]}." if name in ADVICE else ""
 
 
 def own_name(found: Description) -> str:
@@ -279,8 +293,7 @@ class Evaluation:
             f"{called(name)} by {less.mean:.3g} ({less.low:.3g} to {less.high:.3g})"
             for name, less in better.items()
         ]
-        advice = ADVICE.get(next(iter(better)))
-        take = f" To take the first of them: {advice}." if advice else ""
+        take = how_to_take(next(iter(better)))
         return f"{head} Less cost: {', '.join(parts)}, with 95 % intervals.{take}"
 
     def table(self) -> str:

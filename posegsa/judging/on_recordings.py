@@ -13,7 +13,7 @@ from posegsa.errors import RecordingError
 from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
-from posegsa.judging.evaluation import CONSTANT, EKF
+from posegsa.judging.evaluation import CONSTANT, how_to_take
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
@@ -38,20 +38,6 @@ NOT_CUT = 0.99
 """Share of the gain asked for from which on it counts as used."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
-NOISES_FOUND = "Kalman filter with the noises found"
-"""The filter that stands beside every one that was tuned on recordings: it was not searched."""
-KALMAN_AS_IT_COMES = "Kalman filter as it comes"
-"""The filter of `kalman.toml` beside it."""
-IMU_AS_IT_COMES = "attitude filter as it comes"
-"""The same on recordings of inertial sensors."""
-ADVICE = {
-    NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
-    KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
-    IMU_AS_IT_COMES: "`posegsa replay imu`",
-    CONSTANT: "`--set filter.schedule=constant`",
-    EKF: "`posegsa tune kalman --recording`",
-}
-"""How to get one of the filters beside a tuned one."""
 DRAWS, FEWEST_BLOCKS = 2000, 4
 """Draws of a bootstrap, and the blocks that a recording needs for one."""
 MOSTLY = 0.5
@@ -154,7 +140,7 @@ class OnRecordings:
             least = min(each.share for each in found.values())
             if least < 1 / MATTERS:
                 parts = [f"{each} in {of}" for of, each in found.items()]
-                better.append((least, f"{name} ({', '.join(parts)})", ADVICE.get(name, "")))
+                better.append((least, f"{name} ({', '.join(parts)})", how_to_take(name)))
         position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
         head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
         beside = ", ".join(self.baselines)
@@ -165,8 +151,9 @@ class OnRecordings:
             )
         better.sort()
         listed = "; ".join(words for _, words, _ in better)
-        advice = f" To take the first of them: {better[0][2]}." if better[0][2] else ""
-        return f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{advice}"
+        return (
+            f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{better[0][2]}"
+        )
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""

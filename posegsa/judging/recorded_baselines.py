@@ -13,16 +13,14 @@ import jax
 from posegsa import config, steps
 from posegsa.judging.baselines import baselines
 from posegsa.judging.description import configured_filter, describe
-from posegsa.judging.evaluation import CONSTANT, EKF
-from posegsa.judging.on_recordings import (
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    EKF,
     IMU_AS_IT_COMES,
     KALMAN_AS_IT_COMES,
     NOISES_FOUND,
-    OnRecordings,
-    RecordingScore,
-    score,
-    scored,
 )
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score, scored
 from posegsa.judging.other_filters import OTHER_FILTERS, installed, other_filter, readable
 from posegsa.judging.result import Result
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
