@@ -75,8 +75,7 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
 
 def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
     """What the page of a result on drawn scenarios shows of them."""
-    fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
-    fired = trust.rule_weights
+    fuzzy = result.filter.kind == "fuzzy"
     return {
         "judged": judged,
         "evaluation": judged.evaluation,
@@ -92,10 +91,8 @@ def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
         "input_terms": report_tables.input_terms(result) if fuzzy else [],
         "output_terms": report_tables.output_terms(result) if fuzzy else [],
         "error_columns": [f"Error {term}" for term in config.TERMS],
-        "rules": [] if fired is None else report_tables.rules(result),
+        "rules": [] if judged.trust.rule_weights is None else report_tables.rules(result),
         "simulations": report_tables.simulations(result),
-        "never_firing": 0 if fired is None else report_tables.never_firing(fired),
-        "heaviest": None if fired is None else report_tables.heaviest_rule(fired),
     }
 
 
