@@ -31,7 +31,7 @@ from posegsa.judging.result import Result
 from posegsa.runtime import environment
 from posegsa.saving.result_files import load
 from posegsa.search.candidates import Candidate
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import endurance_keys
 from posegsa.search.population import evaluate_population
 from posegsa.search.problem import tuning_problem
@@ -45,7 +45,7 @@ LAW_OFF = ["filter.vector_bias=off", "parameters.also=[]"]
 def tracks(experiment: config.Experiment, candidate: Candidate, scenarios: int) -> ErrorTrack:
     """Errors of a candidate on unseen scenarios of an experiment."""
     keys = endurance_keys(experiment.run.seed, scenarios)
-    return error_tracks(candidate, scenario_batch(experiment, scenario(experiment), keys))
+    return error_tracks(candidate, scenario_batch(experiment, keys))
 
 
 def degrees(track: ErrorTrack) -> np.ndarray:
@@ -109,7 +109,7 @@ def without_noise(result: Result) -> dict[str, float]:
     with jax.enable_x64(True):
         schedule = parameter_space(experiment).schedule(jnp.asarray(result.parameters))
         keys = endurance_keys(experiment.run.seed, 8)
-        batch = scenario_batch(experiment, scenario(experiment), keys)
+        batch = scenario_batch(experiment, keys)
         track = error_tracks(Candidate(schedule), batch)
         return {
             "rad": float(np.radians(degrees(track)[:, -1].max())),

@@ -68,8 +68,7 @@ def task_of_filters(states: int) -> tuple[TuningProblem, jax.Array, KalmanFilter
     )
     e = task.experiment
     seeds = training_keys(e.run.seed, e.run.training_scenarios)
-    assert task.scenario is not None
-    made = scenario_batch(e, task.scenario, seeds, filter)
+    made = scenario_batch(e, seeds, filter)
     middle = jnp.log(jnp.asarray([BELIEVED[name] for name in SEARCHED], jnp.float32))
     lower, upper = middle - np.log(FACTOR), middle + np.log(FACTOR)
     logarithmic = (True,) * len(SEARCHED)

@@ -23,7 +23,7 @@ from posegsa import config
 from posegsa.judging.description import candidate_of, configured_filter, describe
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys, scenario_keys, training_keys
 from posegsa.search.keys import keys as keys_of
 from posegsa.search.population import ScenarioBatch, costs_by_scenario
@@ -69,7 +69,7 @@ PAGE = "docs/observer.md"
 def drawn(experiment: config.Experiment, start: str, keys: Array) -> ScenarioBatch:
     """Scenarios with one kind of start, for the experiment's own filter."""
     changed = config.override(experiment, STARTS[start])
-    return scenario_batch(changed, scenario(changed), keys, filter_of(experiment))
+    return scenario_batch(changed, keys, filter_of(experiment))
 
 
 def joined(batches: Iterable[ScenarioBatch]) -> ScenarioBatch:

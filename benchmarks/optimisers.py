@@ -146,8 +146,7 @@ def scenarios(options: argparse.Namespace) -> None:
             key = scenario_keys(keys(0).validation, VALIDATION_SCENARIOS)
             controller = task.space.schedules.controller(found.best_position)
             one = Candidate(FuzzyGain(jax.tree.map(lambda a: a[None], controller)))
-            assert task.scenario is not None
-            costs = costs_by_scenario(one, scenario_batch(experiment, task.scenario, key))
+            costs = costs_by_scenario(one, scenario_batch(experiment, key))
             held[f"{name} {count} {seed}"] = float(found.best_cost), float(np.mean(costs))
             print(seed, name, count, *held[f"{name} {count} {seed}"], flush=True)
             path.write_text(json.dumps(held) + "\n")

@@ -26,7 +26,7 @@ from posegsa.judging.description import candidate_of, configured_filter
 from posegsa.model.schedules import RampGain
 from posegsa.search.candidates import Candidate, SimpleSpace
 from posegsa.search.configured_filters import filter_of
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import tuning_problem
@@ -127,7 +127,7 @@ def experiments(name: str, seed: int) -> dict[str, tuple[config.Experiment, bool
 
 def held_out(one: config.Experiment, candidate: Candidate, keys: jax.Array) -> np.ndarray:
     """Costs (S,) of a candidate on scenarios."""
-    batch = scenario_batch(one, scenario(one), keys, filter_of(one))
+    batch = scenario_batch(one, keys, filter_of(one))
     several = jnp.ones(LANES, batch.dtype)
 
     def lanes(leaf: Any) -> Any:

@@ -78,8 +78,7 @@ def judge(problem: TuningProblem, candidate: Candidate) -> tuple[float, float]:
     """Training and validation cost of a candidate."""
     experiment = problem.experiment
     chosen = scenario_keys(keys(experiment.run.seed).validation, VALIDATION_SCENARIOS)
-    assert problem.scenario is not None
-    validation = scenario_batch(experiment, problem.scenario, chosen)
+    validation = scenario_batch(experiment, chosen)
     return mean_cost(candidate, problem.training), mean_cost(candidate, validation)
 
 

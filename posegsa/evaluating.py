@@ -30,8 +30,7 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.judge import on_scenarios
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.on_scenarios import OnScenarios
-from posegsa.judging.other_filters import OTHER_FILTERS, installed
-from posegsa.judging.recorded_baselines import judged_beside_baselines, others_for
+from posegsa.judging.recorded_baselines import judged_beside_baselines
 from posegsa.judging.result import Result
 from posegsa.judging.untuned import always_starts
 from posegsa.progress import shown
@@ -124,13 +123,11 @@ def evaluate(
             judged = result.on_scenarios
         found = _all_found(result, judged, problem)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
-        one = problem.scenario
-        assert one is not None
-        held_out = scenario_batch(drawn, one, unseen, problem.training.filter)
+        held_out = scenario_batch(drawn, unseen, problem.training.filter)
         contenders = {}
         for name, (own, description) in steps.each("judging", list(found.items()), itemgetter(0)):
             same = (own.filter, own.scenario) == (drawn.filter, drawn.scenario)
-            batch = held_out if same else batch_for(held_out, drawn, own, one, unseen)
+            batch = held_out if same else batch_for(held_out, drawn, own, unseen)
             if name == UNTUNED and not always_starts(batch):
                 continue
             tracks = error_tracks(candidate_of(description, own), batch)
@@ -176,7 +173,4 @@ def _on_recordings(
     unseen, seen = (
         [as_read_by(result.filter.kind, one) for one in some] for some in (unseen, seen)
     )
-    names = others_for(unseen) if others is None else list(OTHER_FILTERS) * others
-    if others is None:
-        names = [name for name in names if installed(name)]
-    return judged_beside_baselines(result, unseen, seen, names, cost)
+    return judged_beside_baselines(result, unseen, seen, others, cost)

@@ -123,7 +123,8 @@ class PoseFilter:
             self._attitude_only = True
             if vector_references is None:
                 vector_references = imu_references()
-            rotation, position = _given(rotation, np.eye(3)), _given(position, np.zeros(3))
+            rotation = np.eye(3) if rotation is None else rotation
+            position = np.zeros(3) if position is None else position
         if rotation is None or position is None:
             refuse("rotation, position: not both given", "both, or the attitude filter (imu)")
         vectors = _references("vector_references", vector_references)
@@ -533,10 +534,6 @@ def _is_inertial(source: Any) -> bool:
     if isinstance(source, Result):
         return source.filter.kind == "imu"
     return isinstance(source, AttitudeFilter)
-
-
-def _given(value: ArrayLike | None, default: np.ndarray) -> ArrayLike:
-    return default if value is None else value
 
 
 def _number(value: Any) -> float:

@@ -153,14 +153,13 @@ def add_count(parser: argparse.ArgumentParser, name: str, default: int, words: s
     parser.add_argument(name, type=whole_number(1), default=default, metavar="N", help=words)
 
 
-def whole_number(minimum: int, maximum: int | None = None) -> Callable[[str], int]:
-    """A function that reads a whole number in [minimum, maximum], or without an upper bound."""
-    allowed = f"a whole number from {minimum}" + ("" if maximum is None else f" to {maximum}")
+def whole_number(minimum: int) -> Callable[[str], int]:
+    """A function that reads a whole number from a minimum on."""
 
     def read(text: str) -> int:
         number = int(text) if text.isdecimal() else -1
-        if number < minimum or (maximum is not None and number > maximum):
-            raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
+        if number < minimum:
+            raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from {minimum}")
         return number
 
     return read

@@ -14,7 +14,7 @@ from .family_config import NoiseJumpsConfig as NoiseJumpsConfig
 from .family_config import Occasions as Occasions
 from .filter_config import IMU_ALSO as IMU_ALSO
 from .filter_config import KALMAN_ALSO as KALMAN_ALSO
-from .filter_config import NOISE_NUMBERS as NOISE_NUMBERS
+from .filter_config import SCHEDULE_NUMBERS as SCHEDULE_NUMBERS
 from .filter_config import AttitudeConfig as AttitudeConfig
 from .filter_config import FilterConfig as FilterConfig
 from .filter_config import KalmanConfig as KalmanConfig

@@ -11,8 +11,8 @@ from posegsa.config.filter_config import (
     ALSO_OF_KIND,
     IMU_ALSO,
     KALMAN_ALSO,
-    NOISE_NUMBERS,
     ONE_FILTER,
+    SCHEDULE_NUMBERS,
     SIGNAL_ALSO,
     FilterConfig,
     KalmanConfig,
@@ -21,7 +21,6 @@ from posegsa.config.filter_config import (
 from posegsa.config.scenario_config import ScenarioConfig
 from posegsa.config.schedule_config import (
     DEFAULT_ALSO,
-    PARAMETERS,
     SEARCHED,
     FuzzyConfig,
     GainConfig,
@@ -57,12 +56,6 @@ Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 _BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *SIGNAL_ALSO, *IMU_ALSO)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
-SCHEDULE_NUMBERS: dict[str, tuple[str, ...]] = {
-    "fuzzy": PARAMETERS,
-    "constant": ("gain",),
-    "smooth": ("low", "high", "half"),
-}
-"""The names of each schedule's own numbers."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """The optimisers that [search] can select."""
 
@@ -250,18 +243,18 @@ class Experiment(Section):
 
     def _conflicts_of_numbers(self) -> Iterator[Violation]:
         """Numbers of a schedule that are not those of the filter's schedule."""
-        given, words = len(self.tuned.numbers), "none"
+        given, kinds, words = len(self.tuned.numbers), [], ""
         if isinstance(self.filter, ObserverConfig):
-            names = SCHEDULE_NUMBERS[self.filter.schedule]
-            needed, words = len(names), f"of a {self.filter.schedule} gain ({names[0]}, ...)"
-        elif isinstance(self.filter, KalmanConfig) and (roles := self.filter.roles):
-            needed = sum(sum(NOISE_NUMBERS[kind].values()) for kind in roles.values())
-            words = f"of its schedules ({', '.join(roles)})"
-        else:
-            needed = 0
+            kinds = [self.filter.schedule]
+            names = ", ".join(SCHEDULE_NUMBERS[self.filter.schedule])
+            words = f"of a {self.filter.schedule} gain ({names})"
+        elif isinstance(self.filter, KalmanConfig):
+            kinds = self.filter.roles.values()
+            words = f"of its schedules ({', '.join(self.filter.roles)})"
+        needed = sum(sum(SCHEDULE_NUMBERS[kind].values()) for kind in kinds)
         if given and given != needed:
-            words = f"{needed} {words}" if needed else words
-            yield Violation("tuned.numbers", f"allowed: {words}, or none", given)
+            allowed = f"{needed} {words}, or none" if needed else "none"
+            yield Violation("tuned.numbers", f"allowed: {allowed}", given)
         places = self._places()
         for key, value in self.tuned.also.items():
             if key not in places:

@@ -23,14 +23,14 @@ NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock
 smooth or a straight function of the error; or the time since the start."""
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
-NOISE_NUMBERS: Mapping[NoiseScheduleKind, Mapping[str, int]] = {
+SCHEDULE_NUMBERS: Mapping[str, Mapping[str, int]] = {
     "fuzzy": {"k": 22},
     "constant": {"gain": 1},
     "smooth": {"low": 1, "high": 1, "half": 1},
     "ramp": {"start": 1, "slope": 1},
     "clock": {"log_gain": 16},
 }
-"""How many numbers each kind of schedule has, by name."""
+"""How many numbers each kind of schedule has, by name, of an observer or a Kalman filter."""
 
 _OF_VECTOR_BIAS = Tunable("vector_bias", "estimated")
 _OF_UNKNOWN, _OF_BELIEF = Tunable("unknown"), Tunable("belief")

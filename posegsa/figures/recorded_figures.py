@@ -41,11 +41,9 @@ def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
             ax.stairs(errors, time, baseline=None, label=name, **look)
             drawn.append(errors)
         known = np.concatenate(drawn)
-        style.scale_errors(ax, known[np.isfinite(known)])
+        style.error_panel(ax, label, known[np.isfinite(known)])
         for begin in np.cumsum([_seconds(one) for one in own])[:-1]:
             ax.axvline(begin, color="0.6", linewidth=0.8)
-        ax.set_ylabel(label)
-        ax.grid(axis="y", color="0.88", linewidth=0.6)
     style.finish_time(axes, np.array([0.0, sum(_seconds(one) for one in own)]))
     axes[-1].set_xlabel("Judged time [s]")
     style.legend_above(figure, axes[0])

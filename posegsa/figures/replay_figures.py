@@ -9,7 +9,7 @@ import numpy as np
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
-from posegsa.figures.trajectory_figures import ASKED, USED
+from posegsa.figures.trajectory_figures import draw_gains, positions
 from posegsa.judging.replayed import Replay
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
         _, counted = _largest(errors.time, np.where(judged, known, np.nan))
         ax.plot(time, all_of_it, color="0.75", linewidth=0.8)
         ax.plot(time, counted, color=style.BLUE, linewidth=1.0)
-        style.scale_errors(ax, _without_zeros(ax, finite(all_of_it)))
-        ax.set_ylabel(f"{name} {unit}")
-        ax.grid(axis="y", color="0.88", linewidth=0.6)
+        style.error_panel(ax, f"{name} {unit}", _without_zeros(ax, finite(all_of_it)))
     style.finish_time(axes, errors.time)
     return figure
 
@@ -69,23 +67,10 @@ def plot_position(replay: Replay) -> Figure | None:
     recording, estimates = replay.recording, replay.estimates
     if recording.attitude_only:
         return None
-    figure, axes = style.panels(3, 5.2)
     every = slice(None, None, max(1, recording.samples // MAX_POINTS))
     truth = None if recording.truth is None else recording.truth.position
-    for i, (ax, axis) in enumerate(zip(axes, "xyz", strict=True)):
-        if truth is not None:
-            ax.plot(
-                *(recording.time[every], finite(truth[every, i])),
-                **{"label": "true", "color": style.BLACK, "linewidth": 1.8},
-            )
-        ax.plot(
-            *(recording.time[every], finite(estimates.position[every, i])),
-            **{"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))},
-        )
-        ax.set_ylabel(f"${axis}$ [m]")
-    style.finish_time(axes, recording.time)
-    style.legend_above(figure, axes[0])
-    return figure
+    true = None if truth is None else truth[every]
+    return positions(recording.time[every], true, np.asarray(estimates.position)[every])
 
 
 @styled
@@ -105,14 +90,7 @@ def plot_gain(replay: Replay) -> Figure | None:
     if both.size == 0 or np.ptp(both) <= 1e-5 * both.max():  # up to rounding
         return None
     figure, (ax,) = style.panels(1, 3.0)
-    for name, time, gain, look in (
-        ("asked for", recording.time, asked, ASKED),
-        ("used, after the limit", recording.time[seen], used, USED),
-    ):
-        if gain.size:
-            ax.plot(*_largest(time, gain), label=name, **look)
-    ax.set_ylabel("Gain $K$ [1/s]")
-    ax.set_ylim(bottom=0)
+    draw_gains(ax, _largest(recording.time, asked), _largest(recording.time[seen], used))
     style.finish_time([ax], replay.recording.time)
     style.legend_above(figure, ax)
     return figure
@@ -133,7 +111,7 @@ def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
 
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A curve as the maxima of at most MAX_POINTS bins; NaN for bins without values."""
-    size = -(-len(values) // MAX_POINTS)
+    size = max(1, -(-len(values) // MAX_POINTS))
     short = -len(values) % size
     bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
     known = np.isfinite(bins).any(axis=1)

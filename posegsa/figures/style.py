@@ -187,6 +187,13 @@ def scale_errors(ax: Axes, errors: np.ndarray) -> None:
         plain_numbers(ax.yaxis, errors[errors > 0])
 
 
+def error_panel(ax: Axes, label: str, errors: np.ndarray) -> None:
+    """Label a panel of errors (...), and scale and rule its y axis."""
+    ax.set_ylabel(label)
+    ax.grid(axis="y", color="0.88", linewidth=0.6)
+    scale_errors(ax, errors)
+
+
 def finish_time(axes: Sequence[Axes], time: np.ndarray) -> None:
     """Label the time axis of the last panel, with a margin to show what happens at the start."""
     axes[-1].set_xlabel("Time [s]")

@@ -13,6 +13,7 @@ from posegsa.figures.style import Style, finite
 from posegsa.judging.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
@@ -23,9 +24,9 @@ _BIASES = (
 _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
 _EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
 """Colours of vectors."""
-ASKED: Style = {"color": style.SKY, "linewidth": 3.4}
+_ASKED: Style = {"label": "asked for", "color": style.SKY, "linewidth": 3.4}
 """The gain that a schedule asked for: wide, so that it is visible behind the gain used."""
-USED: Style = {"color": style.BLACK, "linewidth": 0.9}
+_USED: Style = {"label": "used, after the limit", "color": style.BLACK, "linewidth": 0.9}
 SETTLED = 0.2
 """Share of a run after which its errors determine the range of an axis."""
 _ERROR: Style = {"label": "error", "color": style.BLUE, "linewidth": 0.7}
@@ -48,9 +49,7 @@ def plot_errors(trajectory: Trajectory) -> Figure:
     labels = (style.ATTITUDE_ERROR, style.POSITION_ERROR)
     for ax, values, label in zip(axes, errors, labels, strict=True):
         ax.plot(trajectory.time, values, color=style.BLUE, linewidth=1.0)
-        ax.grid(axis="y", color="0.88", linewidth=0.6)
-        style.scale_errors(ax, values)
-        ax.set_ylabel(label)
+        style.error_panel(ax, label, values)
     style.finish_time(axes, trajectory.time)
     return figure
 
@@ -73,15 +72,9 @@ def plot_gain(trajectory: Trajectory) -> Figure | None:
     time = trajectory.time
     parts = style.time_parts(time)[::-1]
     figure, axes = style.panels(len(parts), 4.6 if len(parts) > 1 else 3.4, sharex=False)
-    looks: tuple[tuple[str, np.ndarray, Style], ...] = (
-        ("asked for", trajectory.gain, ASKED),
-        ("used, after the limit", trajectory.gain_used, USED),
-    )
+    gains = finite(trajectory.gain), finite(trajectory.gain_used)
     for ax, part in zip(axes, parts, strict=True):
-        for name, gain, look in looks:
-            ax.plot(time[part], finite(gain)[part], label=name, **look)
-        ax.set_ylabel("Gain $K$ [1/s]")
-        ax.set_ylim(bottom=0)
+        draw_gains(ax, *((time[part], gain[part]) for gain in gains))
         style.finish_time([ax], time[part])
     style.legend_above(figure, axes[-1])
     return figure
@@ -99,9 +92,8 @@ def plot_euler(trajectory: Trajectory) -> Figure:
 @captioned(FIGURES, name="position", title="Position", caption=_BIASES)
 def plot_position(trajectory: Trajectory) -> Figure:
     """True and estimated position [m] in the inertial frame over time [s]."""
-    labels = [f"${axis}$ [m]" for axis in "xyz"]
     pair = trajectory.position, trajectory.position_est
-    return _true_and_estimated(trajectory.time, pair, labels, [1, 2, 5, 10])
+    return positions(trajectory.time, *pair)
 
 
 @captioned(
@@ -154,26 +146,47 @@ def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
     for i, values in enumerate(errors.T):
         label, colour = f"vector {i + 1}", _EACH[i % len(_EACH)]
         ax.plot(trajectory.time, finite(values), label=label, color=colour, linewidth=1.2)
-    ax.grid(axis="y", color="0.88", linewidth=0.6)
-    style.scale_errors(ax, finite(errors))
-    ax.set_ylabel("Error of the bias [vector's unit]")
+    style.error_panel(ax, "Error of the bias [vector's unit]", finite(errors))
     style.finish_time([ax], trajectory.time)
     style.legend_above(figure, ax)
     return figure
 
 
+def positions(time: np.ndarray, true: np.ndarray | None, estimated: np.ndarray) -> Figure:
+    """True and estimated positions (N, 3) [m] over time (N,) [s]."""
+    labels = [f"${axis}$ [m]" for axis in "xyz"]
+    return _true_and_estimated(time, (true, estimated), labels, [1, 2, 5, 10])
+
+
+Curve = tuple[np.ndarray, np.ndarray]
+"""Times (N,) [s] and values (N,)."""
+
+
+def draw_gains(ax: Axes, asked: Curve, used: Curve) -> None:
+    """The gain [1/s] that a schedule asked for, and after the gain limit, in a panel."""
+    for curve, look in ((asked, _ASKED), (used, _USED)):
+        if curve[0].size:
+            ax.plot(*curve, **look)
+    ax.set_ylabel("Gain $K$ [1/s]")
+    ax.set_ylim(bottom=0)
+
+
 def _true_and_estimated(
     time: np.ndarray,
-    pair: tuple[np.ndarray, np.ndarray],
+    pair: tuple[np.ndarray | None, np.ndarray],
     labels: Sequence[str],
     ticks: Sequence[float],
-    curve: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] = lambda t, y: (t, y),
+    curve: Callable[[np.ndarray, np.ndarray], Curve] = lambda t, y: (t, y),
 ) -> Figure:
-    """True and estimated components (N, 3), one panel each; `curve` maps (t, y) to a line."""
+    """True and estimated components (N, 3), one panel each; `curve` maps (t, y) to a line.
+
+    The true ones may be None.
+    """
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
         for values, look in zip(pair, (_TRUE, _ESTIMATED), strict=True):
-            ax.plot(*curve(time, finite(values[:, i])), **look)
+            if values is not None:
+                ax.plot(*curve(time, finite(values[:, i])), **look)
         ax.set_ylabel(label)
         ax.yaxis.set_major_locator(style.ticks(5, steps=ticks))
     style.finish_time(axes, time)
@@ -181,7 +194,7 @@ def _true_and_estimated(
     return figure
 
 
-def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> Curve:
     """A curve of angles [deg] that leaves at +-180 and comes back on the other side.
 
     If neighbours differ by more than 180, the angle has wrapped. Three points are inserted between

@@ -32,7 +32,6 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.metrics import error_tracks
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.judging.untuned import untuned_kalman
-from posegsa.model.scenario import Scenario
 from posegsa.model.schedules import ConstantGain, KnotGain
 from posegsa.optimisers import Optimiser
 from posegsa.search.candidates import Candidate
@@ -198,12 +197,9 @@ def observer_experiment(experiment: config.Experiment) -> config.Experiment:
 
 def variant_of(problem: TuningProblem, experiment: config.Experiment) -> TuningProblem:
     """A problem's training scenarios for the filter of another experiment."""
-    assert problem.scenario is not None
     run = experiment.run
     training_of = training_keys(run.seed, run.training_scenarios)
-    training = batch_for(
-        problem.training, problem.experiment, experiment, problem.scenario, training_of
-    )
+    training = batch_for(problem.training, problem.experiment, experiment, training_of)
     space = search_space(experiment)
     return problem._replace(experiment=experiment, training=training, space=space, own=None)
 
@@ -212,7 +208,6 @@ def batch_for(
     batch: ScenarioBatch,
     before: config.Experiment,
     experiment: config.Experiment,
-    one: Scenario,
     scenario_keys: Array,
 ) -> ScenarioBatch:
     """Scenarios of a batch, which are those of the experiment `before`, for another experiment.
@@ -223,8 +218,8 @@ def batch_for(
     """
     filter, own = filter_of(experiment), batch.filter
     if experiment.scenario.start != before.scenario.start:
-        return scenario_batch(experiment, one, scenario_keys, filter)
+        return scenario_batch(experiment, scenario_keys, filter)
     one_by_one = isinstance(own, Observer) and own.settings.vector_bias is not None
     if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(own, KalmanFilter)):
         return batch._replace(filter=filter)
-    return scenario_batch(experiment, one, scenario_keys, filter)
+    return scenario_batch(experiment, scenario_keys, filter)

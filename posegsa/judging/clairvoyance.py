@@ -1,6 +1,5 @@
 """What the clairvoyant costs: the reference beside filters on the same drawn scenarios."""
 
-import warnings
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +11,6 @@ from jax.random import wrap_key_data
 
 from posegsa import config
 from posegsa.arguments import refuse
-from posegsa.errors import PosegsaWarning
 from posegsa.filters.base import samples_of
 from posegsa.filters.clairvoyant import Clairvoyant, with_events
 from posegsa.filters.kalman import KalmanNoise
@@ -52,9 +50,7 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
     if words.shape != (count, 2) or not count:
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
     dtype = jnp.dtype(run.dtype)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # of the start, which is not used
-        one = scenario(experiment)
+    one = scenario(experiment)
     longer, drawn_from = replace(one, samples=padded(one.samples)), family(experiment, dtype)
     weights = cost_weights(experiment.cost, one.samples, dtype)
     prior, start = _prior(experiment), experiment.scenario.start

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from pydantic import AfterValidator, Field
 
 from posegsa import config
@@ -45,8 +44,8 @@ SCHEDULES: dict[Kind, type] = {
     "open loop": KnotGain,
 }
 """The types of schedules without a controller, by the kind of their `Description`."""
-OF_NOISES = {"constant": ConstantGain, "smooth": SmoothGain, "ramp": RampGain, "clock": KnotGain}
-"""The same of a Kalman filter's noises."""
+TYPES: dict[str, type] = {**SCHEDULES, "ramp": RampGain, "clock": KnotGain}
+"""The same, with those that only a Kalman filter's noises can have."""
 TITLES: Mapping[Kind, str] = {
     "kalman": "Kalman filter",
     "imu": "filter for inertial sensors",
@@ -154,29 +153,40 @@ def candidate_of(found: Description, experiment: Experiment) -> Candidate:
     """
     dtype = jnp.dtype(experiment.run.dtype)
     with jax.enable_x64(dtype == jnp.float64):
-        numbers = {name: jnp.asarray(values, dtype) for name, values in found.numbers.items()}
         schedule: Schedule | None = None
-        if found.kind == "fuzzy":
-            space = parameter_space(experiment)
-            space = replace(space, rules=_rules_of(found, space))
-            schedule = space.schedule(numbers["k"])
-        elif found.kind == "kalman" and numbers:
-            schedule = _noise_gains(numbers, experiment)
-        elif found.kind == "open loop":
-            schedule = KnotGain(**numbers)
-        elif found.kind in SCHEDULES:
-            schedule = SCHEDULES[found.kind](**{name: a[0] for name, a in numbers.items()})
+        if found.kind == "kalman" and found.numbers:
+            schedule = _noise_gains(found.numbers, experiment)
+        elif found.kind not in TITLES:
+            schedule = _schedule(found.kind, found.numbers, experiment)
         values = tuple(jnp.asarray(value, dtype) for value in found.also.values())
         return Candidate(schedule, values, tuple(found.also))
 
 
-def _noise_gains(numbers: Mapping[str, Array], experiment: Experiment) -> NoiseGains:
+def _schedule(
+    kind: str, numbers: Mapping[str, list[float]], experiment: Experiment
+) -> GainSchedule:
+    """The schedule of an observer, or of a Kalman filter's noise, from its numbers.
+
+    Raises:
+        ValueError: Its rule table is invalid, or was not searched in this experiment.
+    """
+    dtype = jnp.dtype(experiment.run.dtype)
+    arrays = {name: jnp.asarray(values, dtype) for name, values in numbers.items()}
+    if kind == "fuzzy":
+        space = parameter_space(experiment)
+        space = replace(space, rules=_rules_of(numbers, space))
+        return space.schedule(arrays["k"])
+    made = TYPES[kind]
+    return made(**arrays if made is KnotGain else {name: a[0] for name, a in arrays.items()})
+
+
+def _noise_gains(numbers: Mapping[str, list[float]], experiment: Experiment) -> NoiseGains:
     """The schedules of a Kalman filter's noises.
 
     Raises:
         ValueError: They are not those of the experiment.
     """
-    section, by_role = experiment.filter, dict[str, dict[str, Array]]()
+    section, by_role = experiment.filter, dict[str, dict[str, list[float]]]()
     for name, values in numbers.items():
         role, _, own = name.partition(".")
         by_role.setdefault(role, {})[own] = values
@@ -184,24 +194,14 @@ def _noise_gains(numbers: Mapping[str, Array], experiment: Experiment) -> NoiseG
     if by_role.keys() != kinds.keys():
         allowed = ", ".join(kinds) or "none"
         raise ValueError(f"its schedules are {', '.join(by_role)}; allowed: {allowed}")
-    made: dict[str, GainSchedule] = {}
     for role, kind in kinds.items():
-        own = by_role[role]
-        names = ["k"] if kind == "fuzzy" else [one.name for one in fields(OF_NOISES[kind])]
-        lengths = {name: a.shape[0] for name, a in own.items()}
-        length = {"fuzzy": len(PARAMETERS), "clock": KNOTS}.get(kind, 1)
-        if lengths != dict.fromkeys(names, length):
-            raise ValueError(
-                f"the numbers of {role} are {lengths} by length; allowed: {', '.join(names)}, "
-                f"{length} each"
-            )
-        if kind == "fuzzy":
-            made[role] = parameter_space(experiment).schedule(own["k"])
-        elif kind == "clock":
-            made[role] = KnotGain(**own)
-        else:
-            made[role] = OF_NOISES[kind](**{name: a[0] for name, a in own.items()})
-    return NoiseGains(**made)
+        lengths = {name: len(values) for name, values in by_role[role].items()}
+        needed = ({"time": KNOTS} if kind == "clock" else {}) | dict(config.SCHEDULE_NUMBERS[kind])
+        if lengths != needed:
+            raise ValueError(f"the numbers of {role} are {lengths} by length; allowed: {needed}")
+    return NoiseGains(
+        **{role: _schedule(kind, by_role[role], experiment) for role, kind in kinds.items()}
+    )
 
 
 def described_filter(
@@ -233,41 +233,28 @@ def configured_filter(experiment: Experiment) -> Description:
     Raises:
         ArgumentError: Its schedule has no numbers.
     """
-    section, also = experiment.filter, dict(experiment.tuned.also)
-    numbers = list(experiment.tuned.numbers)
-    if isinstance(section, config.KalmanConfig) and section.roles:
-        return _configured_kalman(section, experiment)
-    if not isinstance(section, config.ObserverConfig):
-        return Description(cast(Kind, section.kind), {}, also, 0)
-    if not numbers or experiment.fuzzy.rules == SEARCHED:
+    section, values = experiment.filter, list(experiment.tuned.numbers)
+    kinds: Mapping[str, str] = getattr(section, "roles", {})
+    if isinstance(section, config.ObserverConfig):
+        kinds = {"": section.schedule}
+    if kinds and (not values or experiment.fuzzy.rules == SEARCHED):
         refuse(
-            f"tuned.numbers: none of a {section.schedule} gain, or rules that are searched",
+            f"tuned.numbers: none of a {title_of(kind_of(experiment))}, or rules that are searched",
             "a configuration with the numbers of a tuning, or the folder of a run",
         )
-    if section.schedule == "fuzzy":
-        with jax.enable_x64(experiment.run.dtype == "float64"):
-            space = parameter_space(experiment)
-            k = np.asarray(space.checked(np.array(numbers)), np.float64)
-        return Description("fuzzy", {"k": k.tolist()}, also, 0)
-    names = (field.name for field in fields(SCHEDULES[section.schedule]))
-    pairs = zip(names, numbers, strict=True)
-    return Description(section.schedule, {name: [value] for name, value in pairs}, also, 0)
-
-
-def _configured_kalman(section: config.KalmanConfig, experiment: Experiment) -> Description:
-    """The Kalman filter that an experiment has, its schedules with the numbers of [tuned]."""
-    if not experiment.tuned.numbers:
-        refuse(
-            "tuned.numbers: none, of a Kalman filter whose noises are scheduled",
-            "a configuration with the numbers of a tuning, or the folder of a run",
-        )
-    values, numbers = list(experiment.tuned.numbers), dict[str, list[float]]()
-    for role, kind in section.roles.items():
+    numbers: dict[str, list[float]] = {}
+    for role, kind in kinds.items():
+        before = f"{role}." if role else ""
         if kind == "clock":
-            numbers[f"{role}.time"] = knot_times(experiment.scenario.duration).tolist()
-        for name, length in config.NOISE_NUMBERS[kind].items():
-            numbers[f"{role}.{name}"], values = values[:length], values[length:]
-    return Description("kalman", numbers, dict(experiment.tuned.also), 0)
+            numbers[f"{before}time"] = knot_times(experiment.scenario.duration).tolist()
+        for name, length in config.SCHEDULE_NUMBERS[kind].items():
+            own, values = values[:length], values[length:]
+            if kind == "fuzzy":
+                with jax.enable_x64(experiment.run.dtype == "float64"):
+                    k = parameter_space(experiment).checked(np.array(own))
+                    own = np.asarray(k, np.float64).tolist()
+            numbers[before + name] = own
+    return Description(kind_of(experiment), numbers, dict(experiment.tuned.also), 0)
 
 
 def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
@@ -279,7 +266,7 @@ def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
     tuned = config.with_tuned(experiment, found.also)
     if found.kind == "fuzzy" and tuned.fuzzy.rules == SEARCHED:
         with jax.enable_x64(experiment.run.dtype == "float64"):
-            rules = rule_table(_rules_of(found, parameter_space(experiment)))
+            rules = rule_table(_rules_of(found.numbers, parameter_space(experiment)))
         tuned = tuned.replace(**{"fuzzy.rules": rules})
     section = tuned.filter
     # Neither is searched as a number: the table is in [fuzzy], the times of a clock are fixed.
@@ -291,9 +278,9 @@ def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
     return tuned.model_copy(update={"tuned": config.TunedConfig()})
 
 
-def _rules_of(found: Description, space: ParameterSpace) -> Rules:
+def _rules_of(stored: Mapping[str, list[float]], space: ParameterSpace) -> Rules:
     """The rule table of a stored controller: its own if the table was searched."""
-    numbers = found.numbers.get("rules", [])
+    numbers = stored.get("rules", [])
     if space.rules is not None:
         if numbers:
             raise ValueError(f"rules = {numbers}; allowed: none, as the table was not searched")

@@ -1,18 +1,16 @@
 """Errors of a tuned filter long after the time window that it was tuned for."""
 
 import math
-import warnings
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from posegsa import config
-from posegsa.errors import PosegsaWarning
 from posegsa.judging.metrics import POSITION_WORDS, error_tracks
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import endurance_keys
 from posegsa.search.problem import TuningProblem
 from posegsa.settings.arrays import Numbers
@@ -108,11 +106,8 @@ def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> End
         edges.append(min(2 * edges[-1], last))
     settings = [f"scenario.duration={edges[-1]!r}", "family.duration=off"]
     longer = config.override(experiment, settings)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # the experiment has warned already
-        one = scenario(longer)
     unseen = endurance_keys(run.seed, run.endurance_scenarios)
-    batch = scenario_batch(longer, one, unseen, filter_of(longer, problem.own))
+    batch = scenario_batch(longer, unseen, filter_of(longer, problem.own))
     # Shifted by half a sample, so that rounding puts no sample into the window before its own.
     time = np.asarray(batch.samples.time[0], np.float64) + 0.5 * longer.scenario.sampling_time
     # Before a start from the sensors nothing is estimated.

@@ -43,6 +43,12 @@ CONTENDERS = (
     "before tuning",
 )
 """Names of the filters that can be compared, in the order of the tables."""
+NOISES_FOUND = "Kalman filter with the noises found"
+"""The filter that stands beside every one that was tuned on recordings: it was not searched."""
+KALMAN_AS_IT_COMES = "Kalman filter as it comes"
+"""The filter of `kalman.toml` beside it."""
+IMU_AS_IT_COMES = "attitude filter as it comes"
+"""The same on recordings of inertial sensors."""
 CLAIRVOYANT = "clairvoyant"
 """The name of the reference below all filters, which is told what no filter can know."""
 NOT_TUNED = "this filter"
@@ -54,6 +60,9 @@ ADVICE = {
     EKF_VECTORS: "`posegsa tune kalman`",
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
+    NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
+    KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
+    IMU_AS_IT_COMES: "`posegsa replay imu`",
 }
 """How to get one of the filters beside a tuned one."""
 BAND_POINTS = 300
@@ -101,6 +110,11 @@ def called(name: str) -> str:
     """A contender's name within a sentence."""
     words = {AS_CONFIGURED: "the filter before tuning", NOT_TUNED: NOT_TUNED}
     return words.get(name, f"the {name}")
+
+
+def how_to_take(name: str) -> str:
+    """How to get the first of several better filters, in words; "" if there is no short way."""
+    return f" To take the first of them: {ADVICE[name]}." if name in ADVICE else ""
 
 
 def own_name(found: Description) -> str:
@@ -241,12 +255,21 @@ class Evaluation:
         }
         return _rows(CONSISTENCY, metrics, write) if metrics else []
 
+    @property
+    def better(self) -> dict[str, Interval]:
+        """How much less filters beside the judged one cost, the lowest first, paired.
+
+        A filter whose difference may be chance is left out.
+        """
+        others = {name: self.difference(name) for name in self.contenders if name != self.own}
+        lower = sorted((-each.mean, name) for name, each in others.items() if each.low > 0)
+        return {name: others[name] for _, name in lower}
+
     @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
     def verdict(self) -> str:
-        """How far the judged filter errs, and which filters beside it cost less, the lowest first.
+        """How far the judged filter errs, and which filters beside it cost less (`better`).
 
-        A filter whose paired difference may be chance is not named. In the second window, in which
-        errors have settled.
+        In the second window, in which errors have settled.
         """
         metrics = self.contenders[self.own].metrics
         degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)
@@ -259,17 +282,18 @@ class Evaluation:
                 f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which is told what "
                 f"no filter can know, has {self.cost(CLAIRVOYANT).mean:.4g}."
             )
-        others = {name: self.difference(name) for name in self.contenders if name != self.own}
-        lower = sorted((-each.mean, name) for name, each in others.items() if each.low > 0)
-        if not lower:
-            listed = ", ".join(others)
+        others = [name for name in self.contenders if name != self.own]
+        listed, better = ", ".join(others), self.better
+        if others and all(math.isnan(self.difference(name).low) for name in others):
+            why = "too few scenarios, or infinite costs"
+            return f"{head} It cannot be compared with what is beside it ({listed}): {why}."
+        if not better:
             return f"{head} No filter beside it ({listed}) costs less by more than chance."
         parts = [
-            f"{called(name)} by {-less:.3g} ({others[name].low:.3g} to {others[name].high:.3g})"
-            for less, name in lower
+            f"{called(name)} by {less.mean:.3g} ({less.low:.3g} to {less.high:.3g})"
+            for name, less in better.items()
         ]
-        advice = ADVICE.get(lower[0][1])
-        take = f" To take the first of them: {advice}." if advice else ""
+        take = how_to_take(next(iter(better)))
         return f"{head} Less cost: {', '.join(parts)}, with 95 % intervals.{take}"
 
     def table(self) -> str:

@@ -1,6 +1,5 @@
 """Turn what a search found into a result: judge it on what it has not seen, and check it."""
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +12,6 @@ import numpy as np
 from posegsa import config, steps
 from posegsa.config import ObserverConfig
 from posegsa.errors import PosegsaWarning
-from posegsa.filters.base import sensors_of
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
 from posegsa.judging.clairvoyance import clairvoyant_costs
@@ -22,7 +20,6 @@ from posegsa.judging.description import (
     candidate_of,
     configured_filter,
     describe,
-    described_filter,
 )
 from posegsa.judging.endurance import endurance
 from posegsa.judging.evaluation import (
@@ -38,30 +35,23 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.judging.on_recordings import (
-    IMU_AS_IT_COMES,
-    KALMAN_AS_IT_COMES,
-    NOISES_FOUND,
     OnRecordings,
-    RecordingScore,
     SimulatedScore,
-    score,
+    scored,
 )
 from posegsa.judging.on_scenarios import OnScenarios
+from posegsa.judging.recorded_baselines import beside_what_was_not_searched
 from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import trajectory_on
 from posegsa.judging.untuned import always_starts, untuned_kalman
-from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.running import run_filter, state_of
 from posegsa.runtime import environment
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import cost_name, costs_by_scenario, over_scenarios
 from posegsa.search.problem import TuningProblem
-from posegsa.search.recorded import default_experiment
 from posegsa.search.run_search import Found
-from posegsa.settings.fields import Section
 from posegsa.version import VERSION
 
 _PARTS = (
@@ -123,7 +113,9 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
         return result
     simulated = None if problem.beside is None else _on_simulated(problem, tuned)
     judged = on_recordings(result, recorded.training, recorded.held_out, simulated)
-    return _beside_what_was_not_searched(judged, recorded) if recorded.held_out else judged
+    if not recorded.held_out:
+        return judged
+    return beside_what_was_not_searched(judged, recorded.training, recorded.held_out)
 
 
 def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Candidate | None:
@@ -137,42 +129,6 @@ def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Ca
     costs = costs_by_scenario(jax.tree.map(lambda a: a[None], configured), training)
     before = float(over_scenarios(costs, experiment.objective)[0])
     return configured if best_cost > (1 - least) * before else None
-
-
-def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
-    """A result, beside the filters that a user has without a search.
-
-    They are what the recordings give, and the Kalman filter as it comes. One that is the result's
-    own filter is left out.
-    """
-    plain = default_experiment(recorded.training)
-    beside = {IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND: plain}
-    if plain.filter.kind == "kalman":
-        beside[KALMAN_AS_IT_COMES] = config.load("kalman")
-    baselines = {}
-    for name, experiment in beside.items():
-        if _same_numbers(result.tuned.filter, experiment.filter):
-            continue
-        steps.begin("judging", about=name)
-        found, scores = configured_filter(experiment), []
-        with jax.enable_x64(experiment.run.dtype == "float64"):
-            for one in recorded.held_out:
-                read = as_read_by(experiment.filter.kind, one)
-                filter = described_filter(found, experiment, None, sensors_of(read.measurements))
-                scores.append(score(read, run_filter(filter, read, state_of(read.initial()))))
-        baselines[name] = scores
-    assert result.on_recordings is not None
-    judged = replace(result.on_recordings, baselines=baselines)
-    return replace(result, on_recordings=judged)
-
-
-def _same_numbers(one: Section, other: Section) -> bool:
-    """Whether two sections agree, but for rounding to single precision."""
-    a, b = one.model_dump(), other.model_dump()
-    return a.keys() == b.keys() and all(
-        math.isclose(value, b[key], rel_tol=1e-6) if isinstance(value, float) else value == b[key]
-        for key, value in a.items()
-    )
 
 
 def _stored(column: jax.Array) -> np.ndarray:
@@ -245,13 +201,12 @@ def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, i
 
 def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     """The untuned Kalman filter on the held-out scenarios, by name; none where it cannot start."""
-    own, one = problem.experiment, problem.scenario
-    assert one is not None
+    own = problem.experiment
     plain = untuned_kalman(own)
     keys = held_out_keys(own.run.seed, own.run.held_out_scenarios)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
-        batch = scenario_batch(plain, one, keys)
+        batch = scenario_batch(plain, keys)
     if not always_starts(batch):
         return {}
     found = configured_filter(plain)
@@ -278,30 +233,22 @@ def on_recordings(
             and those without a truth do not judge it.
         simulated: Its costs on simulated scenarios that were tuned on beside recordings.
     """
-    scores: tuple[list[RecordingScore], list[RecordingScore]] = ([], [])
-    both = ((scores[0], training), (scores[1], held_out))
-    pairs = [
-        (to, one)
-        for to, recordings in both
-        for one in recordings
-        if one.truth is not None or result.search is not None
+    own, filter = result.experiment, result.filter
+    judges = [
+        [one for one in some if one.truth is not None or result.search is not None]
+        for some in (training, held_out)
     ]
-    for to, one in steps.each("judging", pairs, lambda pair: pair[1].name):
-        to.append(own_score(result, one))
+    scores = [
+        scored(filter, own, [one], result.own)[0]
+        for one in steps.each("judging", [*judges[0], *judges[1]], lambda one: one.name)
+    ]
     judged = OnRecordings(
-        training=scores[0],
-        held_out=scores[1],
+        training=scores[: len(judges[0])],
+        held_out=scores[len(judges[0]) :],
         simulated=simulated,
         sensors=of_recordings(held_out if result.search is None else training),
     )
     return replace(result, on_recordings=judged)
-
-
-def own_score(result: Result, recording: Recording) -> RecordingScore:
-    """A result's filter on one recording; what its gain limit cuts is in the score."""
-    with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        start = state_of(recording.initial())
-        return score(recording, run_filter(result.filter_on(recording), recording, start))
 
 
 def _on_simulated(problem: TuningProblem, tuned: Candidate) -> SimulatedScore:

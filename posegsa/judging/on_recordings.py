@@ -4,17 +4,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
+import jax
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from posegsa import config
 from posegsa.errors import RecordingError
+from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
-from posegsa.judging.evaluation import CONSTANT, EKF
+from posegsa.judging.description import Description, described_filter
+from posegsa.judging.evaluation import CONSTANT, how_to_take
 from posegsa.judging.known_sensors import StoredSensors
-from posegsa.judging.replayed import HEADS, error_rows, replayed_on
+from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.fingerprint import fingerprint
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
+from posegsa.recordings.running import run_filter
+from posegsa.search.configured_filters import OwnFilter
 from posegsa.words import text_table
 
 
@@ -31,20 +38,6 @@ NOT_CUT = 0.99
 """Share of the gain asked for from which on it counts as used."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
-NOISES_FOUND = "Kalman filter with the noises found"
-"""The filter that stands beside every one that was tuned on recordings: it was not searched."""
-KALMAN_AS_IT_COMES = "Kalman filter as it comes"
-"""The filter of `kalman.toml` beside it."""
-IMU_AS_IT_COMES = "attitude filter as it comes"
-"""The same on recordings of inertial sensors."""
-ADVICE = {
-    NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
-    KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
-    IMU_AS_IT_COMES: "`posegsa replay imu`",
-    CONSTANT: "`--set filter.schedule=constant`",
-    EKF: "`posegsa tune kalman --recording`",
-}
-"""How to get one of the filters beside a tuned one."""
 DRAWS, FEWEST_BLOCKS = 2000, 4
 """Draws of a bootstrap, and the blocks that a recording needs for one."""
 MOSTLY = 0.5
@@ -147,7 +140,7 @@ class OnRecordings:
             least = min(each.share for each in found.values())
             if least < 1 / MATTERS:
                 parts = [f"{each} in {of}" for of, each in found.items()]
-                better.append((least, f"{name} ({', '.join(parts)})", ADVICE.get(name, "")))
+                better.append((least, f"{name} ({', '.join(parts)})", how_to_take(name)))
         position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
         head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
         beside = ", ".join(self.baselines)
@@ -158,8 +151,9 @@ class OnRecordings:
             )
         better.sort()
         listed = "; ".join(words for _, words, _ in better)
-        advice = f" To take the first of them: {better[0][2]}." if better[0][2] else ""
-        return f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{advice}"
+        return (
+            f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{better[0][2]}"
+        )
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
@@ -195,7 +189,6 @@ class OnRecordings:
 
     def rows(self) -> list[list[str]]:
         """The rows of `table`, the heads first."""
-        heads = ["", *HEADS]
         blocks = {"tuned on": self.training, "held out": self.held_out}
         blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
         rows = [
@@ -203,9 +196,7 @@ class OnRecordings:
             for title, scores in blocks.items()
             for first, row in enumerate(_rows(scores))
         ]
-        if not any(row[-1] for row in rows):
-            heads, rows = heads[:-1], [row[:-1] for row in rows]
-        return [heads, *rows]
+        return with_heads(["", *HEADS], rows)
 
     def origins(self) -> str:
         """What of the recordings is measured and what synthetic, and what was bridged."""
@@ -281,6 +272,25 @@ def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
         position=float(np.mean(positions)) if positions else None,
         samples=sum(one.samples for one in judged),
     )
+
+
+def scored(
+    found: Description,
+    experiment: config.Experiment,
+    recordings: Sequence[Recording],
+    own: OwnFilter | None = None,
+) -> list[RecordingScore]:
+    """What a filter of an experiment is worth on recordings, each as this kind of filter reads it.
+
+    `own` is the user's own filter, where it is one.
+    """
+    scores = []
+    with jax.enable_x64(experiment.run.dtype == "float64"):
+        for one in recordings:
+            read = as_read_by(experiment.filter.kind, one)
+            filter = described_filter(found, experiment, own, sensors_of(read.measurements))
+            scores.append(score(read, run_filter(filter, read)))
+    return scores
 
 
 def score(recording: Recording, estimates: Estimates) -> RecordingScore:

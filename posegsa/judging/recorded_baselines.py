@@ -1,29 +1,35 @@
-"""Baselines on recordings: constant gains, a Kalman filter, filters of other libraries.
+"""Baselines on recordings: constant gains, a Kalman filter, filters that are not searched.
 
-Baselines are tuned on the same data as the filter: recordings, or the scenarios of a run.
+Those that are searched are tuned on the same data as the filter: recordings, or the scenarios of a
+run. The others are what a user has without a search, and filters of other libraries.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
 
 from posegsa import config, steps
-from posegsa.filters.base import sensors_of
 from posegsa.judging.baselines import baselines
-from posegsa.judging.description import Description, describe, described_filter
-from posegsa.judging.evaluation import CONSTANT, EKF
-from posegsa.judging.judge import own_score
-from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score
-from posegsa.judging.other_filters import OTHER_FILTERS, other_filter, readable
+from posegsa.judging.description import configured_filter, describe
+from posegsa.judging.evaluation import (
+    CONSTANT,
+    EKF,
+    IMU_AS_IT_COMES,
+    KALMAN_AS_IT_COMES,
+    NOISES_FOUND,
+)
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score, scored
+from posegsa.judging.other_filters import OTHER_FILTERS, installed, other_filter, readable
 from posegsa.judging.result import Result
 from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.running import run_filter
 from posegsa.search.population import TrackCost
 from posegsa.search.problem import tuning_problem
-from posegsa.search.recorded import DEGREES_PER_METRE, recorded_problem
+from posegsa.search.recorded import DEGREES_PER_METRE, default_experiment, recorded_problem
 from posegsa.search.run_search import run_search, tell_share
+from posegsa.settings.fields import Section
 
 Scores = dict[str, list[RecordingScore]]
 """Scores on each recording, by name of the filter."""
@@ -33,7 +39,7 @@ def judged_beside_baselines(
     result: Result,
     recordings: Sequence[Recording],
     training: Sequence[Recording],
-    others: Sequence[str],
+    others: bool | None,
     cost: TrackCost | None = None,
 ) -> Result:
     """Judge a result and its baselines on the same recordings.
@@ -43,12 +49,12 @@ def judged_beside_baselines(
         recordings: Recordings to judge it on.
         training: Recordings to tune constant gains and the Kalman filter on. If empty, they are
             tuned on the scenarios of a result that was tuned on scenarios, else left out.
-        others: Names of the `OTHER_FILTERS` to run.
+        others: Whether to run the `OTHER_FILTERS`; None where they can run.
         cost: The user's own cost, if the result was tuned with one.
     """
     before = result.on_recordings
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        own = [own_score(result, one) for one in recordings]
+        own = scored(result.filter, result.experiment, recordings, result.own)
         if result.filter.kind == "imu":  # no other filter of posegsa reads these sensors
             baselines = {}
         elif training:
@@ -57,7 +63,7 @@ def judged_beside_baselines(
             baselines = _tuned_on_scenarios(result, recordings, cost)
         else:
             baselines = {}
-        baselines |= _other_scores(others, recordings)
+        baselines |= _others(others, recordings)
     judged = before or OnRecordings(training=[], held_out=[])
     if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in own]:
         baselines = judged.baselines | baselines
@@ -78,12 +84,12 @@ def _tuned_on(
         problem = recorded_problem(constant, training, weight, strict=False)
         candidate = problem.space.candidate(run_search(problem, tell_share).search.best_position)
         description = describe(candidate, problem.experiment, constant.search.evaluations)
-        found[CONSTANT] = _scores(description, problem.experiment, recordings)
+        found[CONSTANT] = scored(description, problem.experiment, recordings)
     steps.begin("searching", about=EKF)
     kalman = kalman_experiment(own, vector_biases=False)
     kalman = kalman.replace(**{"objective.simulated_share": 0.0})
     problem = recorded_problem(kalman, training, weight, strict=False)
-    found[EKF] = _scores(tune_kalman(problem), problem.experiment, recordings)
+    found[EKF] = scored(tune_kalman(problem), problem.experiment, recordings)
     return found
 
 
@@ -111,29 +117,46 @@ def _tuned_on_scenarios(
         if name not in known:
             steps.begin("searching", about=name)
             known[name] = possible[name].search()
-        found[name] = _scores(known[name], possible[name].experiment, recordings)
+        found[name] = scored(known[name], possible[name].experiment, recordings)
     return found
 
 
-def _scores(
-    found: Description, experiment: config.Experiment, recordings: Sequence[Recording]
-) -> list[RecordingScore]:
-    """What a filter of an experiment is worth on recordings."""
-    scores = []
-    for one in recordings:
-        filter = described_filter(found, experiment, None, sensors_of(one.measurements))
-        scores.append(score(one, run_filter(filter, one)))
-    return scores
+def _others(asked: bool | None, recordings: Sequence[Recording]) -> Scores:
+    """Scores of other libraries' filters: all, none, or by default those that can run here."""
+    names = list(OTHER_FILTERS) if asked else []
+    if asked is None and all(map(readable, recordings)):
+        names = list(filter(installed, OTHER_FILTERS))
+    return {
+        name: [score(one, other_filter(name, one)) for one in recordings]
+        for name in steps.each("judging", names, str)
+    }
 
 
-def _other_scores(names: Sequence[str], recordings: Sequence[Recording]) -> Scores:
-    found: Scores = {}
-    for name in names:
-        steps.begin("judging", about=name)
-        found[name] = [score(one, other_filter(name, one)) for one in recordings]
-    return found
+def beside_what_was_not_searched(
+    result: Result, training: Sequence[Recording], held_out: Sequence[Recording]
+) -> Result:
+    """A result, beside the filters that a user has without a search.
+
+    They are what the recordings give, and the Kalman filter as it comes. One that is the result's
+    own filter is left out.
+    """
+    plain = default_experiment(training)
+    beside = {IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND: plain}
+    if plain.filter.kind == "kalman":
+        beside[KALMAN_AS_IT_COMES] = config.load("kalman")
+    baselines = {}
+    for name, experiment in beside.items():
+        if not _same_numbers(result.tuned.filter, experiment.filter):
+            steps.begin("judging", about=name)
+            baselines[name] = scored(configured_filter(experiment), experiment, held_out)
+    assert result.on_recordings is not None
+    return replace(result, on_recordings=replace(result.on_recordings, baselines=baselines))
 
 
-def others_for(recordings: Sequence[Recording]) -> list[str]:
-    """Names of other libraries' filters, if the recordings have the signals that they need."""
-    return list(OTHER_FILTERS) if all(map(readable, recordings)) else []
+def _same_numbers(one: Section, other: Section) -> bool:
+    """Whether two sections agree, but for rounding to single precision."""
+    a, b = one.model_dump(), other.model_dump()
+    return a.keys() == b.keys() and all(
+        math.isclose(value, b[key], rel_tol=1e-6) if isinstance(value, float) else value == b[key]
+        for key, value in a.items()
+    )

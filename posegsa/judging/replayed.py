@@ -89,6 +89,12 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
     ]
 
 
+def with_heads(heads: list[str], rows: list[list[str]]) -> list[list[str]]:
+    """The rows of an error table, the heads first; without positions where none is judged."""
+    table = [heads, *rows]
+    return table if any(row[-1] for row in rows) else [row[:-1] for row in table]
+
+
 def replay_table(replays: Sequence[Replay]) -> str:
     """Root mean square errors by recording and phase, as text, and which filters are lost."""
     rows = []
@@ -97,13 +103,10 @@ def replay_table(replays: Sequence[Replay]) -> str:
             rows.append([each.recording.name, "no truth", str(each.recording.samples), *[""] * 4])
         else:
             rows += error_rows(each.recording.name, each.errors.rmse().items())
-    heads = list(HEADS)
-    if not any(row[-1] for row in rows):
-        heads, rows = heads[:-1], [row[:-1] for row in rows]
     told = [
         f"  warning: {each.recording.name}: the filter is lost: {words}; `posegsa check` looks for "
         "mistakes in a recording"
         for each in replays
         if (words := each.lost)
     ]
-    return "\n".join([text_table([heads, *rows]), *told])
+    return "\n".join([text_table(with_heads([*HEADS], rows)), *told])

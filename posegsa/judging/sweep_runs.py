@@ -1,8 +1,6 @@
 """Results of a sweep: its runs, and a summary for each setting over seeds."""
 
-import csv
 import hashlib
-import io
 import json
 import math
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from posegsa.config import Experiment
 from posegsa.judging.description import StoredFilter
 from posegsa.settings.arrays import Cost
 from posegsa.settings.fields import NonNegative
+from posegsa.settings.plain import csv_text
 from posegsa.words import counted, text_table, toml
 
 SEED = "run.seed"
@@ -148,35 +147,28 @@ class Sweep:
 
     def csv(self) -> str:
         """The settings as CSV, with all digits."""
-        names = [
-            *(f"{of}_{what}" for of in ("training", "held_out") for what in Spread._fields),
-            "diverged",
-        ]
+        names = [f"{of}_{what}" for of in ("training", "held_out") for what in Spread._fields]
         rows = [
-            [*row.values.values(), row.seeds, *row.training, *row.held_out, row.diverged]
+            [*_cells(row.values), row.seeds, *row.training, *row.held_out, row.diverged]
             for row in self.rows()
         ]
-        return _csv([*self.keys, "seeds", *names], rows)
+        return csv_text([*self.keys, "seeds", *names, "diverged"], rows)
 
     def runs_csv(self) -> str:
         """The runs as CSV, with all digits."""
         names = ("training_cost", "held_out_cost", "held_out_worst", "diverged", "search_seconds")
         rows = [
-            [*run.values.values(), run.seed, *(getattr(run, name) for name in names)]
+            [*_cells(run.values), run.seed, *(getattr(run, name) for name in names)]
             for run in self.runs
         ]
-        return _csv([*self.keys, "seed", *names], rows)
+        return csv_text([*self.keys, "seed", *names], rows)
+
+
+def _cells(values: Values) -> list[JsonValue]:
+    """Values as cells of a CSV file; an array is written as in TOML."""
+    return [toml(one) if isinstance(one, list | dict) else one for one in values.values()]
 
 
 def shown_value(value: JsonValue) -> str:
     """A value as in TOML, but text without its quotes."""
     return value if isinstance(value, str) else toml(value)
-
-
-def _csv(header: list[str], rows: list[list]) -> str:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    for row in rows:
-        writer.writerow([toml(cell) if isinstance(cell, list | dict) else cell for cell in row])
-    return text.getvalue()

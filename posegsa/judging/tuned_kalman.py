@@ -8,6 +8,7 @@ from posegsa import config, steps
 from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.leads import LEAD_KEYS
 from posegsa.judging.description import Description, describe
+from posegsa.judging.untuned import with_kalman
 from posegsa.optimisers import DifferentialEvolution, runner, start
 from posegsa.optimisers.search_box import to_unit
 from posegsa.search.keys import keys
@@ -32,14 +33,13 @@ def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> 
 
     They are those of the experiment's own Kalman filter, if it has one, without its schedules.
     """
-    data = experiment.model_dump(mode="json")
-    own = data["filter"] if experiment.filter.kind == "kalman" else {}
-    noises = {name: own[name] for name in _KEPT if name in own}
-    biases = "estimated" if vector_biases else "off"
-    data["filter"] = {"kind": "kalman", "vector_bias": biases} | noises
-    data["parameters"]["also"] = [one.model_dump(mode="json") for one in config.KALMAN_ALSO]
-    del data["tuned"]
-    return config.from_dict(data)
+    own = experiment.filter
+    kept = _KEPT if isinstance(own, config.KalmanConfig) else ()
+    filter = config.KalmanConfig(
+        vector_bias="estimated" if vector_biases else "off",
+        **{name: getattr(own, name) for name in kept},
+    )
+    return with_kalman(experiment, filter)
 
 
 def tune_kalman(problem: TuningProblem) -> Description:

@@ -6,7 +6,7 @@ first pose that the sensors show.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,13 +66,18 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
         "initial_vector_bias": spread.vector,
     }
     least = {"angular_velocity": LEAST * root, "velocity": LEAST * root}
-    noises = {name: max(value, least.get(name, LEAST)) for name, value in numbers.items()}
-    data = experiment.model_dump(mode="json")
-    data["scenario"]["start"] = "sensors"
-    data["filter"] = {"kind": "kalman"} | noises
-    data["parameters"]["also"] = [one.model_dump(mode="json") for one in config.KALMAN_ALSO]
-    del data["tuned"]
-    return config.from_dict(data)
+    noises: dict[str, Any] = {
+        name: max(value, least.get(name, LEAST)) for name, value in numbers.items()
+    }
+    plain = with_kalman(experiment, config.KalmanConfig(**noises))
+    return plain.replace(**{"scenario.start": "sensors"})
+
+
+def with_kalman(experiment: config.Experiment, filter: config.KalmanConfig) -> config.Experiment:
+    """An experiment with a Kalman filter in place of its own filter; all its noises are tuned."""
+    return experiment.replace(
+        filter=filter, tuned=config.TunedConfig(), **{"parameters.also": config.KALMAN_ALSO}
+    )
 
 
 def always_starts(batch: ScenarioBatch) -> bool:

@@ -106,7 +106,6 @@ def checked_state(
     position: ArrayLike,
     bias: ArrayLike | None,
     dtype: DTypeLike,
-    learnt_vectors: int = 0,
 ) -> FilterState:
     """One filter state from a user's arrays, checked (on the host, not inside jit).
 
@@ -115,7 +114,6 @@ def checked_state(
         position: (3,) P_est [m], inertial frame.
         bias: (6,) b_est [rad/s, m/s], angular first; None for zeros.
         dtype: floating type of the state.
-        learnt_vectors: as in `initial_state`.
 
     Raises:
         MeasurementError: an argument has the wrong shape, is not finite, or is not a rotation.
@@ -130,4 +128,4 @@ def checked_state(
     P = finite_array("position", position, (3,))
     b = np.zeros(6) if bias is None else finite_array("bias", bias, (6,))
     arrays = (jnp.asarray(a, dtype) for a in (R, P, b))
-    return initial_state(*arrays, learnt_vectors=learnt_vectors)
+    return initial_state(*arrays)

@@ -163,19 +163,16 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     def normal(key: Array, *shape: int) -> Array:
         return random.normal(key, shape, jnp.float32).astype(dtype)
 
-    def between(ends: Array, key: Array) -> Array:
-        return ends[0] + (ends[1] - ends[0]) * unit(key)
-
     # By default GPUs compute products at a lower precision.
     matmul = partial(jnp.matmul, precision="highest")
     R_err = matmul(scenario.rotation_estimate, scenario.rotation.T)
     P_err = scenario.position_estimate - matmul(R_err, scenario.position)
     if family.attitude_error is not None:
-        R_err = random_rotation(use["axis"], between(family.attitude_error, use["attitude"]))
+        R_err = random_rotation(use["axis"], _between(family.attitude_error, use["attitude"]))
         changed["rotation_estimate"] = matmul(R_err, scenario.rotation)
     if family.position_error is not None:
         direction = normal(use["direction"], 3)
-        length = between(family.position_error, use["position"])
+        length = _between(family.position_error, use["position"])
         P_err = length * direction / jnp.linalg.norm(direction)
     if family.attitude_error is not None or family.position_error is not None:
         changed["position_estimate"] = P_err + matmul(R_err, scenario.position)
@@ -185,9 +182,9 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
             bias[i] = deviation * normal(use[name], 3)
     changed["bias"] = jnp.concatenate(bias)
     if family.bias_scale is not None:
-        changed["bias"] = between(family.bias_scale, use["bias"]) * changed["bias"]
+        changed["bias"] = _between(family.bias_scale, use["bias"]) * changed["bias"]
     if family.noise_scale is not None:
-        factor = between(family.noise_scale, use["noise"])
+        factor = _between(family.noise_scale, use["noise"])
         for name in ("angular_noise", "linear_noise", "vector_noise", "landmark_noise"):
             changed[name] = factor * getattr(scenario, name)
     shift = 2 * unit(use["landmarks"], *scenario.landmarks.shape) - 1
@@ -196,7 +193,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     for name, phase_key in zip(("angular_velocity", "velocity"), phase_keys, strict=True):
         sines: Sines = getattr(scenario, name)
         if family.motion_scale is not None:
-            factor = between(family.motion_scale, use["motion"])
+            factor = _between(family.motion_scale, use["motion"])
             sines = sines._replace(amplitude=factor * sines.amplitude)
         if family.random_phase:
             turn = 2 * math.pi * unit(phase_key, *sines.phase.shape)
@@ -208,7 +205,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     drift = [scenario.bias_drift[:3], scenario.bias_drift[3:]]
     for i, name in enumerate(("angular_drift", "linear_drift")):
         if (ends := getattr(family, name)) is not None:
-            drift[i] = jnp.full(3, between(ends, use[name]))
+            drift[i] = jnp.full(3, _between(ends, use[name]))
     changed["bias_drift"] = jnp.concatenate(drift)
     if family.outages is not None:
         windows = _windows(family.outages, use["outages"])
@@ -228,23 +225,29 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
     if family.jumps is not None:
         changed["jumps"] = _jumps(family.jumps, use["jumps"])
     if family.landmark_interval is not None:
-        interval = between(family.landmark_interval, use["landmark_interval"])
+        interval = _between(family.landmark_interval, use["landmark_interval"])
         samples = jnp.round(interval / scenario.time_step).astype(jnp.int32)
         changed["landmark_period"] = jnp.maximum(samples, 1)
     if family.rest is not None:
         of_share, of_length = random.split(use["rest"])
-        length = between(family.rest, of_length)
+        length = _between(family.rest, of_length)
         rests = jnp.where(unit(of_share) < family.rest_share, length, 0)
         begin = jnp.stack([jnp.zeros_like(rests), rests])
         changed["rest"] = jnp.concatenate([scenario.rest, begin[None]])
     if family.duration is not None:
-        changed["end"] = between(family.duration, use["duration"])
+        changed["end"] = _between(family.duration, use["duration"])
     return replace(scenario, **changed)
 
 
 def _unit(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     """Uniform between 0 and 1; drawn in float32 for both dtypes, so that a key means the same."""
     return random.uniform(key, shape, jnp.float32).astype(dtype)
+
+
+def _between(ends: Array, key: Array, *shape: int) -> Array:
+    """Uniform between two ends (2,)."""
+    low, high = ends
+    return low + (high - low) * _unit(key, shape, ends.dtype)
 
 
 def _directions(key: Array, count: int, dtype: DTypeLike) -> tuple[Array, Array]:
@@ -258,8 +261,7 @@ def _windows(occasions: Occasions, key: Array) -> Array:
     of_gap, of_duration = random.split(key)
     dtype, count = occasions.rate.dtype, occasions.most
     gaps = random.exponential(of_gap, (count,), jnp.float32).astype(dtype) / occasions.rate
-    low, high = occasions.duration
-    lengths = low + (high - low) * _unit(of_duration, (count,), dtype)
+    lengths = _between(occasions.duration, of_duration, count)
     ends = jnp.cumsum(gaps + lengths)
     return jnp.stack([ends - lengths, ends], axis=-1)
 
@@ -270,8 +272,7 @@ def _bursts(one: Disturbances, sensors: int, key: Array) -> Bursts:
     most, dtype = one.occasions.most, one.size.dtype
     sequences = sensors if one.each else 1
     count = sequences * most
-    low, high = one.size
-    size = low + (high - low) * _unit(random.fold_in(key, 3), (count, 1), dtype)
+    size = _between(one.size, random.fold_in(key, 3), count, 1)
     direction, length = _directions(of_offset, count, dtype)
     offset = (size * direction / length).reshape(sequences, most, 3)
     if one.each:
@@ -289,15 +290,13 @@ def _noise_jumps(one: NoiseFactors, sensors: int, key: Array) -> NoiseJumps:
     """Factors of each sensor, log-uniform."""
     of_time, of_factor = random.split(key)
     windows = jax.vmap(partial(_windows, one.occasions))(random.split(of_time, sensors))
-    low, high = jnp.log(one.factor)
-    share = _unit(of_factor, windows.shape[:2], low.dtype)
-    return NoiseJumps(time=windows[..., 0], factor=jnp.exp(low + (high - low) * share))
+    factor = jnp.exp(_between(jnp.log(one.factor), of_factor, *windows.shape[:2]))
+    return NoiseJumps(time=windows[..., 0], factor=factor)
 
 
 def _turns(one: Turns, key: Array) -> Array:
     """Times (most,) [s] at which the next landmark comes into sight."""
-    low, high = one.duration
-    lengths = low + (high - low) * _unit(key, (one.most - 1,), low.dtype)
+    lengths = _between(one.duration, key, one.most - 1)
     return one.begin + jnp.pad(jnp.cumsum(lengths), (1, 0))
 
 
@@ -309,8 +308,7 @@ def _jumps(one: Displacements, key: Array) -> Jumps:
 
     def vectors(ends: Array, of_length: Array, of_direction: Array) -> Array:
         direction, norm = _directions(of_direction, count, dtype)
-        length = ends[0] + (ends[1] - ends[0]) * _unit(of_length, (count, 1), dtype)
-        return length * direction / norm
+        return _between(ends, of_length, count, 1) * direction / norm
 
     (tx, ty, tz), (x, y, z) = (
         unstack(vectors(one.angle, of_angle, of_axis)),

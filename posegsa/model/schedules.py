@@ -5,7 +5,7 @@ rate, the time and its own last gain; it does not depend on the filter.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import jax
 import jax.numpy as jnp
@@ -66,9 +66,17 @@ class GainSchedule(Protocol):
         ...
 
 
+class _Prepared:
+    """A schedule of which there is nothing to precompute."""
+
+    def prepare(self) -> Self:
+        """The schedule itself."""
+        return self
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ConstantGain:
+class ConstantGain(_Prepared):
     """A constant gain K [1/s]: the baseline."""
 
     gain: Array
@@ -76,10 +84,6 @@ class ConstantGain:
     def initial_gain(self) -> Array:
         """K."""
         return self.gain
-
-    def prepare(self) -> "ConstantGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K, in the shape of the inputs."""
@@ -152,7 +156,7 @@ class SearchedRulesGain:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SmoothGain:
+class SmoothGain(_Prepared):
     """K(e) = low + (high - low) e^2 / (e^2 + half^2), a smooth schedule with three parameters."""
 
     low: Array
@@ -166,10 +170,6 @@ class SmoothGain:
         """K at large errors [1/s]."""
         return self.high
 
-    def prepare(self) -> "SmoothGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
-
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the scaled error."""
         e2 = inputs.error * inputs.error
@@ -178,7 +178,7 @@ class SmoothGain:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class RampGain:
+class RampGain(_Prepared):
     """K(e) = 1 + 100 slope (e - start), within the controller's range of 1 to 101.
 
     In a Kalman filter's belief (`filters.noise_schedules`), where errors and factors are
@@ -194,10 +194,6 @@ class RampGain:
         """1, as for a small error."""
         return jnp.ones_like(self.start)
 
-    def prepare(self) -> "RampGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
-
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the scaled error."""
         share = minimum(maximum(self.slope * (inputs.error - self.start), 0.0), 1.0)
@@ -206,7 +202,7 @@ class RampGain:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class KnotGain:
+class KnotGain(_Prepared):
     """K(t): an open-loop gain sequence, piecewise exponential between knots."""
 
     time: Array
@@ -218,10 +214,6 @@ class KnotGain:
         """K at the first knot [1/s]."""
         return jnp.exp(self.log_gain[0])
 
-    def prepare(self) -> "KnotGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
-
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the time of the sample."""
         log_gain = jnp.interp(inputs.time, self.time, self.log_gain)
@@ -230,7 +222,7 @@ class KnotGain:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SwitchGain:
+class SwitchGain(_Prepared):
     """One gain before a time and another after it; a second time starts the vectors' bias law."""
 
     before: Array
@@ -245,10 +237,6 @@ class SwitchGain:
     def initial_gain(self) -> Array:
         """K at the start [1/s]."""
         return self.before
-
-    def prepare(self) -> "SwitchGain":
-        """The schedule itself; there is nothing to precompute."""
-        return self
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K and the factor on the vectors' bias law at the time of the sample."""

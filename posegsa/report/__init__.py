@@ -28,12 +28,10 @@ from posegsa.judging.trust import SENSITIVE
 from posegsa.report import report_tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
 from posegsa.report.sentences import (
-    better_words,
     cost_words,
     filter_words,
     next_words,
     recorded_errors,
-    verdict,
     worse_words,
 )
 from posegsa.words import counted, toml
@@ -77,16 +75,13 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
 
 def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
     """What the page of a result on drawn scenarios shows of them."""
-    fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
-    fired = trust.rule_weights
+    fuzzy = result.filter.kind == "fuzzy"
     return {
         "judged": judged,
         "evaluation": judged.evaluation,
         "CONSISTENCY_WORDS": CONSISTENCY_WORDS,
         "beside": judged.beside,
-        "verdict": verdict(judged),
         "cost_words": cost_words(result),
-        "better_words": better_words(judged),
         "worse_words": worse_words(judged),
         "next_words": next_words(result),
         "no_family": list(NO_FAMILY.described()),
@@ -96,10 +91,8 @@ def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
         "input_terms": report_tables.input_terms(result) if fuzzy else [],
         "output_terms": report_tables.output_terms(result) if fuzzy else [],
         "error_columns": [f"Error {term}" for term in config.TERMS],
-        "rules": [] if fired is None else report_tables.rules(result),
+        "rules": [] if judged.trust.rule_weights is None else report_tables.rules(result),
         "simulations": report_tables.simulations(result),
-        "never_firing": 0 if fired is None else report_tables.never_firing(fired),
-        "heaviest": None if fired is None else report_tables.heaviest_rule(fired),
     }
 
 

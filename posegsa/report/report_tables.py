@@ -1,7 +1,5 @@
 """The rows of the tables of the tuned schedule and of its simulations."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from posegsa import config
@@ -48,25 +46,6 @@ def rules(result: Result) -> list[Noted]:
         shown = [number(weight, ".2g") for weight in weights]
         rows.append((f"Rate {rate}", list(zip(outputs, shown, strict=True))))
     return rows
-
-
-class Rule(NamedTuple):
-    """A rule by the terms of its inputs, with its mean firing strength."""
-
-    error: str
-    rate: str
-    weight: float
-
-
-def never_firing(weights: np.ndarray) -> int:
-    """How many rules of mean firing strengths (5, 5) never fire; NaN counts as never."""
-    return int(np.count_nonzero(~(weights > 0)))
-
-
-def heaviest_rule(weights: np.ndarray) -> Rule:
-    """The rule with the largest of the mean firing strengths (5, 5)."""
-    rate, error = np.unravel_index(np.argmax(weights), weights.shape)
-    return Rule(config.TERMS[error], config.TERMS[rate], weights[rate, error])
 
 
 def simulations(result: Result) -> list[tuple[str, float, float]]:

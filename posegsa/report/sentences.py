@@ -1,14 +1,10 @@
 """Sentences that depend on the results."""
 
-import math
-
 import numpy as np
 
 from posegsa.judging.description import TITLES, Description
 from posegsa.judging.evaluation import (
     BEHAVIOUR,
-    EKF,
-    EKF_VECTORS,
     OPEN_LOOP,
     REPLAYED,
     SWITCH,
@@ -18,41 +14,8 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.on_recordings import OnRecordings, mean_errors
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
-from posegsa.report.numbers import cost, interval, number
+from posegsa.report.numbers import number
 from posegsa.search.population import CONFIGURED
-from posegsa.words import counted
-
-
-def verdict(judged: OnScenarios) -> str:
-    """A sentence that compares the judged filter with the one that always stands beside it."""
-    evaluation, beside = judged.evaluation, judged.beside
-    own_filter = _starting(evaluation)
-    difference = evaluation.difference(beside)
-    mean, low, high = difference
-    against = f"{called(beside)} on {counted(evaluation.scenarios, 'unseen scenario')}"
-    if not (math.isfinite(low) and math.isfinite(high)):
-        own, other = (evaluation.contenders[name].metrics.cost for name in (evaluation.own, beside))
-        bad = [np.count_nonzero(~np.isfinite(costs)) for costs in (own, other)]
-        if not any(bad):
-            return f"{own_filter} cannot be compared with {against}: there are too few."
-        return (
-            f"The mean cost of {called(evaluation.own)} cannot be compared with that of {against}: "
-            f"{bad[0]} and {bad[1]} of their costs are infinite. Their medians are "
-            f"{cost(float(np.median(own)))} and {cost(float(np.median(other)))}."
-        )
-    if low <= 0 <= high:
-        return (
-            f"{own_filter} does not differ significantly from {against}: the 95 % interval "
-            f"of the difference, {interval(difference)}, includes 0."
-        )
-    less = high < 0
-    by, minimum, maximum = (-mean, -high, -low) if less else (mean, low, high)
-    constant = evaluation.cost(beside).mean
-    share = f"{number(100 * by / constant, '.1f')}\u00a0%; " if constant > 0 else ""
-    return (
-        f"{own_filter} costs {cost(by)} {'less' if less else 'more'} ({share}95 % interval "
-        f"{cost(minimum)} to {cost(maximum)}) than {against}."
-    )
 
 
 def recorded_errors(on: OnRecordings) -> dict[str, str]:
@@ -115,66 +78,10 @@ def worse_words(judged: OnScenarios) -> str:
     )
 
 
-def better_words(judged: OnScenarios) -> str:
-    """Which contenders, except the one beside it, are better than the judged one, if any.
-
-    The mean counts as better if the interval of the paired differences excludes 0, the median if it
-    is lower in the digits shown.
-    """
-    evaluation = judged.evaluation
-    own, lower = evaluation.summary(evaluation.own), _lower_medians(evaluation)
-    found = []
-    for name in evaluation.contenders:
-        if name in (evaluation.own, judged.beside):
-            continue
-        this, difference = evaluation.summary(name), evaluation.difference(name)
-        parts = []
-        if difference.low > 0:
-            ends = f"{cost(difference.low)} to {cost(difference.high)}"
-            parts.append(f"{cost(difference.mean)} on average (95 % interval {ends})")
-        if name in lower:
-            parts.append(f"a lower median ({cost(this.median)} against {cost(own.median)})")
-        if parts:
-            found.append(f"{name} by {' and '.join(parts)}")
-    if not found:
-        return ""
-    own_filter = called(evaluation.own)
-    return f"Other filters are better than {own_filter} on these scenarios: {'; '.join(found)}."
-
-
 def _starting(evaluation: Evaluation) -> str:
     """The judged filter, at the start of a sentence."""
     words = called(evaluation.own)
     return words[:1].upper() + words[1:]
-
-
-def _clearly_better(evaluation: Evaluation) -> list[str]:
-    """Contenders whose mean cost is significantly lower than that of the judged filter."""
-    others = (name for name in evaluation.contenders if name != evaluation.own)
-    return [name for name in others if evaluation.difference(name).low > 0]
-
-
-def _lower_medians(evaluation: Evaluation) -> list[str]:
-    """Contenders whose median cost is lower than that of the judged filter in the digits shown."""
-    own = evaluation.summary(evaluation.own).median
-    medians = {name: evaluation.summary(name).median for name in evaluation.contenders}
-    return [name for name, each in medians.items() if each < own and cost(each) != cost(own)]
-
-
-def _instead(names: list[str]) -> str:
-    """Advice if these filters are better than the judged one."""
-    advice = f"These have a lower mean cost: {'; '.join(names)}. "
-    if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in names):
-        advice += (
-            "Gains that depend only on time are simpler and need no error signal. They suit a "
-            "filter that starts as in these scenarios, and do not react to later errors. "
-        )
-    if any(name in (EKF, EKF_VECTORS) for name in names):
-        advice += "`--set filter.kind=kalman` tunes a Kalman filter. "
-    return (
-        f"{advice}Their parameters are in `result.json`. The filter of this page can still be "
-        "exported: `posegsa export RUN --format c`."
-    )
 
 
 def next_words(result: Result) -> list[str]:
@@ -185,9 +92,17 @@ def next_words(result: Result) -> list[str]:
     steps = []
     if result.warnings():
         steps.append("Read the warnings above first: they say why these numbers may mislead.")
-    better = _clearly_better(evaluation)
-    if any(name != beside for name in better):
-        steps.append(_instead(better))
+    better = [name for name in evaluation.better if name != beside]
+    if better:
+        if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in better):
+            steps.append(
+                "Gains that depend only on time are simpler and need no error signal. They suit a "
+                "filter that starts as in these scenarios, and do not react to later errors."
+            )
+        steps.append(
+            "The parameters of the better filters are in `result.json`. The filter of this page "
+            "can still be exported: `posegsa export RUN --format c`."
+        )
     elif evaluation.difference(beside).high < 0:
         steps.append(
             f"{_starting(evaluation)} is better than {called(beside)}: export it as C with "
@@ -204,11 +119,6 @@ def next_words(result: Result) -> list[str]:
         steps.append(
             "`posegsa evaluate RUN` evaluates it on many more scenarios, and compares it with "
             "simpler schedules and Kalman filters, which may be as good."
-        )
-    elif lower := _lower_medians(evaluation):
-        steps.append(
-            f"If rare failures do not matter, compare the medians: {'; '.join(lower)} "
-            f"{'has' if len(lower) == 1 else 'have'} a lower one."
         )
     if any("RUN" in step for step in steps):
         steps.append("RUN is the folder of this page.")

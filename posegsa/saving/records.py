@@ -10,10 +10,8 @@ arrays (`posegsa.settings.arrays`), sections of a configuration, records, and li
 and unions of these. Numbers are read back bit for bit.
 """
 
-import csv
 import dataclasses
 import hashlib
-import io
 import json
 import reprlib
 import typing
@@ -30,7 +28,7 @@ from pydantic import AfterValidator, BaseModel, Strict
 
 from posegsa.errors import RunFolderError
 from posegsa.settings.arrays import Columns
-from posegsa.settings.plain import decimal, json_text, plain, stored_fields
+from posegsa.settings.plain import csv_text, decimal, json_text, plain, stored_fields
 
 Record = TypeVar("Record")
 
@@ -204,11 +202,7 @@ def to_csv(record: object, counted: str = "") -> str:
         columns += table.T.tolist()
     if counted:
         header, columns = [counted, *header], [range(1, len(columns[0]) + 1), *columns]
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(zip(*columns, strict=True))
-    return text.getvalue()
+    return csv_text(header, zip(*columns, strict=True))
 
 
 def _columns(kind: Any) -> dict[str, Columns]:

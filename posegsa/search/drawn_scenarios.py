@@ -44,26 +44,20 @@ M = TypeVar("M")
 DEFAULT_ESTIMATE = config.ScenarioConfig().initial_rotation_estimate
 
 
-def all_scenarios(
-    experiment: config.Experiment, one: Scenario, filter: Filter | None = None
-) -> ScenarioBatch:
-    """The training scenarios of an experiment, then the held-out ones."""
+def all_scenarios(experiment: config.Experiment, filter: Filter | None = None) -> ScenarioBatch:
+    """The training scenarios of an experiment, then the held-out ones.
+
+    Warns of an initial estimate that is no rotation.
+    """
     run = experiment.run
-    return scenario_batch(
-        experiment,
-        one,
-        jnp.concatenate(
-            [
-                training_keys(run.seed, run.training_scenarios),
-                held_out_keys(run.seed, run.held_out_scenarios),
-            ]
-        ),
-        filter,
-    )
+    _warn_of_projection(experiment.scenario)
+    training = training_keys(run.seed, run.training_scenarios)
+    held_out = held_out_keys(run.seed, run.held_out_scenarios)
+    return scenario_batch(experiment, jnp.concatenate([training, held_out]), filter)
 
 
 def scenario_batch(
-    experiment: config.Experiment, one: Scenario, keys: Array, filter: Filter | None = None
+    experiment: config.Experiment, keys: Array, filter: Filter | None = None
 ) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
@@ -81,6 +75,7 @@ def scenario_batch(
     words, count = np.asarray(jax.random.key_data(keys)), len(keys)
     if words.shape != (count, 2) or not count:
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
+    one = scenario(experiment)
     samples = one.samples
     longer = replace(one, samples=padded(samples))
 
@@ -142,8 +137,8 @@ def _drawn(
 def scenario(experiment: config.Experiment) -> Scenario:
     """The scenario that an experiment configures, at its dtype.
 
-    The initial attitude estimate is projected onto SO(3), with a warning if that changes it: the
-    matrix that the paper prints has determinant 0.943.
+    The initial attitude estimate is projected onto SO(3): the matrix that the paper prints has
+    determinant 0.943.
     """
     c = experiment.scenario
     dtype = jnp.dtype(experiment.run.dtype)
@@ -189,7 +184,7 @@ def scenario(experiment: config.Experiment) -> Scenario:
         jumps=Jumps(array([], 0), array([], 0, 6)),
         rotation=array(c.initial_rotation, 3, 3),
         position=array(c.initial_position, 3),
-        rotation_estimate=array(_projected_estimate(c), 3, 3),
+        rotation_estimate=array(project_rotation(np.array(c.initial_rotation_estimate)), 3, 3),
         position_estimate=array(c.initial_position_estimate, 3),
         bias_estimate=array(c.initial_bias_estimate, 6),
         end=array(math.inf),
@@ -201,10 +196,10 @@ def _samples(time: float, step: float) -> int:
     return min(math.ceil(time / step - 1e-6), np.iinfo(np.int32).max)
 
 
-def _projected_estimate(c: config.ScenarioConfig) -> np.ndarray:
+def _warn_of_projection(c: config.ScenarioConfig) -> None:
+    """Warn of an initial estimate that is no rotation, unless it is the default."""
     printed = np.array(c.initial_rotation_estimate)
-    projected = project_rotation(printed)
-    moved = np.abs(projected - printed).max()
+    moved = np.abs(project_rotation(printed) - printed).max()
     # No warning for the default, the paper's matrix: the configuration and the README mention it.
     if moved > 1e-6 and c.initial_rotation_estimate != DEFAULT_ESTIMATE:
         warnings.warn(
@@ -212,9 +207,8 @@ def _projected_estimate(c: config.ScenarioConfig) -> np.ndarray:
             f"{np.linalg.det(printed):.3f}); it was projected onto SO(3), which moved its entries "
             f"by up to {moved:.2g}",
             PosegsaWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return projected
 
 
 def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:

@@ -186,17 +186,12 @@ def _table(targets: Array) -> Rules:
     return tuple(tuple(int(target) for target in row) for row in np.asarray(targets))
 
 
-def ordered(terms: Array) -> Array:
-    """Terms (..., 5, 3) with each triangle sorted, then the a's, the b's and the c's across terms.
+def _in_order(terms: list[list[Array]]) -> list[list[Array]]:
+    """Terms with each triangle sorted, then the a's, the b's and the c's across terms.
 
     The second sort keeps the first: sorting the columns of a matrix with ascending rows keeps the
     rows ascending.
     """
-    return _stacked(_in_order([[terms[..., i, j] for j in range(3)] for i in range(TERM_COUNT)]))
-
-
-def _in_order(terms: list[list[Array]]) -> list[list[Array]]:
-    """`ordered`, on lists of scalars."""
     columns = zip(*map(_sorted, terms), strict=True)
     return [list(row) for row in zip(*(_sorted(list(column)) for column in columns), strict=True)]
 

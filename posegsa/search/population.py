@@ -293,26 +293,11 @@ def population_costs(
     repaired. Neither can become the best agent. `axis` and `cost` are as in `agent_costs`.
     """
     agents = jax.vmap(space.candidate)(vectors)
-    costs = agent_costs(agents, batch, axis, cost)
-    further = None if beside is None else agent_costs(agents, beside, axis, cost)
-    return costs_of_agents(vectors, costs, further, space, objective)
-
-
-def costs_of_agents(
-    vectors: Array,
-    costs: Array,
-    further: Array | None,
-    space: SearchSpace,
-    objective: ObjectiveConfig,
-) -> Array:
-    """Cost (A,) of A search vectors (A, d) from their costs (S, A) on S scenarios (jittable).
-
-    `further` are their costs on further scenarios, if there are any.
-    """
-    together = over_scenarios(costs, objective)
-    if further is not None:
+    together = over_scenarios(agent_costs(agents, batch, axis, cost), objective)
+    if beside is not None:
         share = objective.simulated_share
-        together = (1 - share) * together + share * over_scenarios(further, objective)
+        further = over_scenarios(agent_costs(agents, beside, axis, cost), objective)
+        together = (1 - share) * together + share * further
     return jnp.where(jax.vmap(space.valid)(vectors), together, jnp.inf)
 
 

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 from posegsa import config
 from posegsa.arguments import check_type
 from posegsa.errors import ConfigError
-from posegsa.model.scenario import Scenario
 from posegsa.search import memory
 from posegsa.search.candidates import SearchSpace
 from posegsa.search.configured_filters import OwnFilter, filter_of
-from posegsa.search.drawn_scenarios import all_scenarios, scenario
+from posegsa.search.drawn_scenarios import all_scenarios
 from posegsa.search.population import ScenarioBatch, TrackCost, check_cost
 from posegsa.search.search_spaces import search_space
 
@@ -20,8 +19,6 @@ class TuningProblem(NamedTuple):
     """An experiment with its scenarios and its search space, ready to search."""
 
     experiment: config.Experiment
-    scenario: Scenario | None
-    """What scenarios are drawn from; None where nothing is simulated."""
     scenarios: ScenarioBatch | None
     """Training scenarios, then held-out ones; None where nothing is simulated."""
     training: ScenarioBatch
@@ -74,12 +71,11 @@ def tuning_problem(
             "allowed: recordings of inertial sensors"
         )
     memory.check([experiment])
-    run, one = experiment.run, scenario(experiment)
-    check_cost(cost, one.samples, len(experiment.scenario.vectors), jnp.dtype(run.dtype))
-    scenarios = all_scenarios(experiment, one, filter_of(experiment, own))
+    run, drawn = experiment.run, experiment.scenario
+    check_cost(cost, drawn.samples, len(drawn.vectors), jnp.dtype(run.dtype))
+    scenarios = all_scenarios(experiment, filter_of(experiment, own))
     return TuningProblem(
         experiment=experiment,
-        scenario=one,
         scenarios=scenarios,
         training=scenarios.select(slice(run.training_scenarios)),
         space=search_space(experiment),

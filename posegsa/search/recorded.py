@@ -32,7 +32,7 @@ from posegsa.recordings.running import as_seen, state_of
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
 from posegsa.search.configured_filters import OwnFilter, filter_of
-from posegsa.search.drawn_scenarios import all_scenarios, scenario
+from posegsa.search.drawn_scenarios import all_scenarios
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.problem import TuningProblem
 from posegsa.search.search_spaces import own_space, search_space
@@ -85,7 +85,6 @@ def recorded_problem(
     memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
-        scenario=None,
         scenarios=None,
         training=recorded_batch(experiment, recordings, position_weight, own),
         space=search_space(experiment, own_space(experiment, LOWEST_GAIN)),
@@ -94,11 +93,10 @@ def recorded_problem(
     if not experiment.objective.simulated_share:
         return problem
     _check_same_sensors(experiment, recordings)
-    one = scenario(experiment)
-    drawn = all_scenarios(experiment, one, filter_of(experiment, own))
+    drawn = all_scenarios(experiment, filter_of(experiment, own))
     every = as_recordings(drawn, position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
-    return problem._replace(scenario=one, scenarios=every, beside=beside)
+    return problem._replace(scenarios=every, beside=beside)
 
 
 def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
@@ -117,16 +115,16 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
         for key, value in noises.items()
     }
     kalman = config.load("kalman").replace(**stated, **{"search.iterations": FEW})
-    data = kalman.model_dump(mode="json")
-    least = {key: data["filter"][key] for key in ("angular_velocity", "velocity")}
-    boxes = {key: (value, MORE_NOISE * value) for key, value in least.items()}
+    boxes = {}
+    for key in ("angular_velocity", "velocity"):
+        found = config.number_at(kalman, f"filter.{key}")
+        boxes[key] = (found, MORE_NOISE * found)
     boxes["linear_walk"] = LINEAR_WALKS
-    data["parameters"]["also"] = [
+    also = [
         {"key": f"filter.{key}", "lower": low, "upper": high, "scale": "logarithmic"}
         for key, (low, high) in boxes.items()
     ]
-    data["objective"]["least_gain"] = LEAST_GAIN
-    return config.from_dict(data)
+    return kalman.replace(**{"parameters.also": also, "objective.least_gain": LEAST_GAIN})
 
 
 def tuned_on_recordings(
@@ -209,9 +207,7 @@ def with_effect_on(
                 f"{counted(vectors, 'vector')} and {counted(landmarks, 'landmark')}; allowed: a "
                 "list without it"
             )
-    data = experiment.model_dump(mode="json")
-    data["parameters"]["also"] = kept
-    return config.from_dict(data)
+    return experiment.replace(**{"parameters.also": kept})
 
 
 @cache

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -51,6 +51,12 @@ def _open_loop(end: float, log_gain: Array) -> GainSchedule:
     return KnotGain(jnp.asarray(knot_times(end), log_gain.dtype), log_gain)
 
 
+@cache
+def _at(end: float) -> Callable[[Array], GainSchedule]:
+    """`_open_loop` up to a time; always the same function, so that JAX reuses its program."""
+    return partial(_open_loop, end)
+
+
 def knot_times(end: float) -> np.ndarray:
     """Times (KNOTS,) of the open-loop gains' knots [s]: dense in the transient, then even."""
     dense, turn = KNOTS // 2, min(2.0, 0.5 * end)
@@ -68,36 +74,18 @@ Ends = tuple[float, float]
 def schedule_space(
     kind: str, experiment: config.Experiment, lowest: float | None = None
 ) -> SimpleSpace:
-    """The search space of one kind of schedule for an experiment.
+    """The search space of one kind of schedule for an observer.
 
-    Gains are searched by their logarithm, over GAINS and the controller's range. Times of a switch
-    go up to half of a scenario. The scaled error at half gain goes from 0.003 to 1.
+    Gains are searched by their logarithm, over GAINS and the controller's range.
 
     Args:
         kind: "constant", "smooth", "switch" or "open loop".
         experiment: Its controller's range, and its duration, are looked at.
         lowest: Least gain [1/s], where it is to be another one.
     """
-    end = experiment.scenario.duration
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
     least = lowest or min(GAINS[0], max(offset + low, LEAST_GAIN))
-    gain = (math.log(least), math.log(max(GAINS[1], offset + high)))
-    half = (math.log(0.003), 0.0)
-    switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
-    # Without estimated biases there is nothing to switch on later.
-    learning = (
-        0.0,
-        0.5 * end if getattr(experiment.filter, "vector_bias", "off") == "estimated" else 0.0,
-    )
-    boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
-        "constant": ([gain], _constant),
-        "switch": ([gain, gain, switch, learning], _switch),
-        "smooth": ([gain, gain, half], _smooth),
-        "open loop": ([gain] * KNOTS, _at(end)),
-    }
-    bounds, make = boxes[kind]
-    lower, upper = (jnp.asarray(ends, experiment.run.dtype) for ends in zip(*bounds, strict=True))
-    return SimpleSpace(lower, upper, make)
+    return _space(kind, experiment, (math.log(least), math.log(max(GAINS[1], offset + high))))
 
 
 def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
@@ -107,11 +95,26 @@ def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
         kind: "constant", "smooth", "ramp" or "clock".
         experiment: Its duration is looked at.
     """
+    return _space(kind, experiment, (0.0, math.log(101.0)))
+
+
+def _space(kind: str, experiment: config.Experiment, gain: Ends) -> SimpleSpace:
+    """The search space of a kind of schedule with gains between these logarithms.
+
+    Times of a switch go up to half of a scenario. The scaled error at half gain goes from 0.003
+    to 1.
+    """
     end = experiment.scenario.duration
-    gain, error = (0.0, math.log(101.0)), (math.log(0.003), 0.0)
+    half = (math.log(0.003), 0.0)
+    switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
+    # Without estimated biases there is nothing to switch on later.
+    learnt = getattr(experiment.filter, "vector_bias", "off") == "estimated"
+    learning = (0.0, 0.5 * end if learnt else 0.0)
     boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
         "constant": ([gain], _constant),
-        "smooth": ([gain, gain, error], _smooth),
+        "switch": ([gain, gain, switch, learning], _switch),
+        "smooth": ([gain, gain, half], _smooth),
+        "open loop": ([gain] * KNOTS, _at(end)),
         "ramp": ([(0.0, 1.0), (math.log(0.1), math.log(1000.0))], _ramp),
         "clock": ([gain] * KNOTS, _at(end)),
     }
@@ -157,11 +160,3 @@ class NoiseSpaces:
             parts.append(vector[first : first + space.lower.shape[0]])
             first += space.lower.shape[0]
         return parts
-
-
-_AT: dict[float, Callable[[Array], GainSchedule]] = {}
-
-
-def _at(end: float) -> Callable[[Array], GainSchedule]:
-    """`_open_loop` up to a time; always the same function, so that JAX reuses its program."""
-    return _AT.setdefault(end, partial(_open_loop, end))

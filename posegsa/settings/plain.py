@@ -1,8 +1,10 @@
-"""Records as plain data, and plain data as JSON text."""
+"""Records as plain data, and plain data as JSON and CSV text."""
 
+import csv
+import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
 from typing import Any
 
@@ -61,3 +63,12 @@ def json_text(value: Any, indent: str = "") -> str:
         return json.dumps(value, allow_nan=False)
     lines = ",\n".join(inner + part for part in parts)
     return f"{opening}\n{lines}\n{indent}{closing}"
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Rows of cells as CSV with a header."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -11,7 +11,7 @@ import pytest
 import scipy.stats
 from helpers import reference_ekf
 from helpers.arrays import as_arrays
-from helpers.experiments import experiment, quietly
+from helpers.experiments import experiment
 from helpers.filters import state_of
 from helpers.measurements import random_measurements, random_poses, trajectory_cost
 from helpers.measurements import reference_sample as sample_of
@@ -37,6 +37,7 @@ from posegsa.model.scenario import integrate, measure
 from posegsa.model.se3 import exp, transform
 from posegsa.model.signal import TruePose
 from posegsa.model.vectors import VectorSettings
+from posegsa.search.drawn_scenarios import scenario
 
 PLAIN = reference_ekf.Noise(
     velocity=np.array([0.02, 0.02, 0.02, 0.01, 0.01, 0.01]),
@@ -328,11 +329,11 @@ def scenarios(keys: Array) -> tuple[Samples, FilterState]:
         of_start, of_noise = jax.random.split(key)
         deviations = np.concatenate([SENSED.pose, SENSED.bias, np.full(6, SENSED.vector_bias)])
         error = jax.random.normal(of_start, (18,)) * deviations.astype(np.float32)
-        paper = quietly(experiment("float32", duration=0.01 * CHUNK))
-        scenario = replace(paper, bias=error[6:12], vector_bias=error[12:].reshape(2, 3))
-        truth = integrate(scenario)
+        paper = scenario(experiment("float32", duration=0.01 * CHUNK))
+        drawn = replace(paper, bias=error[6:12], vector_bias=error[12:].reshape(2, 3))
+        truth = integrate(drawn)
         T = transform(truth.rotation[0], truth.position[0]) @ exp(-error[:6])
-        m = measure(scenario, truth, of_noise).measurements
+        m = measure(drawn, truth, of_noise).measurements
         initial = initial_state(T[:3, :3], T[:3, 3], learnt_vectors=2)
         return samples_for(m, truth.rotation, truth.position), initial
 

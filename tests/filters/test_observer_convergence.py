@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import AT_REST, experiment, quietly
+from helpers.experiments import AT_REST, experiment
 from helpers.filters import jitted_state, settings, vector_bias, vector_settings
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +21,7 @@ from posegsa.model.scenario import Scenario, Truth, integrate, measure
 from posegsa.model.schedules import ConstantGain, GainSchedule, SwitchGain
 from posegsa.model.vectors import VectorSettings
 from posegsa.search.configured_filters import signal_settings
+from posegsa.search.drawn_scenarios import scenario
 
 LAWS = ("printed", "gradient")
 
@@ -49,7 +50,7 @@ def sensed(biased: bool) -> tuple[Truth, Samples, FilterState]:
 
     It lasts two minutes like the one below, to share its program; only the first is used.
     """
-    s = quietly(experiment(**(BIASED if biased else FREE), duration=120.0))
+    s = scenario(experiment(**(BIASED if biased else FREE), duration=120.0))
     truth = jax.jit(integrate)(s)
     m = jax.jit(measure)(s, truth, jax.random.key(0)).measurements
     initial = jitted_state(s.rotation_estimate, s.position_estimate, s.bias_estimate)
@@ -154,7 +155,7 @@ def learnt(
 def test_without_noise_pose_and_all_biases_converge_while_the_body_turns() -> None:
     # The paper's motion and start; bias estimation starts when the error is small.
     schedule = SwitchGain(*(jnp.asarray(x) for x in (50.0, 5.0, 6.0, 2.0)))
-    s = quietly(experiment(**VECTORS_BIASED, duration=120.0))
+    s = scenario(experiment(**VECTORS_BIASED, duration=120.0))
     truth, estimates = learnt(s, learning(), schedule)
     attitude, position = errors(truth, estimates)
     assert attitude[0] > 0.5
@@ -175,7 +176,7 @@ def test_at_rest_for_long_nothing_wanders() -> None:
     turned, start = (
         Rotation.from_euler("x", angle, degrees=True).as_matrix().tolist() for angle in (90, 120)
     )
-    s = quietly(
+    s = scenario(
         experiment(
             "float32",
             **AT_REST,

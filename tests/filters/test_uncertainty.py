@@ -9,7 +9,6 @@ import pytest
 import scipy.linalg
 import scipy.stats
 from helpers import reference_ekf
-from helpers.experiments import quietly
 from helpers.filters import state_of
 from helpers.reference import Sample, se3_exp
 from scipy.spatial.transform import Rotation
@@ -30,7 +29,7 @@ def drawn(count: int, *settings: str, kind: str = "kalman") -> ScenarioBatch:
     short = ["scenario.duration=1.0", "cost.steady_window=[50, 99]", "cost.transient_window=[0, 9]"]
     experiment = config.override(config.load(find(kind)), [*short, *settings])
     keys = scenario_keys(jax.random.key(7), count)
-    return scenario_batch(experiment, quietly(experiment), keys)
+    return scenario_batch(experiment, keys)
 
 
 def true_poses(batch: ScenarioBatch) -> np.ndarray:

@@ -1,7 +1,6 @@
 """The experiments that tests run: the paper's, very small ones, and scenarios of any kind."""
 
 import dataclasses
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,9 @@ import jax.numpy as jnp
 
 from posegsa import config
 from posegsa.config import CostConfig, Experiment, ObserverConfig, RunConfig, ScenarioConfig
-from posegsa.errors import PosegsaWarning
 from posegsa.filters.observer import Observer
-from posegsa.model.scenario import Scenario
 from posegsa.search.candidates import SearchSpace
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import scenario_keys
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.population import ScenarioBatch
@@ -59,9 +56,7 @@ def searched(*settings: str, dtype: str = "float64") -> SearchSpace[ParameterSpa
 
 def posed(experiment: config.Experiment, scenarios: int = 1) -> ScenarioBatch:
     """The problem of an experiment's scenario with some noise keys, at its dtype."""
-    return scenario_batch(
-        experiment, scenario(experiment), scenario_keys(jax.random.key(0), scenarios)
-    )
+    return scenario_batch(experiment, scenario_keys(jax.random.key(0), scenarios))
 
 
 def without_limit(limited: ScenarioBatch) -> ScenarioBatch:
@@ -118,10 +113,3 @@ def experiment(dtype: str = "float64", *, cross_vector: bool = True, **scenario:
         scenario=ScenarioConfig(**scenario),
         cost=CostConfig(transient_window=(0, 1), steady_window=(1, 1)),
     )
-
-
-def quietly(experiment: Experiment) -> Scenario:
-    """The scenario of an experiment, without the warning about the paper's initial estimate."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)
-        return scenario(experiment)

@@ -144,7 +144,7 @@ def noises(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def tune_kalman(problem: TuningProblem) -> Description:
         assert problem.experiment.filter.kind == "kalman"
-        assert problem.scenario is not None
+        assert problem.scenarios is not None
         return NOISES
 
     monkeypatch.setattr(baselines, "tune_kalman", tune_kalman)

@@ -30,8 +30,8 @@ from posegsa.errors import (
     SearchInterrupted,
 )
 from posegsa.export import export
+from posegsa.judging.evaluation import KALMAN_AS_IT_COMES, NOISES_FOUND
 from posegsa.judging.judge import Recorded, judge
-from posegsa.judging.on_recordings import KALMAN_AS_IT_COMES, NOISES_FOUND
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.checkpointing import RecordedTask

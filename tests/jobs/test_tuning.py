@@ -27,7 +27,7 @@ from posegsa.errors import (
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.saving import result_files as run_folder
-from posegsa.search.drawn_scenarios import scenario, scenario_batch
+from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, scenario_keys, training_keys
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import tuning_problem
@@ -77,9 +77,7 @@ def test_the_number_of_scenarios_does_not_change_the_first_ones():
 def test_neither_their_number_nor_their_length_changes_a_bit_of_what_scenarios_begin_with():
     short = tiny()
     long = short.replace(**{"scenario.duration": 2 * short.scenario.duration})
-    few, many = (
-        scenario_batch(e, scenario(e), training_keys(3, n)) for e, n in ((short, 2), (long, 17))
-    )
+    few, many = (scenario_batch(e, training_keys(3, n)) for e, n in ((short, 2), (long, 17)))
     for a, b in zip(jax.tree.leaves(few.samples), jax.tree.leaves(many.samples), strict=True):
         np.testing.assert_array_equal(a, b[:2, : a.shape[1]])
     for a, b in zip(jax.tree.leaves(few.initial), jax.tree.leaves(many.initial), strict=True):
@@ -90,7 +88,7 @@ def test_no_keys_or_those_of_another_generator_make_no_scenarios():
     experiment = tiny()
     for given in (training_keys(0, 2)[:0], jax.random.split(jax.random.key(0, impl="rbg"), 2)):
         with pytest.raises(ArgumentError, match="threefry"):
-            scenario_batch(experiment, scenario(experiment), given)
+            scenario_batch(experiment, given)
 
 
 def test_history_and_counts(run):
@@ -131,9 +129,7 @@ def test_the_best_constant_gain_is_the_best_of_those_tried(run):
     from posegsa.search.candidates import Candidate
 
     result, _, _ = run
-    training = scenario_batch(
-        result.experiment, scenario(result.experiment), scenario_keys(keys(0).training, 3)
-    )
+    training = scenario_batch(result.experiment, scenario_keys(keys(0).training, 3))
     gains = np.linspace(1, 101, CONSTANT_GAINS, dtype=np.float32)
     every = Candidate(ConstantGain(jax.numpy.asarray(gains)))
     costs = np.mean(costs_by_scenario(every, training), axis=0)

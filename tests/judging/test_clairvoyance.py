@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import quietly
 
 from posegsa import config
 from posegsa.config.shipped import find
@@ -39,7 +38,7 @@ def test_where_nothing_happens_it_is_the_kalman_filter_from_the_true_pose(start:
         "family.outages={rate=0.1}",
     )
     keys = held_out_keys(experiment.run.seed, 6)
-    batch = scenario_batch(experiment, quietly(experiment), keys)
+    batch = scenario_batch(experiment, keys)
     numbers = dict.fromkeys(KalmanNoise._fields, 0.0) | {
         "angular_velocity": 2 * 0.2 * 0.1,  # twice the noise, in samples of 0.01 s
         "velocity": 2 * 0.1 * 0.1,

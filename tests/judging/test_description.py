@@ -14,7 +14,7 @@ from helpers.own_filter import Complementary
 import posegsa
 from posegsa import config
 from posegsa.config import Experiment
-from posegsa.errors import ArgumentError, ConfigError, RunFolderError
+from posegsa.errors import ArgumentError, ConfigError, FuzzyError, RunFolderError
 from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
@@ -177,6 +177,12 @@ def test_a_schedule_without_numbers_is_refused_and_a_kalman_filter_has_its_own()
     assert configured_filter(config.override(tiny(), ["filter.kind=kalman"])) == Description(
         "kalman", {}, {}, 0
     )
+
+
+def test_the_controller_of_a_kalman_filter_lies_in_the_boxes_too() -> None:
+    scheduled = config.override(tiny(), ["filter.kind=kalman", "filter.unknown=fuzzy"])
+    with pytest.raises(FuzzyError, match=r"k1: must lie in \[0, 0.15\], got 0.9"):
+        configured_filter(scheduled.replace(tuned=config.TunedConfig(numbers=(0.9,) * 22)))
 
 
 def test_what_is_recommended_is_configured_where_nothing_is_said() -> None:

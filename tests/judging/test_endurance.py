@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import quietly, tiny
+from helpers.experiments import tiny
 from helpers.messages import assert_told
 from helpers.results import endurance as made
 
@@ -47,7 +47,7 @@ def test_windows_double_and_errors_are_root_mean_squares() -> None:
     np.testing.assert_allclose(found.end, [2, 4, 8, 16])
 
     longer = config.override(RUN, ["scenario.duration=16.0"])
-    batch = scenario_batch(longer, quietly(longer), endurance_keys(RUN.run.seed, COUNT))
+    batch = scenario_batch(longer, endurance_keys(RUN.run.seed, COUNT))
     for gain, attitude, position, distance in (
         (20, found.attitude, found.position, found.distance),
         (3, found.other_attitude, found.other_position, found.other_distance),
@@ -87,7 +87,7 @@ def test_what_precedes_a_start_from_the_sensors_does_not_count(monkeypatch) -> N
     monkeypatch.setattr(endurance_module, "scenario_batch", late)
     found = long_after(RUN)
     longer = config.override(RUN, ["scenario.duration=16.0"])
-    batch = scenario_batch(longer, quietly(longer), endurance_keys(RUN.run.seed, COUNT))
+    batch = scenario_batch(longer, endurance_keys(RUN.run.seed, COUNT))
     distance = np.asarray(error_tracks(constant(20), batch).distance, np.float64)
     first = [0, 150, *[80] * (COUNT - 2)]
     counted = np.concatenate([one[k:200] for one, k in zip(distance, first, strict=True)])

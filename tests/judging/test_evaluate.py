@@ -274,3 +274,9 @@ def test_a_difference_that_may_be_chance_is_not_in_the_verdict():
     own = given.contenders[TUNED].metrics.cost
     given = changed(given, CONSTANT, cost=own - 0.01 + noise)
     assert "No filter beside it (best constant gains) costs less" in given.verdict()
+
+
+def test_what_cannot_be_compared_is_told():
+    given = changed(made_up((TUNED, CONSTANT)), TUNED, cost=np.full(40, np.inf))
+    assert_told(given.verdict(), "cannot be compared", "best constant gains", "infinite costs")
+    assert given.better == {}

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import quietly, tiny
+from helpers.experiments import tiny
 
 from posegsa import steps
 from posegsa.config import KALMAN_ALSO
@@ -82,7 +82,7 @@ def test_tracks_are_those_of_the_filter_one_by_one() -> None:
     """They are simulated in groups of 16; the last group is padded."""
     experiment = kalman_experiment(TINY, vector_biases=False)
     noises = NOISES | {"filter.vector": 0.1, "filter.landmark": 0.1}
-    batch = scenario_batch(experiment, quietly(experiment), training_keys(0, 3))
+    batch = scenario_batch(experiment, training_keys(0, 3))
     several = jax.device_get(batch).select(np.arange(26) % 3)
     candidate = candidate_of(Description("kalman", {}, noises, 20), experiment)
     tracks = error_tracks(candidate, several)
@@ -116,7 +116,7 @@ def test_it_reads_what_was_made_for_an_observer_that_learns_the_vectors_biases()
     experiment = kalman_experiment(learning.experiment, vector_biases=True)
     batch = variant_of(learning, experiment).training
     assert batch.samples is learning.training.samples, "nothing is drawn again"
-    again = scenario_batch(experiment, quietly(experiment), training_keys(0, 3))
+    again = scenario_batch(experiment, training_keys(0, 3))
     candidate = candidate_of(Description("kalman", {}, NOISES, 0), experiment)
     agent = jax.tree.map(lambda a: a[None], candidate)
     costs = [np.asarray(costs_by_scenario(agent, each)) for each in (batch, again)]

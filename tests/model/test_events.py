@@ -7,14 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.experiments import quietly
 
 from posegsa import config
 from posegsa.config.shipped import find
 from posegsa.model.events import events_of
 from posegsa.model.family import draw_scenario
 from posegsa.model.scenario import integrate, measure
-from posegsa.search.drawn_scenarios import family
+from posegsa.search.drawn_scenarios import family, scenario
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -37,7 +36,7 @@ def drawn():
     with jax.enable_x64(True):
         experiment = config.override(config.load(find("disturbed")), EVERYTHING)
         one = jax.jit(draw_scenario)(
-            quietly(experiment), family(experiment, "float64"), jax.random.key(3)
+            scenario(experiment), family(experiment, "float64"), jax.random.key(3)
         )
         return one, jax.tree.map(np.asarray, jax.jit(events_of)(one))
 

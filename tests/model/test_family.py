@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import quietly, tiny
+from helpers.experiments import tiny
 from jax import Array
 from scipy import stats
 from scipy.linalg import expm
@@ -81,7 +81,7 @@ realised = jax.jit(realise)
 
 @pytest.fixture(scope="module")
 def base():
-    return quietly(SHORT)
+    return scenario(SHORT)
 
 
 def varied(dtype: str = "float32", **settings) -> Family:
@@ -313,7 +313,7 @@ def test_each_sensor_has_bursts_of_its_own_of_drawn_sizes(base):
         update={"scenario": SHORT.scenario.model_copy(update={"landmarks": landmarks})}
     )
     made = varied(landmark_bursts=OWN_BURSTS, bursts=OWN_BURSTS)
-    many = jax.tree.map(np.asarray, draw_many(quietly(three), made, many_keys()))
+    many = jax.tree.map(np.asarray, draw_many(scenario(three), made, many_keys()))
     for bursts, sensors in ((many.bursts, 2), (many.landmark_bursts, 3)):
         window = bursts.window.astype(np.float64)
         assert window.shape[:2] == (COUNT, sensors)
@@ -381,7 +381,7 @@ def shipped(name: str) -> config.Experiment:
 def test_disturbed_sensors_show_a_pose_at_once_and_sparse_ones_wait_for_it():
     for name, waits in (("disturbed", 0.0), ("sparse", 3.0)):
         experiment = config.override(shipped(name), ["scenario.start=sensors"])
-        batch = all_scenarios(experiment, scenario(experiment))
+        batch = all_scenarios(experiment)
         # At 0 or 3 s only an outage hides a pose.
         first = np.asarray(batch.begin)
         assert np.median(first) == pytest.approx(waits, abs=1e-5)
@@ -396,7 +396,7 @@ def test_a_start_that_nothing_fixes_is_told():
     never = ["scenario.start=sensors", "scenario.vectors.1.begin=1000.0"]
     experiment = config.override(config.override(SHORT, never), ["run.training_scenarios=2"])
     with pytest.warns(PosegsaWarning, match=r"scenario\.start = 'sensors': in \d+ of \d+ .*fixes"):
-        all_scenarios(experiment, scenario(experiment))
+        all_scenarios(experiment)
 
 
 def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):
@@ -428,7 +428,7 @@ def test_biases_drifts_rests_periods_and_ends_fill_their_ranges(base):
 def test_a_key_means_the_same_scenario_in_both_precisions(base):
     single = jax.tree.map(lambda a: a[7], drawn(base))
     with jax.enable_x64(True):
-        exact = quietly(config.override(SHORT, ["run.dtype=float64"]))
+        exact = scenario(config.override(SHORT, ["run.dtype=float64"]))
         double = one_drawn(exact, varied("float64", **EVERYTHING), many_keys()[7])
         for a, b in zip(jax.tree.leaves(single), jax.tree.leaves(double), strict=True):
             # Lengths of up to 10 m, times of up to 400 s.

@@ -35,7 +35,6 @@ from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
     EKF,
-    EKF_VECTORS,
     OPEN_LOOP,
     SMOOTH,
     SWITCH,
@@ -44,7 +43,7 @@ from posegsa.judging.evaluation import (
 from posegsa.judging.result import Result
 from posegsa.report import report_html, templates
 from posegsa.report.numbers import cost, number
-from posegsa.report.sentences import filter_words, verdict
+from posegsa.report.sentences import filter_words
 
 pytestmark = pytest.mark.quick
 
@@ -150,29 +149,6 @@ def test_training_stands_beside_held_out():
         given = changed(given, name, **costs(level))
     text = page(result(evaluation=given)).text
     assert_told(text, "43.00", "training 41.25", "training 45.00", "53.5", "\u22122.00")
-    assert_told(text, "2.00 less", "4.4", "95 %", "2.00 to 2.00")
-
-
-@pytest.mark.parametrize(
-    ("shift", "facts"),
-    [
-        (-1.0, ["1.00 less"]),
-        (1.0, ["1.00 more"]),
-        (0.0, ["does not differ significantly"]),
-        (np.inf, ["40", "0", "infinite", "medians", "\u221e"]),
-    ],
-)
-def test_the_verdict_is_that_of_the_paired_interval(shift, facts):
-    given = evaluation((TUNED, CONSTANT))
-    rng = np.random.default_rng(0)
-    difference = shift + 0.01 * rng.permutation(np.linspace(-1, 1, 40))
-    given = changed(given, TUNED, cost=given.contenders[CONSTANT].metrics.cost + difference)
-    assert_told(verdict(result(evaluation=given).on_scenarios), *facts)
-
-
-def test_the_verdict_of_one_scenario_is_that_there_is_none():
-    given = evaluation((TUNED, CONSTANT), cost=np.array([43.0]))
-    assert "too few" in verdict(result(evaluation=given).on_scenarios)
 
 
 def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
@@ -180,7 +156,7 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     better = changed(better, CONSTANT, cost=np.linspace(4, 4.5, 40), bias_linear=np.full(40, 0.25))
     better = changed(better, TUNED, bias_linear=np.full(40, 0.5))
     text = page(result(evaluation=better)).text
-    order = ("What it is for", "What is minimised", "What came out", "What to do next", "Held out:")
+    order = ("What it is for", "What is minimised", "What to do next", "Held out:")
     places = [text.index(words) for words in order]
     assert places == sorted(places)
     assert_told(text, "0.2 for each metre", "0.3 from 0 to 1 s", "1 from 4 to 59 s")
@@ -199,18 +175,12 @@ def test_it_says_which_other_filters_do_better():
     for name in OF_THE_OBSERVER[1:]:
         given = changed(given, name, cost=np.linspace(13, 14, 40))
     text = page(result(evaluation=given)).text
-    assert "Other filters are better" not in text
-    assert "The tuned filter is better than the best constant gains" in text
-    # Only its median is lower, because it is rarely much worse.
-    rare = np.linspace(9, 10, 40)
-    rare[-3:] = 500
-    given = changed(given, EKF_VECTORS, cost=rare)
-    text = page(result(evaluation=given)).text
-    assert_told(text, "invariant EKF, vector biases", "lower median", "9.50", "11.00")
+    assert_told(text, "costs less by more than chance")
     assert_told(text, "The tuned filter is better than the best constant gains")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
-    assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.20 to 1.30")
+    assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.2 to 1.3")
+    assert_told(found.text, "depend only on time")
     assert "The tuned filter is better than the best constant gains" not in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
 
@@ -274,7 +244,7 @@ def test_every_rule_is_shown_with_its_weight():
             term, weight = cell.split(" ")
             assert term == printed[4 - r][4 - e]
             assert float(weight) == pytest.approx(trust().rule_weights[r, e], rel=0.05)
-    assert_told(page().text, "2 of 25 rules", "1 %", "23 never fire", "error S and rate VS")
+    assert_told(page().text, "2 of 25 rules", "1 %")
 
 
 def test_every_parameter_is_shown_as_the_corner_that_it_is():
