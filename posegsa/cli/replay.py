@@ -25,8 +25,8 @@ def add(commands) -> None:
         help="run a tuned filter over recordings",
         description="Runs the filter of a finished run over recordings and, where they have a "
         "reference, shows root mean square errors by phase: total, heading, inclination and "
-        "position. Writes the table, trajectories (TUM) and figures to a folder. The exit status is "
-        "2 if a recording can't be read or gives no start; the filter runs on the others.",
+        "position. Writes the table, trajectories (TUM) and figures to a folder. The exit status "
+        "is 2 if a recording can't be read or gives no start; the filter runs on the others.",
     )
     add_run(parser)
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
