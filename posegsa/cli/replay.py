@@ -14,7 +14,8 @@ from posegsa.cli.options import (
     result_of,
     warn_of_mistakes,
 )
-from posegsa.errors import ArgumentError
+from posegsa.errors import ArgumentError, MeasurementError
+from posegsa.progress import say
 
 
 def add(commands) -> None:
@@ -24,7 +25,8 @@ def add(commands) -> None:
         help="run a tuned filter over recordings",
         description="Runs the filter of a finished run over recordings and, where they have a "
         "reference, shows root mean square errors by phase: total, heading, inclination and "
-        "position. Writes the table, trajectories (TUM) and figures to a folder.",
+        "position. Writes the table, trajectories (TUM) and figures to a folder. The exit status "
+        "is 2 if a recording can't be read or gives no start; the filter runs on the others.",
     )
     add_run(parser)
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
@@ -47,15 +49,35 @@ def run(options: argparse.Namespace) -> int:
     for name in ("overwrite", "figures"):
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
-    recordings = read(options.recordings, options.window, options.bridge, options.longest_gap)
-    warn_of_mistakes(recordings)
     result = result_of(options)
-    recordings = in_frame(options, result.filter.kind, recordings)
-    where = {"out": options.out, "overwrite": options.overwrite, "figures": options.figures}
-    replays = replaying.replay(result, recordings, **where)
+    refused = []
+
+    def left_out(name: str, error: MeasurementError) -> None:
+        text = str(error)
+        say(f"posegsa: {text if text.startswith(name) else f'{name}: {text}'}")
+        refused.append(name)
+
+    recordings = []
+    for path in options.recordings:
+        try:
+            each = read([path], options.window, options.bridge, options.longest_gap)
+            warn_of_mistakes(each)
+            recordings += in_frame(options, result.filter.kind, each)
+        except MeasurementError as error:  # the filter runs on the others all the same
+            left_out(path, error)
+    replays = replaying.replay(
+        result,
+        recordings,
+        out=options.out,
+        overwrite=options.overwrite,
+        figures=options.figures,
+        left_out=lambda one, error: left_out(one.name, error),
+    )
+    if not replays:
+        return 2
     for one in replays:
         print(one.recording.describe())
     print(f"\n{replay_table(replays)}")
     if options.out is not None:
         print(f"\nWritten to {options.out}")
-    return 0
+    return 2 if refused else 0

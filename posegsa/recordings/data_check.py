@@ -116,6 +116,10 @@ NONE = 1e-6
 FAR_OFF, LENGTH_OFF = 0.8, 1.6
 """A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
 length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
+STUCK = 0.05
+"""Standard deviation by the truth, in a sensor's unit, from which on it can't be constant."""
+FASTEST = 1000.0
+"""Speed of the true position [m/s] above which it jumps."""
 DIFFER = 2.0
 """Ratio of the noises of two vectors, or two landmarks, from which on each has its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
@@ -237,8 +241,10 @@ def check(recording: Recording) -> DataCheck:
     q = quantities(recording)
     found = [str(one) for one in mistakes(q)]
     fits = misfits(q)
+    found += _stuck(q)
     found += [] if found else _far_off(fits)
     found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
+    found += [] if found else _jumps(recording)
     sensors = _sensors(recording)
     found += [
         f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
@@ -263,10 +269,43 @@ def _far_off(fits: dict[str, float]) -> list[str]:
         if misfit > (LENGTH_OFF if name.startswith("length") else FAR_OFF)
         and not name.startswith(VECTORS)
     ]
-    return [
-        f"{name} do not fit, by {100 * misfit:.0f} % of their size: a unit, an axis or a frame?"
-        for misfit, name in sorted(far, reverse=True)[:3]
-    ]
+    found = []
+    for misfit, name in sorted(far, reverse=True)[:3]:
+        if name.startswith("length"):
+            of = name.removeprefix("length of ")
+            factor = f"by a factor of {math.exp(misfit):.3g}"
+            found.append(f"{of} differs in length from its reference, {factor}: another unit?")
+        else:
+            share = f"by {100 * misfit:.0f} % of their size"
+            found.append(f"{name} do not fit, {share}: a unit, an axis or a frame?")
+    return found
+
+
+def _stuck(q: Quantities) -> list[str]:
+    """Sensors that never change although what they measure does, by the truth; in words."""
+    found = []
+    for one in predicted(q):
+        seen, true = _known(one.measured), _known(one.expected)
+        if len(seen) < FEWEST or len(true) < FEWEST or np.any(np.ptp(seen, axis=0)):
+            continue
+        if np.linalg.norm(np.std(true, axis=0)) > STUCK:
+            values = ", ".join(f"{x:.3g}" for x in seen[0])
+            found.append(f"{one.sensor} never changes: it is ({values}) in all samples")
+    return found
+
+
+def _jumps(recording: Recording) -> list[str]:
+    """The first jump of the true position, in words."""
+    if recording.truth is None or recording.truth.position is None:
+        return []
+    P, time = recording.truth.position, recording.time
+    at = np.flatnonzero(np.isfinite(P).all(axis=1))
+    steps = np.linalg.norm(np.diff(P[at], axis=0), axis=1)
+    far = np.flatnonzero(steps > FASTEST * np.diff(time[at]))
+    if not far.size:
+        return []
+    k = far[0]
+    return [f"the true position jumps by {steps[k]:.3g} m in a step, at {time[at[k + 1]]:.4g} s"]
 
 
 def _sensors(recording: Recording) -> list[SensorCheck]:

@@ -49,17 +49,21 @@ class Delay(NamedTuple):
     """Of neighbouring samples of what is left."""
     astray: float
     """Share of the draws of parts of the recording that show another delay."""
+    widest: bool = False
+    """Whether it is the largest that was tried."""
 
     @property
     def clear(self) -> bool:
         """Whether the sensor is late, or early, beyond doubt."""
         white = self.correlation < WHITE and self.chance > CHANCE
+        white = white and not self.widest  # a trend is best explained at an end too
         told = self.astray <= AGREE and (white or self.explained > EXPLAINED)
         return abs(self.delay) > LATE and told
 
     def __str__(self) -> str:
         word = "late" if self.delay > 0 else "early"
-        return f"{self.sensor} looks {1000 * abs(self.delay):.0f} ms {word}, by the truth"
+        more = " or more" if self.widest else ""
+        return f"{self.sensor} looks {1000 * abs(self.delay):.0f} ms{more} {word}, by the truth"
 
 
 def late_sensors(q: Quantities) -> list[str]:
@@ -148,7 +152,7 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
         by_part[:, k] = np.add.reduceat(np.sum((off - off.mean(axis=0)) ** 2, axis=1), parts)
     squares = by_part.sum(axis=0)
     best = int(np.argmin(squares))
-    if squares[widest] == 0 or best in (0, len(shifts) - 1):
+    if squares[widest] == 0:
         return None
     explained = 1 - squares[best] / squares[widest]
     rest = seen - expected[rows[:, best]]
@@ -158,7 +162,9 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     drawn = np.random.default_rng(0).multinomial(len(parts), [1 / len(parts)] * len(parts), DRAWS)
     away = np.abs(np.argmin(drawn @ by_part, axis=1) - best) * step
     astray = float(np.mean(away > LATE / 2))
-    return Delay(of.sensor, float(shifts[best] * step), explained, chance, correlation, astray)
+    ends = best in (0, len(shifts) - 1)
+    delay = float(shifts[best] * step)
+    return Delay(of.sensor, delay, explained, chance, correlation, astray, ends)
 
 
 def _slope(a: np.ndarray, time: np.ndarray, reach: int) -> np.ndarray:

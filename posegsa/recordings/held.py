@@ -8,6 +8,11 @@ FEWEST = 20
 """Changes from which on a signal can be told to be held."""
 REGULAR = 0.9
 """Share of the changes that must come after as many samples, to one, as most do."""
+TOGETHER = 12
+"""Changes that are taken together where a sensor has more than half the rate of the rows: they span
+as many samples, to one, only if it is regular."""
+OFTEN = 1.05
+"""Samples from one measurement to the next, on the mean, from which on a signal is held."""
 
 
 class Held(NamedTuple):
@@ -31,7 +36,13 @@ def held(values: np.ndarray) -> Held:
     new[1:] = np.any(values[1:] != values[:-1], axis=1)
     runs = np.diff(np.flatnonzero(new))
     none = Held(1.0, np.ones(len(values), bool))
-    if len(runs) < FEWEST or np.median(runs) < 2:
+    if len(runs) < FEWEST:
         return none
+    if np.median(runs) < 2:  # over half the rate of the rows: only now and then a value is repeated
+        runs = np.convolve(runs, np.ones(TOGETHER, int), "valid")
+        together = TOGETHER
+    else:
+        together = 1
     usual = np.abs(runs - np.median(runs)) <= 1
-    return Held(float(np.mean(runs[usual])), new) if np.mean(usual) >= REGULAR else none
+    mean = float(np.mean(runs[usual])) / together
+    return Held(mean, new) if np.mean(usual) >= REGULAR and mean >= OFTEN else none

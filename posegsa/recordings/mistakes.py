@@ -22,8 +22,16 @@ BETTER = 2.5
 """Ratio of misfits, of the relation that gains most, from which on a hypothesis is named."""
 FITS = 0.35
 """Misfit that the relation that gains most may have at most under the hypothesis."""
+LENGTHS = ("cm", 100.0), ("mm", 1000.0)
+"""Units that are taken for metres."""
 MANY = 100.0
 """Ratio that is not told more precisely."""
+MIRRORED = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+"""From north-east-down to east-north-up, and back."""
+MOST = 6
+"""Mistakes that are looked for, one after the other."""
+FITTED = 0.1
+"""The same where the hypothesis has numbers that are taken from the data."""
 SUSPICIOUS = 0.06
 """Largest misfit with the truth up to which nothing is looked for; of others, whose noise is not
 averaged, twice that."""
@@ -42,7 +50,8 @@ class Mistake(NamedTuple):
     """By how much the relation that gains most fits better."""
 
     def __str__(self) -> str:
-        times = f"{self.times:.2g}" if self.times < MANY else f"over {MANY:g}"
+        times = f"{self.times:.2g}" if self.times < 10 else f"{self.times:.0f}"
+        times = times if self.times < MANY else f"over {MANY:g}"
         return f"{self.words} (fits {times} times better)"
 
 
@@ -55,6 +64,8 @@ class Hypothesis(NamedTuple):
     """How much it changes; of equal ones the simplest is named."""
     of: str
     """Regular expression of the names of the relations that it is about."""
+    fits: float = FITS
+    """Misfit that the relation that gains most may have at most without it."""
 
 
 def mistakes(q: Quantities) -> list[Mistake]:
@@ -63,7 +74,7 @@ def mistakes(q: Quantities) -> list[Mistake]:
     One is looked for, and if it is found another, in what is then mended.
     """
     found: list[Mistake] = []
-    for _ in range(4):
+    for _ in range(MOST):
         best = _clearest(q)
         if best is None:
             break
@@ -90,7 +101,8 @@ def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
             continue
         name = max(gains, key=gains.__getitem__)
         tried.append((sum(gains.values()), gains[name], after[name], hypothesis))
-    tried = [one for one in tried if one[0] > math.log(BETTER) < one[1] + 1e-12 and one[2] < FITS]
+    least = math.log(BETTER)
+    tried = [one for one in tried if min(one[0], one[1]) > least and one[2] < one[3].fits]
     if not tried:
         return None
     most = max(total for total, *_ in tried)
@@ -115,6 +127,21 @@ def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
         1,
         TURNING,
     )
+    yield Hypothesis(
+        "angular_velocity looks as if it had been divided by 57.3 once too often: multiply by that",
+        lambda q: q.changed(gyroscope=q.gyroscope / degree),
+        1,
+        TURNING,
+    )
+    for k, axis in enumerate(AXES):
+        yield Hypothesis(
+            f"the {axis} axis of angular_velocity alone looks like deg/s: divide it by 57.3",
+            lambda q, k=k: q.changed(
+                gyroscope=q.gyroscope * np.where(np.arange(3) == k, degree, 1.0)
+            ),
+            2,
+            TURNING,
+        )
     for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         yield Hypothesis(
             f'the time stamps look like {unit}: set time_unit = "{unit}"',
@@ -130,6 +157,13 @@ def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
             TURNING,
         )
     if q.velocity is not None:
+        for unit, factor in (("km/h", 3.6), ("cm/s", 100.0), ("mm/s", 1000.0)):
+            yield Hypothesis(
+                f"velocity looks like {unit}: divide by {factor:g}",
+                lambda q, factor=factor: q.changed(velocity=_of(q.velocity) / factor),
+                1,
+                MOVING,
+            )
         for words, sign in _turned_axes():
             yield Hypothesis(
                 f"velocity: {words}",
@@ -178,11 +212,54 @@ def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
         3,
         TRUTH,
     )
+    for words, axes in _turned_axes():
+        if np.linalg.det(axes) > 0:
+            yield Hypothesis(
+                "the true rotation looks like that of other body axes than the sensors': its "
+                f"(x, y, z) are their {words.split('should be ')[-1].rstrip(')')})",
+                lambda q, axes=axes: q.changed(rotation=_of(q.rotation) @ axes),
+                2,
+                TRUTH,
+            )
+    yield Hypothesis(
+        "angular_velocity looks as if it were in the inertial frame: the filter needs it in the "
+        "body frame, R^T omega",
+        lambda q: q.changed(gyroscope=_all_to_body(q, q.gyroscope)),
+        1,
+        TURNING,
+    )
+    if q.position is not None:
+        for unit, factor in LENGTHS:
+            yield Hypothesis(
+                f"the true position looks like {unit}: divide by {factor:g}",
+                lambda q, factor=factor: q.changed(position=_of(q.position) / factor),
+                1,
+                TRUTH,
+            )
+        yield Hypothesis(
+            "the true position looks north-east-down, not east-north-up like the rest: (x, y, z) "
+            "is (y, x, -z) in the other",
+            lambda q: q.changed(position=_of(q.position) @ MIRRORED),
+            2,
+            TRUTH,
+        )
+    if (frame := _frame_of_references(q)) is not None:
+        turn, offset, words = frame
+        yield Hypothesis(
+            f"the truth looks as if it were in another inertial frame than the references: {words}",
+            lambda q: q.changed(
+                rotation=turn @ _of(q.rotation),
+                position=None if q.position is None else q.position @ turn.T + offset,
+            ),
+            5,
+            TRUTH,
+            FITTED,
+        )
     if q.velocity is not None:
         yield Hypothesis(
             "velocity looks as if it were in the inertial frame: the filter needs it in the body "
             "frame, R^T v",
-            lambda q: q.changed(velocity=_to_body(q, _of(q.velocity))),
+            lambda q: q.changed(velocity=_all_to_body(q, _of(q.velocity))),
             1,
             MOVING,
         )
@@ -209,12 +286,11 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
         1,
         about,
     )
-    mirrored = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
     reference = vector.reference
     yield Hypothesis(
         f"the reference of {vector.name} looks mirrored, north-east-down for east-north-up: "
         "(x, y, z) is (y, x, -z) in the other",
-        lambda q: _with_vector(q, i, replace(q.vectors[i], reference=reference @ mirrored.T)),
+        lambda q: _with_vector(q, i, replace(q.vectors[i], reference=reference @ MIRRORED)),
         2,
         about,
     )
@@ -237,6 +313,19 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             ),
             2,
             about,
+        )
+    fixed = _constant(reference)
+    if q.rotation is not None and not vector.is_up and fixed is not None:
+        points = np.nanmean(np.einsum("kij,kj->ki", q.rotation, vector.body), axis=0)
+        points *= np.linalg.norm(fixed) / max(float(np.linalg.norm(points)), 1e-12)
+        yield Hypothesis(
+            f"the reference of {vector.name} looks wrong: by the truth it points to "
+            f"{_numbers(points)}, {_angle_about_z(fixed, points):.0f} deg about the vertical "
+            "from there",
+            lambda q: _with_vector(q, i, replace(q.vectors[i], reference=points)),
+            4,
+            about,
+            FITTED,
         )
     if q.rotation is not None and _lacks_gravity(q, vector):
         yield Hypothesis(
@@ -298,6 +387,22 @@ def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
                 about,
             )
     if count:
+        yield Hypothesis(
+            "the references of the landmarks look mirrored, north-east-down for east-north-up: "
+            "(x, y, z) is (y, x, -z) in the other",
+            lambda q: q.changed(places=tuple(place @ MIRRORED for place in q.places)),
+            2,
+            about,
+        )
+        for unit, factor in LENGTHS:
+            yield Hypothesis(
+                f"landmarks look like {unit}: divide by {factor:g}",
+                lambda q, factor=factor: q.changed(
+                    landmarks=tuple(y / factor for y in q.landmarks)
+                ),
+                1,
+                about,
+            )
         for words, sign in _turned_axes():
             yield Hypothesis(
                 f"landmarks: {words}",
@@ -307,13 +412,101 @@ def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
             )
     if count > 1:
         for j in range(count):
-            for words, sign in _turned_axes():
-                yield Hypothesis(
-                    f"landmark {j}: {words}",
-                    lambda q, j=j, sign=sign: _with_landmark(q, j, q.landmarks[j] @ sign.T),
-                    2 + _changes(sign),
-                    rf"landmarks? (\d+ and )?{j}\b",
-                )
+            yield from _of_one_landmark(q, j)
+
+
+def _of_one_landmark(q: Quantities, j: int) -> Iterator[Hypothesis]:
+    about = rf"landmarks? (\d+ and )?{j}\b"
+    for unit, factor in LENGTHS:
+        yield Hypothesis(
+            f"landmark {j} looks like {unit}: divide by {factor:g}",
+            lambda q, factor=factor: _with_landmark(q, j, q.landmarks[j] / factor),
+            2,
+            about,
+        )
+    if q.rotation is not None:
+        yield Hypothesis(
+            f"landmark {j} looks as if it were measured in the inertial frame, p - P: the filter "
+            "needs it in the body frame, R^T (p - P)",
+            lambda q: _with_landmark(q, j, _to_body(q, q.landmarks[j])),
+            2,
+            about,
+        )
+    if (seen := _places_seen(q)) is not None and np.isfinite(seen[j]).all(axis=1).any():
+        place = np.nanmedian(seen[j], axis=0)
+        yield Hypothesis(
+            f"the reference of landmark {j} looks wrong: by the truth it is at {_numbers(place)}, "
+            f"{np.linalg.norm(place - q.places[j]):.3g} m from there",
+            lambda q: q.changed(places=(*q.places[:j], place, *q.places[j + 1 :])),
+            4,
+            about,
+            FITTED,
+        )
+    for words, sign in _turned_axes():
+        yield Hypothesis(
+            f"landmark {j}: {words}",
+            lambda q, sign=sign: _with_landmark(q, j, q.landmarks[j] @ sign.T),
+            2 + _changes(sign),
+            about,
+        )
+
+
+def _places_seen(q: Quantities) -> list[np.ndarray] | None:
+    """Where each landmark was seen (K, 3), inertial frame of the truth; None without a pose."""
+    if q.rotation is None or q.position is None:
+        return None
+    return [q.position + np.einsum("kij,kj->ki", q.rotation, y) for y in q.landmarks]
+
+
+def _frame_of_references(q: Quantities) -> tuple[np.ndarray, np.ndarray, str] | None:
+    """From the truth's inertial frame to the references': a turn about z, an offset, in words.
+
+    None if it takes more than one vector and one landmark to tell it from a wrong reference.
+    """
+    seen, known = [], []
+    for vector in q.vectors:
+        reference = None if vector.reference is None else _constant(vector.reference)
+        if reference is None or vector.is_up or not reference.any():
+            continue
+        b = np.einsum("kij,kj->ki", _of(q.rotation), vector.body)
+        seen.append(np.nanmean(b, axis=0) / np.linalg.norm(reference))
+        known.append(reference / np.linalg.norm(reference))
+    places = _places_seen(q) or []
+    at = [np.nanmedian(y, axis=0) if np.isfinite(y).any() else np.full(3, np.nan) for y in places]
+    there = [j for j, place in enumerate(at) if np.isfinite(place).all()]
+    offset = np.zeros(3)
+    if there:
+        mean, own = (np.mean([p[j] for j in there], axis=0) for p in (at, q.places))
+        seen += [at[j] - mean for j in there]
+        known += [q.places[j] - own for j in there]
+    if len(seen) < 2 or not np.isfinite(seen).all():
+        return None
+    a, b = np.array(seen)[:, :2], np.array(known)[:, :2]
+    angle = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    words = f"turn it by {math.degrees(angle):.0f} deg about the vertical"
+    if there:
+        offset = own - turn @ mean
+        words += f", then shift it by {_numbers(offset)} m"
+    return turn, offset, words
+
+
+def _constant(reference: np.ndarray) -> np.ndarray | None:
+    """A reference (3,) of all samples; None if it changes."""
+    each = np.atleast_2d(reference)
+    return None if np.any(np.ptp(each, axis=0)) else each[0]
+
+
+def _numbers(a: np.ndarray) -> str:
+    """A vector (3,), to be read."""
+    return f"({', '.join(f'{x:.3g}' for x in np.round(a, 3) + 0.0)})"
+
+
+def _angle_about_z(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle about z from vector a to b [deg]."""
+    turned = math.atan2(b[1], b[0]) - math.atan2(a[1], a[0])
+    return math.degrees(math.remainder(turned, 2 * math.pi))
 
 
 def _turned_axes() -> Iterator[tuple[str, np.ndarray]]:
@@ -344,6 +537,14 @@ def _changes(matrix: np.ndarray) -> int:
 def _to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
     """R^T of vectors (K, 3)."""
     return np.einsum("kji,kj->ki", _of(q.rotation), inertial)
+
+
+def _all_to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
+    """R^T of velocities (K, 3), which are integrated: by the R last known where it is not."""
+    R = _of(q.rotation)
+    known = np.isfinite(R).all(axis=(1, 2))
+    last = np.maximum.accumulate(np.where(known, np.arange(len(R)), known.argmax()))
+    return np.einsum("kji,kj->ki", R[last], inertial)
 
 
 def _scalar_last(R: np.ndarray) -> np.ndarray:

@@ -214,7 +214,11 @@ def misfits(q: Quantities) -> dict[str, float]:
                 both = first.body, first.reference, second.body, second.reference
                 both = *both, *velocities
                 relate(f"{first.name} and {second.name}", _two_vectors, first, second, of=both)
-    return {name: max(FINEST, misfit) for name, misfit in found.items() if misfit is not None}
+    return {
+        name: max(FINEST, misfit)
+        for name, misfit in found.items()
+        if misfit is not None and not math.isnan(misfit)
+    }
 
 
 def _motion(q: Quantities) -> tuple[np.ndarray, np.ndarray]:

@@ -51,10 +51,11 @@ def read_csv(
         raise RecordingError(f"time_unit = {time_unit!r}; allowed: {', '.join(TIME_UNITS)}")
     with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file, delimiter=delimiter)
-        head = [name.strip().lstrip("#").strip() for name in next(rows, [])]
+        names = next(rows, [])
+        head = [name.strip().lstrip("#").strip() for name in names]
         cells = [row for row in rows if row]
     if len(head) == 1:
-        _refuse_other_separator(path, head[0])
+        _refuse_other_separator(path, head[0], comment=names[0].lstrip().startswith("#"))
     if not cells:
         raise RecordingError(
             f"{path}: {'holds no sample below its head line' if head else 'is empty'}; allowed: a "
@@ -70,7 +71,7 @@ def read_csv(
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
         if unread := _unread(head, columns):
             found["notes"] = (f"columns that are not used: {unread}",)
-    table = _Table(path, head, cells)
+    table = _Table(path, head, cells, delimiter)
     for argument, names in columns.items():
         if argument == "time":
             found["time"] = table.times(names, time_unit)
@@ -84,9 +85,14 @@ def read_csv(
     return found
 
 
-def _refuse_other_separator(path: Path, head: str) -> None:
+def _refuse_other_separator(path: Path, head: str, *, comment: bool) -> None:
     """Raise a RecordingError if a head line that is one cell has other separators than expected."""
     for mark, words in {";": "semicolons", "\t": "tabs", " ": "spaces"}.items():
+        if mark in head and mark == " " and comment:
+            raise RecordingError(
+                f"{path}: its first line is a comment, {head!r}; allowed: the names of columns, "
+                "such as time,wx,wy,wz,ax,ay,az"
+            )
         if mark in head:
             raise RecordingError(
                 f"{path}: its columns are separated by {words}; allowed: commas, or the line "
@@ -98,8 +104,12 @@ def _refuse_other_separator(path: Path, head: str) -> None:
 class _Table:
     """The cells of a file, by column."""
 
-    def __init__(self, path: Path, head: list[str], cells: list[list[str]]) -> None:
+    def __init__(self, path: Path, head: list[str], cells: list[list[str]], delimiter: str) -> None:
         self.path, self.head, self.cells = path, head, cells
+        self.marks = "." if delimiter == "," else ".,"
+        """What may be a decimal mark: a comma only where it separates no columns."""
+        self.mark = ""
+        """That of the file, once one has been read."""
 
     def array(self, argument: str, names: Any) -> np.ndarray:
         """Numbers (K, ...) of columns; nested lists of names make the axes after the first."""
@@ -128,11 +138,21 @@ class _Table:
 
     def _number(self, name: str, k: int, cell: str) -> float:
         try:
-            return float(cell) if cell else float("nan")
+            return float(self._with_point(cell)) if cell else float("nan")
         except ValueError:
+            marked = f" with the decimal mark {self.mark!r} of the file" if self.mark else ""
             raise RecordingError(
-                f"{self.path}: {cell!r} in column {name!r} of sample {k} is not a number"
+                f"{self.path}: {cell!r} in column {name!r} of sample {k} is not a number{marked}"
             ) from None
+
+    def _with_point(self, cell: str) -> str:
+        """A cell with a decimal point, whatever the file's decimal mark; one file has one."""
+        for mark in self.marks:
+            if mark in cell:
+                self.mark = self.mark or mark
+                if mark != self.mark:
+                    raise ValueError("another mark than before")
+        return cell.replace(",", ".") if self.mark == "," else cell
 
 
 def _default_columns(path: Path, head: list[str]) -> dict[str, Any]:

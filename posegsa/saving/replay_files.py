@@ -21,6 +21,21 @@ SCHEMA = 1
 TABLE, DATA = "replay.txt", "replay.json"
 
 
+def refuse_replays_in(folder: str | Path, *, overwrite: bool) -> Path:
+    """The folder, for replays; one that holds some is refused unless they may be replaced.
+
+    Raises:
+        RunFolderError: It contains replays already.
+    """
+    folder = as_path("folder", folder)
+    if not overwrite and (folder / DATA).exists():
+        raise RunFolderError(
+            f"{folder}: holds replays already; choose another folder, or replace them "
+            "(--overwrite; overwrite=True)"
+        )
+    return folder
+
+
 def write_replays(
     replays: Sequence[Replay],
     folder: str | Path,
@@ -37,12 +52,7 @@ def write_replays(
     Raises:
         RunFolderError: The folder contains replays already, or cannot be written.
     """
-    folder = as_path("folder", folder)
-    if not overwrite and (folder / DATA).exists():
-        raise RunFolderError(
-            f"{folder}: holds replays already; choose another folder, or replace them "
-            "(--overwrite; overwrite=True)"
-        )
+    folder = refuse_replays_in(folder, overwrite=overwrite)
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     files: dict[str, bytes] = {}

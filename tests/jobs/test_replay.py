@@ -14,7 +14,7 @@ from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main
-from posegsa.errors import ArgumentError, RunFolderError
+from posegsa.errors import ArgumentError, MeasurementError, RunFolderError
 from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replayed import Replay, replay_table, replayed_on
@@ -261,3 +261,29 @@ def test_folders_have_names_of_their_own() -> None:
         "recording",
         "V1_02.b",
     ]
+
+
+def test_a_recording_without_a_start_costs_no_other_its_result(
+    result: Result, recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = bench(start="sensors")
+    for name in ("vectors", "landmarks"):
+        given[name] = np.full_like(given[name], np.nan)
+    blind = Recording.from_arrays(name="blind", **given)
+    with pytest.raises(MeasurementError, match="start"):
+        posegsa.replay(result, [recording, blind])
+    posegsa.save(result, tmp_path / "run", figures=[])
+    recording.save(tmp_path / "bench.npz")
+    blind.save(tmp_path / "blind.npz")
+    (tmp_path / "empty.csv").write_text("")
+    paths = [str(tmp_path / name) for name in ("empty.csv", "bench.npz", "blind.npz")]
+    out = tmp_path / "out"
+    command = ["replay", str(tmp_path / "run"), *paths, "--out", str(out), "--no-figures"]
+    assert main(command) == 2
+    said = capsys.readouterr()
+    assert "bench" in said.out
+    assert "blind: " in said.err
+    assert "empty.csv: is empty" in said.err
+    (data,) = json.loads((out / "replay.json").read_text())["recordings"]
+    assert data["name"] == "bench"
+    assert main(["replay", str(tmp_path / "run"), paths[0]]) == 2

@@ -52,8 +52,21 @@ def flown(seed: int = 4) -> Arguments:
     }
 
 
+TURNED = Rotation.from_euler("z", 90, degrees=True)
+
+
+def rotations(a: Arguments) -> Rotation:
+    return Rotation.from_quat(a["truth_quaternion"], scalar_first=True)
+
+
 def true_rotations(a: Arguments) -> np.ndarray:
-    return Rotation.from_quat(a["truth_quaternion"], scalar_first=True).as_matrix()
+    return rotations(a).as_matrix()
+
+
+def jumped(a: Arguments) -> np.ndarray:
+    positions = a["truth_position"].copy()
+    positions[700, 0] = 1e30
+    return positions
 
 
 def one_of(a: Arguments, name: str, index: int, change: Callable[[Any], Any]) -> Arguments:
@@ -156,6 +169,76 @@ MISTAKES: dict[str, tuple[Callable[[Arguments], Arguments], str]] = {
     "late landmark": (
         lambda a: one_of(a, "landmarks", 0, late),
         "landmark 0 looks 50 ms late",
+    ),
+    "very late": (
+        lambda a: a | {"angular_velocity": np.roll(a["angular_velocity"], 35, axis=0)},
+        "angular_velocity looks 200 ms or more late",
+    ),
+    "radians twice": (
+        lambda a: a | {"angular_velocity": np.deg2rad(a["angular_velocity"])},
+        "divided by 57.3 once too often",
+    ),
+    "degrees about one axis": (
+        lambda a: a | {"angular_velocity": a["angular_velocity"] * [1, 57.3, 1]},
+        "the y axis of angular_velocity alone looks like deg/s",
+    ),
+    "gyroscope, inertial": (
+        lambda a: a | {"angular_velocity": to_inertial(a, a["angular_velocity"])},
+        "angular_velocity looks as if it were in the inertial frame",
+    ),
+    "km/h": (
+        lambda a: a | {"velocity": 3.6 * a["velocity"]},
+        "velocity looks like km/h: divide by 3.6",
+    ),
+    "landmarks in cm": (
+        lambda a: a | {"landmarks": 100 * a["landmarks"]},
+        "landmarks look like cm: divide by 100",
+    ),
+    "a landmark in mm": (
+        lambda a: one_of(a, "landmarks", 2, lambda y: 1000 * y),
+        "landmark 2 looks like mm: divide by 1000",
+    ),
+    "true position in cm": (
+        lambda a: a | {"truth_position": 100 * a["truth_position"]},
+        "the true position looks like cm: divide by 100",
+    ),
+    "true position, north-east-down": (
+        lambda a: a | {"truth_position": a["truth_position"][:, [1, 0, 2]] * [1, 1, -1]},
+        "the true position looks north-east-down",
+    ),
+    "other body axes": (
+        lambda a: a | {"truth_quaternion": (rotations(a) * TURNED).as_quat(scalar_first=True)},
+        r"other body axes than the sensors': its \(x, y, z\) are their \(y, -x, z\) \(",
+    ),
+    "another inertial frame": (
+        lambda a: (
+            a
+            | {
+                "truth_quaternion": (TURNED * rotations(a)).as_quat(scalar_first=True),
+                "truth_position": TURNED.apply(a["truth_position"]) + np.array([0, 0, 5]),
+            }
+        ),
+        r"another inertial frame.*turn it by -90 deg .* shift it by \(.*, .*, -5\) m",
+    ),
+    "a landmark elsewhere": (
+        lambda a: one_of(a, "landmark_references", 1, lambda p: p + np.array([1, 0, 0])),
+        r"the reference of landmark 1 looks wrong: by the truth it is at \(-3, 4, .*\), 1 m",
+    ),
+    "landmarks mirrored": (
+        lambda a: a | {"landmark_references": PLACES[:, [1, 0, 2]] * [1, 1, -1]},
+        "the references of the landmarks look mirrored",
+    ),
+    "field elsewhere": (
+        lambda a: one_of(a, "vector_references", 1, lambda r: r * [1, -1, 1]),
+        r"the reference of vector 1 looks wrong: .*, (-)?180 deg about the vertical",
+    ),
+    "a velocity that is stuck": (
+        lambda a: a | {"velocity": np.zeros_like(a["velocity"])},
+        r"velocity never changes: it is \(0, 0, 0\) in all samples",
+    ),
+    "a jump of the truth": (
+        lambda a: a | {"truth_position": jumped(a)},
+        r"the true position jumps by 1e\+30 m in a step, at 7 s",
     ),
 }
 WITHOUT_TRUTH = ("degrees", "axis of the gyroscope", "axes of the velocity", "landmarks exchanged")
@@ -292,11 +375,28 @@ def test_the_figure_has_a_panel_for_each_sensor() -> None:
 
 
 def test_what_fits_nowhere_is_told_without_a_name_for_it() -> None:
-    """Landmarks in centimetres, and a velocity in km/h."""
+    """Landmarks twice as far, and a field in microtesla."""
     a = flown()
-    for changed in (a | {"landmarks": 100 * a["landmarks"]}, a | {"velocity": 3.6 * a["velocity"]}):
-        found = check(Recording.from_arrays(**changed)).findings
-        assert any("do not fit" in words or "looks like" in words for words in found), found
+    found = check(Recording.from_arrays(**a | {"landmarks": 2 * a["landmarks"]})).findings
+    assert any("landmark 0 and truth do not fit" in words for words in found), found
+    found = check(Recording.from_arrays(**one_of(a, "vectors", 1, lambda b: 48 * b))).findings
+    assert found == [
+        "vector 1 differs in length from its reference, by a factor of 48: another unit?"
+    ]
+
+
+def test_a_truth_with_gaps_makes_no_mistake_look_right() -> None:
+    """Where it is missing it can't say what a velocity would be in another frame."""
+    a = flown()
+    seen = np.arange(COUNT)[:, None] % 300 > 100
+    names = "truth_quaternion", "truth_position"
+    a: Arguments = {**a, **{name: np.where(seen, a[name], np.nan) for name in names}}
+    a["angular_velocity"] = 1.15 * a["angular_velocity"]  # which looks suspicious
+    assert check(Recording.from_arrays(**a)).findings == []
+    planted, words = MISTAKES["velocity, inertial"]
+    inertial = planted(flown())["velocity"]
+    (found,) = check(Recording.from_arrays(**a | {"velocity": inertial})).findings
+    assert re.search(words, found)
 
 
 def test_without_a_truth_it_is_not_said_to_agree_with_it() -> None:

@@ -12,7 +12,7 @@ def noise(count: int = COUNT) -> np.ndarray:
     return np.random.default_rng(3).normal(size=(count, 3))
 
 
-@pytest.mark.parametrize("rate", [50.0, 40.0, 30.0, 10.0])
+@pytest.mark.parametrize("rate", [90.0, 75.0, 60.0, 50.0, 40.0, 30.0, 10.0])
 def test_the_last_value_of_a_slower_clock_is_found(rate: float) -> None:
     """Signals of 100 Hz."""
     last = np.floor(0.01 * np.arange(COUNT) * rate + 1e-9).astype(int)
@@ -39,3 +39,9 @@ def test_a_rest_is_not_held() -> None:
     signal[300:700] = 0.0
     assert held(signal).samples == 1
     assert held(np.zeros((COUNT, 3))).samples == 1
+
+
+def test_values_that_repeat_by_chance_are_not_held() -> None:
+    """As often as those of a sensor of 75 Hz, but not regularly."""
+    chance = np.random.default_rng(4).random(COUNT) < 0.75
+    assert held(noise()[np.cumsum(chance)]).samples == 1

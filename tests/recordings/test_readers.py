@@ -159,6 +159,20 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
         recording.check_seen()
 
 
+def test_decimal_commas_are_read_where_commas_separate_no_columns(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.with_suffix(".csv.toml").write_text('delimiter = ";"\n')
+    path.write_text('time;wx;wy;wz\n0;1,5;2;-3,25\n0,5;1e-1;2,0;"3"\n')
+    recording = Recording.read(path)
+    np.testing.assert_array_equal(recording.time, [0, 0.5])
+    expected = [[1.5, 2, -3.25], [0.1, 2, 3]]
+    np.testing.assert_array_equal(recording.measurements.angular_velocity, expected)
+    for cell in ("1.5", "1,5,0"):  # another mark than the column of the time has; two marks
+        path.write_text(f"time;wx;wy;wz\n0,0;{cell};2;3\n0,5;1;2;3\n")
+        with pytest.raises(RecordingError, match=rf"'{cell}' in column 'wx' of sample 0"):
+            Recording.read(path)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -167,6 +181,7 @@ def test_without_vectors_and_landmarks_it_says_how_to_name_them(tmp_path: Path) 
         ("time,wx,wy\n1,2,3\n", r"lacks wz \(angular_velocity\); it has: time, wx, wy"),
         ("time_ns,wx,wy,wz,vx,qw\n0,1,2,3,4,5\n", r"lacks vy vz \(velocity\), qx qy qz \(truth_q"),
         ("t;wx;wy;wz\n0;1,5;2;3\n", r"separated by semicolons.*delimiter = \";\" in bad.csv.toml"),
+        ("# flight of Monday\ntime,wx,wy,wz\n", r"first line is a comment, 'flight of Monday'"),
         ("time\twx\twy\twz\n", r"separated by tabs.*delimiter = \"\\t\" in"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2\n", "sample 1 .*2 .*4"),
         ("time,wx,wy,wz\n0,1,2,3\n1,2,x,3\n", "'x'.*'wy'.*sample 1"),
