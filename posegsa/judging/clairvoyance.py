@@ -1,4 +1,4 @@
-"""What the clairvoyant costs: the reference beside filters on the same drawn scenarios."""
+"""Costs of the clairvoyant, the reference beside filters on the same drawn scenarios."""
 
 import warnings
 from dataclasses import replace
@@ -40,7 +40,7 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
 
     Args:
         experiment: its scenario, family and cost are used, its filter is not.
-        keys: (S,) of the scenarios, by default the held-out ones; the same keys give the same
+        keys: (S,) keys of the scenarios, by default the held-out ones; the same keys give the same
             scenarios in `scenario_batch`.
 
     Raises:
@@ -53,7 +53,7 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
         refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
     dtype = jnp.dtype(run.dtype)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # of the start, which is not used
+        warnings.simplefilter("ignore", PosegsaWarning)  # about the start, which is not used
         one = scenario(experiment)
     longer, drawn_from = replace(one, samples=padded(one.samples)), family(experiment, dtype)
     weights = cost_weights(experiment.cost, one.samples, dtype)
@@ -90,7 +90,7 @@ def _costs(
     keys: Array,
     start: str,
 ) -> Array:
-    """Costs (S,) for key data (S, 2); as many samples count as the weights have."""
+    """Costs (S,) for key data (S, 2), over as many samples as there are weights."""
     N = weights.transient.shape[0]
 
     def cost(key: Array) -> Array:
@@ -107,7 +107,7 @@ def _costs(
         walk = drawn.bias_drift
         filter = prior.with_values({"angular_walk": walk[0], "linear_walk": walk[3]})
         samples = samples_of(
-            filter, events.weighed(measured), truth.rotation, truth.position, truth.time
+            filter, events.weighted(measured), truth.rotation, truth.position, truth.time
         )
         samples = with_events(samples, events, jumps=bool(drawn.jumps.time.size))
         samples = jax.tree.map(lambda a: a[:N], samples)

@@ -64,7 +64,7 @@ def some_events(rng: np.random.Generator, count: int) -> Events:
 @partial(jax.jit, static_argnames="jumps")
 def states(filter: Clairvoyant, m: Measurements, events: Events, initial, jumps: bool = True):
     """Pose, biases and covariance before each sample."""
-    samples = with_events(samples_of(filter, events.weighed(m)), events, jumps=jumps)
+    samples = with_events(samples_of(filter, events.weighted(m)), events, jumps=jumps)
 
     def look(total, view, entry):
         estimate = view.estimate

@@ -59,9 +59,9 @@ def test_bursts_are_where_the_measurements_are_disturbed(drawn) -> None:
         bursts = getattr(events, f"{name}_bursts")
         np.testing.assert_array_equal(np.abs(off).max(axis=-1) > 1e-9, bursts)
         assert 0.05 < bursts.mean() < 0.6
-    weighed = jax.tree.map(np.asarray, events.weighed(disturbed))
+    weighted = jax.tree.map(np.asarray, events.weighted(disturbed))
     for name in ("vector", "landmark"):
-        weights, noise = getattr(weighed, f"{name}_weights"), getattr(events, f"{name}_noise")
+        weights, noise = getattr(weighted, f"{name}_weights"), getattr(events, f"{name}_noise")
         seen = np.asarray(getattr(disturbed, f"{name}_weights")) > 0
         used = seen & ~getattr(events, f"{name}_bursts")
         np.testing.assert_allclose(weights, np.where(used, noise**-2, 0), rtol=1e-12)
