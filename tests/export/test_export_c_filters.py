@@ -464,7 +464,7 @@ def test_the_example_of_the_page_with_all_sensors_finds_the_pose(tmp_path: Path)
 @pytest.mark.quick
 def test_the_start_of_a_kalman_filter_says_from_how_far_off_it_converges():
     assumed = dict(zip(KalmanNoise._fields, NOISE, strict=True))
-    words = header_of("18 states").partition("/* Begins a filter.")[2].partition("*/")[0]
+    words = header_of("18 states").partition("/* Starts a filter.")[2].partition("*/")[0]
     degrees, metres = map(float, re.findall(r"([\d.]+) (?:deg|m) ", words)[:2])
     assert degrees == pytest.approx(np.degrees(assumed["initial_attitude"]), rel=0.01)
     assert metres == pytest.approx(assumed["initial_position"], rel=0.01)
