@@ -75,8 +75,8 @@ def schedule_space(
 
     Args:
         kind: "constant", "smooth", "switch" or "open loop".
-        experiment: Its controller's range, and its duration, are looked at.
-        lowest: Least gain [1/s], where it is to be another one.
+        experiment: Its controller's range and its duration are used.
+        lowest: Lowest gain [1/s], if it is not to be the default.
     """
     end = experiment.scenario.duration
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
@@ -105,7 +105,7 @@ def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
 
     Args:
         kind: "constant", "smooth", "ramp" or "clock".
-        experiment: Its duration is looked at.
+        experiment: Its duration is used.
     """
     end = experiment.scenario.duration
     gain, error = (0.0, math.log(101.0)), (math.log(0.003), 0.0)

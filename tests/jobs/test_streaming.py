@@ -562,7 +562,7 @@ def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> No
         live.update(**still, angular_velocity=[0, 0, 0])
     with pytest.raises(ArgumentError, match="acc, mag; allowed: without vectors"):
         live.update(**still, vectors=[None, None])
-    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only of the attitude filter"):
+    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only for the attitude filter"):
         posegsa.PoseFilter(result, **START).update(**still)
     with pytest.raises(MeasurementError, match="angular_velocity: missing"):
         live.update(time_step=0.01, acc=[0, 0, 9.81])

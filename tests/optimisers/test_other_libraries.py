@@ -99,7 +99,7 @@ def test_tune_by_pycma_writes_a_folder_without_checkpoints(
     assert posegsa.load(tmp_path).best_cost == result.best_cost
     assert not (tmp_path / "checkpoints").exists()
     with pytest.raises(
-        CheckpointError, match=r"no checkpoint to go on from; .*state can.t be saved"
+        CheckpointError, match=r"no checkpoint to resume from; .*state can.t be saved"
     ):
         posegsa.tune(by_pycma, resume=tmp_path)
 
