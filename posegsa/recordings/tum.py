@@ -86,7 +86,7 @@ def with_tum(
     """Arguments of `Recording.from_arrays` with the truth from a TUM file.
 
     Args:
-        arguments: with "time", by the clock of the file.
+        arguments: arguments with "time", on the clock of the file.
         path: the file.
         between: as in `Recording.from_streams`.
 

@@ -101,8 +101,8 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
     [
         ({"frame": "END"}, r"frame = 'END'.*ENU, NED, NWU"),
         ({"rate": 0.0}, r"rate = 0.0.*allowed"),
-        ({"time": np.arange(900)}, r"rate, time:.*one of both"),
-        ({"rate": None}, r"rate, time:.*one of both"),
+        ({"time": np.arange(900)}, r"rate, time:.*one of the two"),
+        ({"rate": None}, r"rate, time:.*one of the two"),
         ({"acc": np.zeros((5, 3))}, "acc: must have"),
         ({"gyr": np.full((900, 3), np.nan)}, "gyr: 900 samples"),
         ({"mag": np.zeros((900, 3))}, "mag: all 900 samples are missing"),

@@ -164,8 +164,8 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"time": None}, "give one of both"),
-        ({"time_step": 0.01}, "give one of both"),
+        ({"time": None}, "give one of the two"),
+        ({"time_step": 0.01}, "give one of the two"),
         ({"time": np.zeros(3, int)}, r"must have the shape \(400,\)"),
         ({"time": None, "time_step": -0.01}, r"time_step:.*positive"),
         ({"velocity": np.zeros((4, 3))}, r"velocity: must have the shape"),
@@ -173,7 +173,7 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
         ({"vector_weights": -1.0}, r"vector_weights:.*not neg"),
         ({"truth_rotation": np.tile(2 * np.eye(3), (400, 1, 1))}, "must be rotations"),
         ({"truth_rotation": None}, "without a truth_rotation"),
-        ({"truth_quaternion": np.ones((400, 4))}, "give one of both"),
+        ({"truth_quaternion": np.ones((400, 4))}, "give one of the two"),
         ({"truth_rotation": None, "truth_quaternion": np.ones((400, 4))}, r"the length 1.* 2"),
         ({"judged": np.full(400, 0.5)}, r"judged:.*mask"),
         ({"phases": {"rest": np.ones(3, bool)}}, r"phases\['rest'\]:.*mask"),
