@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             (one,) = read([path], options.window, *bridged, landmark_outlier="off")
             found.append(check(one))
-        except MeasurementError as error:  # the others are checked all the same
+        except MeasurementError as error:  # the others are checked nevertheless
             say(f"posegsa: {error}")
             refused = True
             continue

@@ -206,7 +206,7 @@ def png(figure: Figure) -> bytes:
     file = io.BytesIO()
     with _look():  # `savefig` reads the settings too
         engine = figure.get_layout_engine()
-        if engine is not None:  # laid out here once; `savefig` would do it twice, and draw twice
+        if engine is not None:  # lay out once here; `savefig` would lay out and draw twice
             engine.execute(figure)
             figure.set_layout_engine("none")
         figure.savefig(file, format="png", dpi=DPI)

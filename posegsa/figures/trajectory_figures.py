@@ -24,7 +24,7 @@ _TRUE: Style = {"label": "true", "color": style.BLACK, "linewidth": 1.8}
 _EACH = (style.BLUE, style.VERMILION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
 """Colours of vectors."""
 ASKED: Style = {"color": style.SKY, "linewidth": 3.4}
-"""The gain that a schedule asked for: wide, so that it is visible behind the gain used."""
+"""The gain that a schedule requested: wide, so that it is visible behind the gain used."""
 USED: Style = {"color": style.BLACK, "linewidth": 0.9}
 SETTLED = 0.2
 """Share of a run after which its errors determine the range of an axis."""
@@ -63,7 +63,7 @@ def plot_errors(trajectory: Trajectory) -> Figure:
     "gain jumps between a few levels, the schedule acts as a switch.",
 )
 def plot_gain(trajectory: Trajectory) -> Figure | None:
-    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
+    """Gain [1/s] that the schedule requested, and after the gain limit, over time [s].
 
     The second panel enlarges the first second; a run shorter than two has the first panel only.
     None for a filter without a gain.

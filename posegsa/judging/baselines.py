@@ -1,4 +1,4 @@
-"""Baselines for a tuned filter: others, tuned on its training scenarios at its budget.
+"""Baselines for a tuned filter: other filters, tuned on its training scenarios at its budget.
 
 Each schedule is searched with the run's optimiser and its number of evaluations. Differential
 evolution replaces an optimiser that uses gradients or can't be compiled. Whatever was tuned beside
@@ -118,9 +118,9 @@ class Baseline(NamedTuple):
     """A filter that can stand beside a tuned one on the same scenarios."""
 
     experiment: config.Experiment
-    """The experiment that it is a filter of."""
+    """The experiment that describes the filter."""
     search: Callable[[], Description]
-    """Finds it on the training scenarios."""
+    """Finds the filter on the training scenarios."""
 
 
 def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]:

@@ -81,7 +81,7 @@ class Endurance(NamedTuple):
     def worse(self) -> list[str]:
         """Errors and windows after the first in which the tuned filter is worse, as text.
 
-        Less than WORSE times the other's error is as good.
+        An error below WORSE times the other's counts as equal.
         """
         found = []
         for name, own, other in (

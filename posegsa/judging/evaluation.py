@@ -44,9 +44,9 @@ CONTENDERS = (
 )
 """Names of the filters that can be compared, in the order of the tables."""
 CLAIRVOYANT = "clairvoyant"
-"""The name of the reference below all filters, which is told what no filter can know."""
+"""The name of the reference in the last row, which knows what no filter can know."""
 NOT_TUNED = "this filter"
-"""The name of the filter that is judged, in place of the first of these, if no search found it."""
+"""The name of the judged filter, instead of the first contender's, if no search found it."""
 ADVICE = {
     CONSTANT: "`posegsa tune CONFIG --set filter.schedule=constant`",
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
@@ -174,7 +174,7 @@ class Evaluation:
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
-    """By name, the filter that is judged first."""
+    """The contenders by name; the judged filter is the first."""
     clairvoyant: Annotated[np.ndarray, Numbers("scenarios", allow="infinite")] | None = None
     """(S,) cost of the clairvoyant (`filters.clairvoyant`); None with a user's own cost."""
 
@@ -194,7 +194,7 @@ class Evaluation:
 
     @property
     def costs(self) -> dict[str, np.ndarray]:
-        """(S,) cost on each scenario, of each contender and at last of the clairvoyant."""
+        """(S,) cost on each scenario, of each contender and finally of the clairvoyant."""
         found = {name: each.metrics.cost for name, each in self.contenders.items()}
         return found if self.clairvoyant is None else found | {CLAIRVOYANT: self.clairvoyant}
 
@@ -233,7 +233,7 @@ class Evaluation:
         return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
 
     def consistency(self, write: Callable[[float, str], str] = format) -> Rows:
-        """A table of how right the contenders' covariances are; empty if none has one."""
+        """A table of the consistency of the contenders' covariances; empty if none has one."""
         metrics = {
             name: each.metrics
             for name, each in self.contenders.items()
@@ -243,10 +243,10 @@ class Evaluation:
 
     @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
     def verdict(self) -> str:
-        """How far the judged filter errs, and which filters beside it cost less, the lowest first.
+        """The errors of the judged filter, and the other filters that cost less, the lowest first.
 
-        A filter whose paired difference may be chance is not named. In the second window, in which
-        errors have settled.
+        Errors are those in the second window, in which they have settled. A filter whose paired
+        difference may be chance is not named.
         """
         metrics = self.contenders[self.own].metrics
         degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)

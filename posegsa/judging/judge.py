@@ -1,4 +1,4 @@
-"""Turn what a search found into a result: judge it on what it has not seen, and check it."""
+"""Turn the outcome of a search into a result: judge it on unseen data, and check it."""
 
 import math
 import warnings
@@ -80,16 +80,16 @@ class Recorded(NamedTuple):
     training: Sequence[Recording]
     held_out: Sequence[Recording]
     position_weight: float
-    """Of the position's RMSE in the cost [deg/m]."""
+    """Weight of the position's RMSE in the cost [deg/m]."""
 
 
 def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None) -> Result:
     """Judge the best candidate of a search.
 
     Args:
-        problem: What was searched.
-        found: What the search found.
-        recorded: The recordings that it was tuned on, if it was, and those held out.
+        problem: The problem that was searched.
+        found: The outcome of the search.
+        recorded: The recordings that it was tuned on, and those held out; None without recordings.
     """
     search = found.search
     configured = _configured_if_gained_little(problem, float(search.best_cost))
@@ -127,7 +127,7 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
 
 
 def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Candidate | None:
-    """The candidate with the configured numbers, where the search gains less than it must."""
+    """The candidate with the configured numbers, if the search improves the cost by too little."""
     experiment, training = problem.experiment, problem.training
     least, keys = experiment.objective.least_gain, problem.space.keys
     if not least or training.recorded is None or len(keys) != problem.space.box.lower.size:
@@ -140,10 +140,10 @@ def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Ca
 
 
 def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
-    """A result, beside the filters that a user has without a search.
+    """A result with the filters that a user has without a search beside it.
 
-    They are what the recordings give, and the Kalman filter as it comes. One that is the result's
-    own filter is left out.
+    They are the filter that the recordings give, and the Kalman filter as shipped. One that equals
+    the result's own filter is left out.
     """
     plain = default_experiment(recorded.training)
     beside = {IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND: plain}
@@ -182,7 +182,7 @@ def _stored(column: jax.Array) -> np.ndarray:
 
 
 def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -> OnScenarios:
-    """What a candidate is worth on drawn scenarios, beside the filter that always stands there.
+    """The performance of a candidate on drawn scenarios, beside the filter always compared with it.
 
     `found` is its description.
     """
@@ -227,10 +227,10 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
 
 
 def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, int]:
-    """The filter that always stands beside a tuned one: name, candidate, evaluations.
+    """The filter that a tuned one is always compared with: name, candidate, evaluations.
 
-    Beside a gain schedule that are the best constant gains, beside a constant gain the best smooth
-    one, and beside another filter itself with the numbers of its configuration.
+    For a gain schedule these are the best constant gains, for a constant gain the best smooth one,
+    and for another filter the same filter with the numbers of its configuration.
     """
     section, evaluations = problem.experiment.filter, problem.experiment.search.evaluations
     if not isinstance(section, ObserverConfig):
@@ -250,7 +250,7 @@ def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     plain = untuned_kalman(own)
     keys = held_out_keys(own.run.seed, own.run.held_out_scenarios)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
+        warnings.simplefilter("ignore", PosegsaWarning)  # about a start that no sample determines
         batch = scenario_batch(plain, one, keys)
     if not always_starts(batch):
         return {}
@@ -298,7 +298,7 @@ def on_recordings(
 
 
 def own_score(result: Result, recording: Recording) -> RecordingScore:
-    """A result's filter on one recording; what its gain limit cuts is in the score."""
+    """The score of a result's filter on one recording, with the effect of its gain limit."""
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
         start = state_of(recording.initial())
         return score(recording, run_filter(result.filter_on(recording), recording, start))

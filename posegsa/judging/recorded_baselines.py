@@ -118,7 +118,7 @@ def _tuned_on_scenarios(
 def _scores(
     found: Description, experiment: config.Experiment, recordings: Sequence[Recording]
 ) -> list[RecordingScore]:
-    """What a filter of an experiment is worth on recordings."""
+    """The scores of a filter of an experiment on recordings."""
     scores = []
     for one in recordings:
         filter = described_filter(found, experiment, None, sensors_of(one.measurements))

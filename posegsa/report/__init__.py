@@ -46,7 +46,7 @@ NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", rand
 """A family whose scenarios differ only in their noise."""
 
 
-# Costs may be 0, infinite or very large.
+# Costs may be 0, infinite or very large: do not warn about the arithmetic.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page; pictures are the PNG files of its figures by name."""
@@ -76,7 +76,7 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
 
 
 def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
-    """What the page of a result on drawn scenarios shows of them."""
+    """The values that the page of a result on drawn scenarios shows."""
     fuzzy, trust = result.filter.kind == "fuzzy", judged.trust
     fired = trust.rule_weights
     return {

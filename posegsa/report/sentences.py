@@ -24,7 +24,7 @@ from posegsa.words import counted
 
 
 def verdict(judged: OnScenarios) -> str:
-    """A sentence that compares the judged filter with the one that always stands beside it."""
+    """A sentence that compares the judged filter with the one that it is always compared with."""
     evaluation, beside = judged.evaluation, judged.beside
     own_filter = _starting(evaluation)
     difference = evaluation.difference(beside)
@@ -56,7 +56,7 @@ def verdict(judged: OnScenarios) -> str:
 
 
 def recorded_errors(on: OnRecordings) -> dict[str, str]:
-    """The errors of a filter and of those beside it on the same recordings, by name."""
+    """The errors of a filter and of the compared filters on the same recordings, by name."""
     label = "held out" if on.held_out else "tuned on"
     each = {f"This filter, {label}": on.held_out or on.training}
     each |= {f"{name}, {label}": scores for name, scores in on.baselines.items() if on.held_out}
@@ -92,7 +92,7 @@ def cost_words(result: Result) -> str:
 
 
 def worse_words(judged: OnScenarios) -> str:
-    """Where the judged filter's errors are larger than those of the filter beside it, if any."""
+    """Which errors of the judged filter are larger than those of the compared filter, if any."""
     contenders, beside = judged.evaluation.contenders, judged.beside
     tuned, constant = (contenders[name].metrics for name in (judged.evaluation.own, beside))
     worse = []
@@ -116,7 +116,7 @@ def worse_words(judged: OnScenarios) -> str:
 
 
 def better_words(judged: OnScenarios) -> str:
-    """Which contenders, except the one beside it, are better than the judged one, if any.
+    """Which other contenders, except the compared filter, are better than the judged one, if any.
 
     The mean counts as better if the interval of the paired differences excludes 0, the median if it
     is lower in the digits shown.
@@ -143,7 +143,7 @@ def better_words(judged: OnScenarios) -> str:
 
 
 def _starting(evaluation: Evaluation) -> str:
-    """The judged filter, at the start of a sentence."""
+    """The name of the judged filter, for the start of a sentence."""
     words = called(evaluation.own)
     return words[:1].upper() + words[1:]
 

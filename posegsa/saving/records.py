@@ -94,7 +94,7 @@ def from_json(
             f"schema {schema}: run it again, or read it with the version that wrote it"
         )
     digest = data.pop("digest", None)
-    record = from_plain(kind, data, source)  # first: it names the field that is wrong
+    record = from_plain(kind, data, source)  # before the digest: it names the wrong field
     if not edited and digest != _digest(data):
         raise RunFolderError(
             f"{source}: was changed after posegsa wrote it (its digest differs); if on purpose, "
@@ -149,7 +149,7 @@ _SCALARS = {
 
 
 def _strict(kind: Any) -> Any:
-    """The type with which pydantic reads a type from plain data strictly."""
+    """The annotated type with which pydantic reads a type strictly from plain data."""
     origin: Any = typing.get_origin(kind)
     parts = typing.get_args(kind)
     if origin is Annotated:
@@ -184,7 +184,7 @@ def _strict_record(kind: Any) -> Any:
 
 
 def _made(kind: Any, found: BaseModel) -> Any:
-    """The record of the fields that were read."""
+    """The record made of the fields that were read."""
     return kind(**dict(found))
 
 

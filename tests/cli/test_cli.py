@@ -176,7 +176,7 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     )
     assert told is not None, said
     assert int(told[2] or told[1]) == kept
-    assert "go on with: posegsa tune --resume run" in said
+    assert "resume with: posegsa tune --resume run" in said
     assert "Traceback" not in said
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--resume", "run", "--seed", "5"]) == 2

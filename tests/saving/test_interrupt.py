@@ -69,9 +69,9 @@ def test_it_raises_where_nothing_is_deferred(number):
 def test_what_is_stopped_says_how_to_go_on(number):
     with (
         immediate_signals(lambda: None),
-        pytest.raises(SearchInterrupted, match=r"^go on with: it$") as stopped,
-        resumable(lambda: "go on with: something else"),
-        resumable(lambda: "go on with: it"),
+        pytest.raises(SearchInterrupted, match=r"^resume with: it$") as stopped,
+        resumable(lambda: "resume with: something else"),
+        resumable(lambda: "resume with: it"),
     ):
         signal.raise_signal(number)
     assert stopped.value.signal_number == number
@@ -103,7 +103,7 @@ ALONE = BUSY.replace("    os.kill(os.getpid(), signal.SIGINT)", "    return").re
     "with immediate_signals(say), deferred_signals():",
     """from posegsa.saving import interrupt
 interrupt.PATIENCE = 0.1
-how = interrupt.resumable(lambda: "go on with: it")
+how = interrupt.resumable(lambda: "resume with: it")
 with immediate_signals(say, print), deferred_signals(), how:""",
 )
 
@@ -117,7 +117,7 @@ def test_the_first_stops_soon_in_compiled_code_and_says_how_to_go_on(number):
         [sys.executable, "-u", "-c", code], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 128 + number, done.stderr
-    assert done.stdout == "told\ngo on with: it\n"
+    assert done.stdout == "told\nresume with: it\n"
 
 
 def test_the_second_stops_at_once_in_compiled_code():
