@@ -406,8 +406,8 @@ class PoseFilter:
         excess = abs(np.square(record[self._quaternion_at]).sum() - 1)
         if excess > limits.UNIT_TOLERANCE:
             raise MeasurementError(
-                f"the squared length of the estimated quaternion would be {excess:g} off 1; "
-                f"allowed: {limits.UNIT_TOLERANCE:g} at most"
+                "the squared length of the estimated quaternion would differ from 1 by "
+                f"{excess:g}; allowed: {limits.UNIT_TOLERANCE:g} at most"
             )
 
     def _begin(self, record: np.ndarray) -> None:

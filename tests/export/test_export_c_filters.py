@@ -395,7 +395,7 @@ def starting_with(extra: Any) -> Any:
         ),
         (
             {"prepare": lambda self, m: prepare(m._replace(velocity=2 * m.velocity), AS_THEY_ARE)},
-            "changes what was measured",
+            "changes the measured values",
         ),
     ],
 )
