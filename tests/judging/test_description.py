@@ -179,7 +179,7 @@ def test_a_schedule_without_numbers_is_refused_and_a_kalman_filter_has_its_own()
     )
 
 
-def test_what_is_recommended_is_configured_where_nothing_is_said() -> None:
+def test_without_an_argument_the_recommended_filter_is_configured() -> None:
     recommended = config.load("recommended")
     found = posegsa.configured()
     assert found.filter == configured_filter(recommended)

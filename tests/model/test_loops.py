@@ -92,7 +92,7 @@ def test_derivatives_go_through(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 1500, 65_536, 65_537, 10_000_000])
-def test_loops_are_short_and_hardly_any_step_is_made_for_nothing(count: int) -> None:
+def test_loops_are_short_and_hardly_any_step_is_wasted(count: int) -> None:
     # Traced and never run: the inputs have a shape and no numbers.
     given = {name: jax.ShapeDtypeStruct((count,), np.float32) for name in ("a", "b")}
     lengths = loop_lengths(jax.make_jaxpr(lambda x: scan(storing, START, x))(given).jaxpr)
