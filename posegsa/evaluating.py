@@ -56,7 +56,7 @@ def evaluate(
     cost: TrackCost | None = None,
     progress: steps.Listener | None = None,
 ) -> Result:
-    """Judge a tuned filter beside all baselines, on held-out scenarios or on recordings.
+    """Judge a tuned filter and all baselines, on held-out scenarios or on recordings.
 
     On scenarios the baselines are other gain schedules of the observer, Kalman filters, and
     variants of the tuned filter itself: its gains replayed, a random search for it, its numbers
@@ -83,7 +83,7 @@ def evaluate(
         progress: Called with each `steps.Step`; its `about` names the filter.
 
     Returns:
-        The result with a new judgement, beside the one on other data if it has that.
+        The result with a new judgement; an existing one on other data is kept.
 
     Raises:
         ArgumentError: Fewer than 2 scenarios, an argument of the wrong type or without effect here,

@@ -92,7 +92,7 @@ class CostConfig(Section):
     steady_weight: NonNegative = 1.0
     """Weight of the steady window's sum, no unit."""
     position_weight: NonNegative = 0.2
-    """Weight of the position error [m] beside the attitude error (0 to 1, no unit) [1/m]."""
+    """Weight of the position error [m] relative to the attitude error (0 to 1) [1/m]."""
     transient_window: Window = (0, 100)
     """First and last sample of the transient, both included (the paper: 0 to 1 s)."""
     steady_window: Window = (400, 5900)

@@ -299,7 +299,7 @@ SIGNAL_ALSO = tuple(
     AlsoTuned(key=f"filter.{role}_smoothing", lower=0.005, upper=2.0, scale="logarithmic")
     for role in ("unknown", "belief")
 )
-"""The numbers that are tuned by default beside the noises if these are scheduled."""
+"""The numbers that are tuned by default in addition to the noises if these are scheduled."""
 IMU_ALSO = tuple(
     AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
     for name, lower, upper in (

@@ -118,7 +118,7 @@ class GainConfig(Section):
     """How e is computed: "measured", from the vectors and landmarks, as a vehicle can do it, or
     "pose", from the true errors of attitude and position (an oracle, for simulation only)."""
     position_weight: Annotated[NonNegative, Tunable()] = 0.2
-    """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
+    """Weight of the position part [m] relative to the attitude part (0 to 1) in e [1/m]."""
     smoothing: Annotated[NonNegative, Tunable()] = 1.5
     """Time constant of the first-order low-pass filter of e [s]; 0 means none."""
     error_scale: Annotated[Positive, Tunable()] = 0.3

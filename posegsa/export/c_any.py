@@ -204,7 +204,7 @@ class _Step:
     def _laid_out(
         self, state: Any, estimate: list[str]
     ) -> tuple[list[_Field], list[str], list[str | None]]:
-        """The fields beside the estimate, and the text that each number of the state has in C.
+        """Other fields than the estimate, and the text that each number of the state has in C.
 
         The third result holds the numbers of the estimate that are not in the state, None for
         others.

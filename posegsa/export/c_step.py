@@ -221,7 +221,7 @@ class Step:
         self._piece(*names, see, (now, sample, settings), _wanted(seen))
         memory = self._memory("now")
         self._piece(
-            *("signal", "the error signal: how well the estimate fits the sample, smoothed"),
+            *("signal", "the error signal: the low-passed misfit of the estimate and the sample"),
             _signal,
             (now, sample, seen, memory, self._signal, settings),
             (
@@ -369,8 +369,8 @@ def sample_of(
     """A sample whose numbers are C expressions, of the measurement `seen` and the reference tables.
 
     Args:
-        vectors: How many vectors are measured.
-        landmarks: How many landmarks are measured.
+        vectors: Number of measured vectors.
+        landmarks: Number of measured landmarks.
         crossed: Whether the cross product of two vectors is used.
         velocity: The velocity in C.
         farthest: The variable with the square of the distance to the farthest landmark [m^2].

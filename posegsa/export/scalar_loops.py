@@ -395,7 +395,7 @@ def _element(text: str) -> tuple[str, int]:
 
 
 def _once_each(group: dict[int, Value]) -> dict[int, Value]:
-    """The same list without repetitions, numbered anew if there were some."""
+    """The same list without repetitions, renumbered if there were some."""
     found = {id(value): value for value in group.values()}
     return group if len(found) == len(group) else dict(enumerate(found.values()))
 

@@ -129,7 +129,7 @@ def _surface(result: Result, resolution: int) -> tuple[np.ndarray, np.ndarray, n
 
 
 def costs(result: Result) -> dict[str, dict[str, Any]]:
-    """Costs of the tuned filter and of the one beside it, with 95 % intervals of the means.
+    """Costs of the tuned filter and of the one compared with it, with 95 % intervals of the means.
 
     By name; empty where the filter was not run on scenarios.
     """

@@ -76,7 +76,7 @@ def angles_differ(evaluation: Evaluation) -> bool:
 def plot_costs(evaluation: Evaluation) -> Figure:
     """Cost of every contender on every held-out scenario, and mean paired differences.
 
-    Infinite costs are counted beside the name and left out of all but the mean.
+    Infinite costs are counted next to the name and left out of all but the mean.
     """
     found = evaluation.costs
     names = list(found)

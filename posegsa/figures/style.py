@@ -124,7 +124,7 @@ def legend_above(figure: Figure, ax: Axes) -> None:
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
-    """A colour bar beside a panel."""
+    """A colour bar next to a panel."""
     bar = figure.colorbar(drawn, ax=ax, pad=0.025, fraction=0.03, aspect=30)
     bar.set_label(label)
     style_ticks(bar.ax)

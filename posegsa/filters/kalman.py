@@ -422,7 +422,7 @@ def update(
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
     The covariance is still in the coordinates before the last correction of the estimate, which is
-    returned beside it: `propagate` moves it together with its own transport, in one product. The
+    returned with it: `propagate` moves it together with its own transport, in one product. The
     innovations are those of the first linearisation, at the estimate before the sample.
 
     Args:

@@ -1,4 +1,4 @@
-"""Costs of the clairvoyant, the reference beside filters on the same drawn scenarios."""
+"""Costs of the clairvoyant, the reference for filters on the same drawn scenarios."""
 
 import warnings
 from dataclasses import replace

@@ -39,11 +39,11 @@ class Endurance(NamedTuple):
     distance: PerWindow
     """Distance of its position from the true one, |P_est - P| [m]."""
     other_attitude: PerWindow
-    """The same errors of the filter beside it [deg]."""
+    """The attitude error of the other filter [deg]."""
     other_position: PerWindow
-    """[m]"""
+    """Its position error as in the cost [m]."""
     other_distance: PerWindow
-    """[m]"""
+    """Its distance from the true position [m]."""
 
     def rows(self) -> list[tuple[float, ...]]:
         """The windows one by one, in the order of the fields."""
@@ -53,7 +53,7 @@ class Endurance(NamedTuple):
         """The windows as text.
 
         Args:
-            names: Names of the judged filter and of the one beside it.
+            names: Names of the judged filter and of the other one.
             scenarios: Number of scenarios.
         """
         heads = ["attitude", "P_err", "distance"]

@@ -55,7 +55,7 @@ ADVICE = {
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
 }
-"""How to get one of the filters beside a tuned one."""
+"""How to get one of the filters that are compared with a tuned one."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -256,14 +256,14 @@ class Evaluation:
         )
         if self.clairvoyant is not None:
             head += (
-                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which is told what "
+                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which knows what "
                 f"no filter can know, has {self.cost(CLAIRVOYANT).mean:.4g}."
             )
         others = {name: self.difference(name) for name in self.contenders if name != self.own}
         lower = sorted((-each.mean, name) for name, each in others.items() if each.low > 0)
         if not lower:
             listed = ", ".join(others)
-            return f"{head} No filter beside it ({listed}) costs less by more than chance."
+            return f"{head} No other filter ({listed}) costs less by more than chance."
         parts = [
             f"{called(name)} by {-less:.3g} ({others[name].low:.3g} to {others[name].high:.3g})"
             for less, name in lower

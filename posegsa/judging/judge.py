@@ -65,7 +65,7 @@ from posegsa.settings.fields import Section
 from posegsa.version import VERSION
 
 _PARTS = (
-    "the filter beside it",
+    "the filter compared with it",
     "unseen scenarios",
     "references",
     "one run",
@@ -140,7 +140,7 @@ def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Ca
 
 
 def _beside_what_was_not_searched(result: Result, recorded: Recorded) -> Result:
-    """A result with the filters that a user has without a search beside it.
+    """A result with the filters that a user has without a search for comparison.
 
     They are the filter that the recordings give, and the Kalman filter as shipped. One that equals
     the result's own filter is left out.
@@ -182,12 +182,12 @@ def _stored(column: jax.Array) -> np.ndarray:
 
 
 def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -> OnScenarios:
-    """The performance of a candidate on drawn scenarios, beside the filter always compared with it.
+    """The performance of a candidate on drawn scenarios, and of the filter always compared.
 
     `found` is its description.
     """
     experiment, scenarios = problem.experiment, problem.simulated
-    _begin("the filter beside it")
+    _begin("the filter compared with it")
     name, other, evaluations = _beside(problem, tuned)
     own = own_name(found)
     candidates = {own: tuned, name: other}
@@ -276,7 +276,7 @@ def on_recordings(
         training: Recordings that it was tuned on; the filter knows their sensors.
         held_out: Recordings that only judge. A filter that was not searched knows their sensors,
             and those without a truth do not judge it.
-        simulated: Its costs on simulated scenarios that were tuned on beside recordings.
+        simulated: Its costs on simulated scenarios that were tuned on in addition to recordings.
     """
     scores: tuple[list[RecordingScore], list[RecordingScore]] = ([], [])
     both = ((scores[0], training), (scores[1], held_out))

@@ -44,7 +44,7 @@ ADVICE = {
     CONSTANT: "`--set filter.schedule=constant`",
     EKF: "`posegsa tune kalman --recording`",
 }
-"""How to get one of the filters beside a tuned one."""
+"""How to get one of the filters that are compared with a tuned one."""
 DRAWS, FEWEST_BLOCKS = 2000, 4
 """Draws of a bootstrap, and the blocks that a recording needs for one."""
 MOSTLY = 0.5
@@ -153,7 +153,7 @@ class OnRecordings:
         beside = ", ".join(self.baselines)
         if not better:
             return (
-                f"{head}No filter beside it ({beside}) errs less, in attitude or in position: take "
+                f"{head}No other filter ({beside}) errs less, in attitude or in position: take "
                 "it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`."
             )
         better.sort()
@@ -171,7 +171,7 @@ class OnRecordings:
                 "the schedule asks for more than the gain limit allows in "
                 f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "
                 "sets the gain, not the schedule, and a constant gain may do as well (`posegsa "
-                "evaluate` shows it beside)"
+                "evaluate` shows one)"
             )
         return found
 

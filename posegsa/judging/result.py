@@ -99,7 +99,7 @@ class Result:
 
     @property
     def also(self) -> dict[str, float]:
-        """The tuned numbers beside the schedule's own, by key of the configuration."""
+        """The tuned numbers in addition to the schedule's own, by key of the configuration."""
         return self.filter.also
 
     @property
@@ -109,7 +109,7 @@ class Result:
 
     @cached_property
     def candidate(self) -> Candidate:
-        """The tuned schedule, with the numbers that were tuned beside it."""
+        """The tuned schedule, with the other numbers that were tuned."""
         return candidate_of(self.filter, self.experiment)
 
     @property
@@ -292,7 +292,9 @@ class Result:
         simple = {name: each for name, each in self.filter.numbers.items() if len(each) == 1}
         numbers = simple | {key: [value] for key, value in self.also.items()}
         if numbers:
-            beside = f" beside k1 to k{len(PARAMETERS)}" if self.filter.kind == "fuzzy" else ""
+            beside = (
+                f" in addition to k1 to k{len(PARAMETERS)}" if self.filter.kind == "fuzzy" else ""
+            )
             tuned = ", ".join(f"{key} = {each[0]:.4g}" for key, each in numbers.items())
             parts.append(f"Tuned{beside}: {tuned}")
         if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:

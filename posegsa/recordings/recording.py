@@ -173,7 +173,7 @@ class Recording:
         attitude_only = velocity is None
         if attitude_only and landmarks is not None:
             raise RecordingError(
-                "velocity: None beside landmarks; allowed: (K, 3) [m/s], or neither (attitude only)"
+                "velocity: None with landmarks; allowed: (K, 3) [m/s], or neither (attitude only)"
             )
         linear = np.zeros_like(omega) if velocity is None else velocity
         linear = finite_array("velocity", linear, (samples, 3), finite=False)

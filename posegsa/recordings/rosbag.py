@@ -177,7 +177,7 @@ def _imu(path: Path, held: Mapping[str, str]) -> Topics:
 
 
 def _unnamed(path: Path, held: Mapping[str, str], used: Collection[str]) -> list[str]:
-    """A note on the topics that a bag holds beside those of its inertial sensor, if any."""
+    """A note on the topics that a bag holds in addition to those of its inertial sensor, if any."""
     quantities = "velocity", "vectors", "landmarks", "truth_position"
     more = {
         quantity: [topic for topic, kind in held.items() if kind in FIELDS[quantity]]

@@ -96,7 +96,7 @@ def with_tum(
     """
     if given := [name for name in arguments if name.startswith("truth_")]:
         raise RecordingError(
-            f"truth = {str(path)!r}: beside {', '.join(given)}; allowed: one truth"
+            f"truth = {str(path)!r}: in addition to {', '.join(given)}; allowed: one truth"
         )
     if "time" not in arguments:
         raise RecordingError(f"truth = {str(path)!r}: allowed with time stamps")

@@ -120,7 +120,7 @@ def from_plain(kind: type[Record], data: object, source: Path) -> Record:
 
 def _words(problem: Mapping[str, Any]) -> str:
     """One problem that pydantic found: the path of the field, its value and what is allowed."""
-    path = ".".join(map(str, problem["loc"])) or "all of it"
+    path = ".".join(map(str, problem["loc"])) or "the whole record"
     given = problem["input"]
     given = "" if isinstance(given, dict | list) else f" = {reprlib.repr(given)}"
     reason = problem.get("ctx", {}).get("error") or problem["msg"]

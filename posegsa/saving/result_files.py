@@ -185,7 +185,7 @@ def _keys_beside(
     """Keys of the numbers of the filters compared with the result's own: name, found, needed."""
     for name, one in experiments_beside(result.experiment, result.filter).items():
         if name in contenders and (also := sorted(contenders[name].filter.also)):
-            # Replayed gains are run with the numbers tuned beside the filter's own schedule.
+            # Replayed gains are run with the numbers tuned along with the filter's own schedule.
             keys = result.also if name == REPLAYED else [each.key for each in one.also]
             needed = sorted(keys)
             yield f"on_scenarios: keys of filter.also of {name}", also, needed

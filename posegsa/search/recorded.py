@@ -162,7 +162,7 @@ def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Reco
             has = "no position (attitude only)"
         if one.attitude_only or found != needed:
             raise ConfigError(
-                f"objective.simulated_share = {share}: {one.name} has {has}; allowed beside "
+                f"objective.simulated_share = {share}: {one.name} has {has}; allowed with "
                 f"simulated scenarios: a position, {counted(needed[0], 'vector')} and "
                 f"{counted(needed[1], 'landmark')}, as [scenario] has"
             )
@@ -195,7 +195,7 @@ def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch
 def with_effect_on(
     experiment: config.Experiment, vectors: int, landmarks: int, *, strict: bool = True
 ) -> config.Experiment:
-    """An experiment that tunes only what has an effect with so many sensors.
+    """An experiment that tunes only what has an effect with these numbers of sensors.
 
     Raises:
         ConfigError: A number that the user chose has no effect, and `strict` is true.

@@ -264,7 +264,7 @@ def test_the_clairvoyant_is_below_the_costs_and_in_the_verdict():
     assert [row[0] for row in costs[1:]] == [TUNED, CONSTANT, CLAIRVOYANT]
     assert costs[-1][1:2] == ["1.25"]
     assert [row[0] for row in behaviour[1:]] == [TUNED, CONSTANT], "nothing else of it is stored"
-    assert "the clairvoyant, which is told what no filter can know, has 1.25" in known.verdict()
+    assert "the clairvoyant, which knows what no filter can know, has 1.25" in known.verdict()
     assert from_json(Evaluation, to_json(known, SCHEMA), SCHEMA, FILE).costs[CLAIRVOYANT][0] == 1.25
 
 
@@ -273,4 +273,4 @@ def test_a_difference_that_may_be_chance_is_not_in_the_verdict():
     noise = np.resize([1.0, -1.0], given.scenarios)
     own = given.contenders[TUNED].metrics.cost
     given = changed(given, CONSTANT, cost=own - 0.01 + noise)
-    assert "No filter beside it (best constant gains) costs less" in given.verdict()
+    assert "No other filter (best constant gains) costs less" in given.verdict()

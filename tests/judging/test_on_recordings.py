@@ -35,7 +35,7 @@ def test_one_that_is_better_in_position_alone_is_named_too() -> None:
 def test_where_none_is_better_it_says_so() -> None:
     words = verdict((0.2, None), VQF=(0.199, None), Madgwick=(0.5, None))
     assert (
-        "errs by 0.2 deg. No filter beside it (VQF, Madgwick) errs less, in attitude or in "
+        "errs by 0.2 deg. No other filter (VQF, Madgwick) errs less, in attitude or in "
         "position: take it, `posegsa export"
     ) in words
 

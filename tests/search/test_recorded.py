@@ -268,7 +268,7 @@ def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     recordings: list[Recording],
 ) -> None:
     for given, words in (  # both together, as above, so that nothing is compiled
-        (recordings, "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
+        (recordings, "pose has 2 vectors and 3 landmarks; allowed with simulated scenarios"),
         (recordings[::-1], r"attitude has no position \(attitude only\)"),
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):
